@@ -1,0 +1,1 @@
+"""The science, pure: arrays in, arrays out. Only numpy and scipy, no I/O."""
