@@ -1,0 +1,1 @@
+"""The Moon itself: serves reference measurements and true terrain to the rover's instruments."""

@@ -1,0 +1,94 @@
+"""What every planner is asked and what it answers: frozen values and arrays, no I/O, no clock, no global generator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray, SiteGrid, as_points, path_length
+from he3.gp import Hyperparameters
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerOptions:
+    """What distinguishes one configuration of the planners from another; defaults are the paper's."""
+
+    clearance_m: float = 15.0
+    """No target lies nearer to a sample than this [m] (`rrt`, `rrtstar`)."""
+    step_m: float = 10.0
+    """Longest edge of a tree [m]."""
+    goal_tolerance_m: float = 10.0
+    """A target counts as reached within this distance [m]."""
+    max_iterations: int = 5000
+    """Bound on tree growth; planning ends by iterations, never by time."""
+    information_exponent: float = 1.0
+    """alpha of the utility u = I^alpha / c (`informative`)."""
+    extra: dict[str, float] = field(default_factory=dict)
+    """Named settings of one planner only; unknown names are refused by that planner."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningRequest:
+    """Everything a planner may know when it plans one round."""
+
+    grid: SiteGrid
+    traversable: NDArray[np.bool_]
+    """(rows, columns): where the rover's centre may be; footprint and keep-outs are already taken out."""
+    start_m: tuple[float, float]
+    """Where the round begins (x, y) [m]."""
+    observed_m: FloatArray
+    """(n, 2) places [m] already measured or certain to be: plans under way are counted in."""
+    std_ppb: NDArray[np.float32]
+    """(rows, columns) posterior standard deviation [ppb] given all of ``observed_m``."""
+    hyperparameters: Hyperparameters
+    samples: int
+    """How many samples this round takes."""
+    samples_left: int
+    """How many samples the rest of the mission takes, this round included."""
+    budget_m: float
+    """Metres that the rest of the mission may drive, this round included; may be infinite."""
+    seed: int
+    """Every random choice of the planner follows from it."""
+    interest: NDArray[np.float32] | None = None
+    """(rows, columns) weight >= 0 of each cell's uncertainty; None is 1 everywhere."""
+    options: PlannerOptions = field(default_factory=PlannerOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRound:
+    """One round: a polyline that starts where the rover is, and the places on it where samples are taken."""
+
+    path_m: FloatArray
+    """(K, 2) polyline [m], its first vertex the start; every leg is traversable."""
+    samples_m: FloatArray
+    """(samples, 2) places [m] on the path, in the order in which they are reached."""
+    information_nats: float
+    """Mutual information between the round's measurements and the field, given what is known."""
+
+    @property
+    def length_m(self) -> float:
+        return path_length(self.path_m)
+
+
+Planner = Callable[[PlanningRequest], PlannedRound]
+"""Raises NoRoute when nothing can be planned: walled in, budget spent, no place left."""
+
+
+def checked(request: PlanningRequest) -> PlanningRequest:
+    """The request itself, after its shapes were checked once; raises InvalidInput otherwise."""
+    for name in ("traversable", "std_ppb", "interest"):
+        array = getattr(request, name)
+        if array is not None and array.shape != request.grid.shape:
+            raise InvalidInput(f"planning: expected {name} of shape {request.grid.shape}, got {array.shape}")
+    if request.samples < 1 or request.samples_left < request.samples:
+        raise InvalidInput(
+            f"planning: expected 1 <= samples <= samples_left, got {request.samples} and {request.samples_left}"
+        )
+    as_points(np.array([request.start_m]))
+    if request.observed_m.size:
+        as_points(request.observed_m)
+    return request

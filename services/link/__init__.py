@@ -1,0 +1,1 @@
+"""The only path between Moon and Earth: light time, data rate, loss, contact windows."""

@@ -1,0 +1,1 @@
+"""Recording of everything that reached Earth."""

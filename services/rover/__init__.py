@@ -1,0 +1,1 @@
+"""The rover: executes plans, drives, drills, analyses; safe when out of contact."""
