@@ -1,0 +1,85 @@
+"""Telecommands and the stages that each passes through."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from schemas.wire import Identifier, MissionTimeNs, PositionM, Text, Wire
+
+
+class CommandKind(StrEnum):
+    PAUSE = "pause"
+    RESUME = "resume"
+    ABORT_ROUND = "abort_round"
+    GO_TO = "go_to"
+    SET_KEEP_OUT = "set_keep_out"
+    RETURN_TO_START = "return_to_start"
+    SAFE = "safe"
+
+
+class CommandStage(StrEnum):
+    """In the order in which a command passes them; the last five end it."""
+
+    QUEUED = "queued"
+    RELEASED = "released"
+    RADIATED = "radiated"
+    RECEIVED = "received"
+    ACCEPTED = "accepted"
+    STARTED = "started"
+    REJECTED = "rejected"
+    COMPLETED = "completed"
+    FAILED = "failed"
+    EXPIRED = "expired"
+    LOST = "lost"
+
+
+class Telecommand(Wire):
+    """One imperative to the rover, executed at most once, and not after it expires."""
+
+    command_id: Identifier
+    kind: CommandKind
+    expires_at: MissionTimeNs | None = None
+    target_m: tuple[PositionM, PositionM] | None = None
+    """Where to go (`go_to` only)."""
+    polygon_m: Annotated[tuple[tuple[PositionM, PositionM], ...], Field(max_length=256)] | None = None
+    """Corners of the area that the rover may not enter (`set_keep_out` only); none removes it."""
+    area_id: Identifier | None = None
+    """Which keep-out area is meant (`set_keep_out` only)."""
+
+    @model_validator(mode="after")
+    def _has_what_its_kind_needs(self) -> Telecommand:
+        if (self.kind is CommandKind.GO_TO) != (self.target_m is not None):
+            raise ValueError(f"expected target_m with go_to and only there, got kind {self.kind.value}")
+        keep_out = self.kind is CommandKind.SET_KEEP_OUT
+        if keep_out != (self.area_id is not None) or (self.polygon_m is not None and not keep_out):
+            raise ValueError(f"expected area_id and polygon_m with set_keep_out only, got kind {self.kind.value}")
+        if self.polygon_m is not None and len(self.polygon_m) < 3:
+            raise ValueError(f"expected a polygon of at least 3 corners, got {len(self.polygon_m)}")
+        return self
+
+
+class CommandReport(Wire):
+    """A command passed a stage."""
+
+    command_id: Identifier
+    stage: CommandStage
+    at: MissionTimeNs
+    why: Text = ""
+
+
+class CommandStatus(Wire):
+    """A command and every stage it has passed, oldest first."""
+
+    command: Telecommand
+    stages: tuple[CommandReport, ...]
+
+
+class CommandList(Wire):
+    commands: tuple[CommandStatus, ...]
+
+
+class NoParameters(Wire):
+    """A query that needs to say nothing more."""

@@ -1,0 +1,182 @@
+"""Conditions on the path between Earth and Moon, and what is under way on it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from schemas.wire import Identifier, MissionTimeNs, Text, Wire
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Seconds = Annotated[float, Field(ge=0, le=86_400)]
+Count = Annotated[int, Field(ge=0)]
+
+
+class Direction(StrEnum):
+    UP = "up"
+    """Earth to Moon: telecommands."""
+    DOWN = "down"
+    """Moon to Earth: telemetry."""
+
+
+class DirectionConditions(Wire):
+    """One direction of the link."""
+
+    one_way_light_time_s: Seconds = 1.282
+    jitter_s: Seconds = 0.0
+    """Half width of a uniform addition to the light time; order is kept unless `reorder` says otherwise."""
+    rate_bit_s: Annotated[float, Field(ge=1, le=1e12)] | None = None
+    """None: transmission takes no time."""
+    loss: Fraction = 0.0
+    duplicate: Fraction = 0.0
+    reorder: Fraction = 0.0
+    """Share of the messages that are held back by up to one more light time."""
+    corrupt: Fraction = 0.0
+
+
+class AtEdge(StrEnum):
+    HOLD = "hold"
+    """What is offered out of contact waits for the next window."""
+    DROP = "drop"
+    """What is offered out of contact is lost."""
+
+
+class Window(Wire):
+    """Contact from `opens_s` until `closes_s`, in seconds of mission since its start."""
+
+    opens_s: Annotated[float, Field(ge=0)]
+    closes_s: Annotated[float, Field(gt=0)]
+
+    @model_validator(mode="after")
+    def _closes_after_it_opens(self) -> Window:
+        if self.closes_s <= self.opens_s:
+            raise ValueError(f"expected closes_s after opens_s, got {self.opens_s} and {self.closes_s}")
+        return self
+
+
+class DutyCycle(Wire):
+    """Contact during the first `contact_s` of every `period_s`, shifted by `offset_s`."""
+
+    period_s: Annotated[float, Field(gt=0)]
+    contact_s: Annotated[float, Field(gt=0)]
+    offset_s: Annotated[float, Field(ge=0)] = 0.0
+
+    @model_validator(mode="after")
+    def _contact_fits_into_the_period(self) -> DutyCycle:
+        if self.contact_s > self.period_s:
+            raise ValueError(f"expected contact_s within period_s, got {self.contact_s} of {self.period_s}")
+        return self
+
+
+class LinkConditions(Wire):
+    """The whole link. With neither windows nor a duty cycle there is always contact."""
+
+    up: DirectionConditions = DirectionConditions()
+    down: DirectionConditions = DirectionConditions()
+    windows: Annotated[tuple[Window, ...], Field(max_length=1000)] = ()
+    duty_cycle: DutyCycle | None = None
+    at_edge: AtEdge = AtEdge.HOLD
+
+    @model_validator(mode="after")
+    def _one_kind_of_contact(self) -> LinkConditions:
+        if self.windows and self.duty_cycle is not None:
+            raise ValueError("expected windows or a duty_cycle, got both")
+        for earlier, later in zip(self.windows, self.windows[1:], strict=False):
+            if later.opens_s < earlier.closes_s:
+                raise ValueError("expected windows in order that do not overlap")
+        return self
+
+
+class LinkChange(Wire):
+    """New values for what is named; everything else stays. It holds for what is sent from now on."""
+
+    direction: Direction | None = None
+    """None: both."""
+    one_way_light_time_s: Seconds | None = None
+    jitter_s: Seconds | None = None
+    rate_bit_s: Annotated[float, Field(ge=1, le=1e12)] | None = None
+    unlimited_rate: bool = False
+    loss: Fraction | None = None
+    duplicate: Fraction | None = None
+    reorder: Fraction | None = None
+    corrupt: Fraction | None = None
+    contact: bool | None = None
+    """False: black-out from now on; True: contact from now on, whatever was scheduled; None: as it is."""
+    at_edge: AtEdge | None = None
+
+
+class InFlight(Wire):
+    """A message between the two sides, or waiting to leave."""
+
+    topic: Text
+    source: Text
+    sequence: Count
+    direction: Direction
+    size_bytes: Count
+    offered_at: MissionTimeNs
+    departs_at: MissionTimeNs | None
+    """When its first bit leaves; None while it waits for contact."""
+    arrives_at: MissionTimeNs | None
+    """When its last bit arrives; None while it waits for contact."""
+
+
+class DirectionCounts(Wire):
+    """What happened to the messages of one direction since the start."""
+
+    offered: Count = 0
+    delivered: Count = 0
+    lost: Count = 0
+    dropped_out_of_contact: Count = 0
+    dropped_queue_full: Count = 0
+    duplicated: Count = 0
+    corrupted: Count = 0
+    waiting: Count = 0
+    in_flight: Count = 0
+    bytes_delivered: Count = 0
+
+
+class LinkStatus(Wire):
+    """The link as it is now."""
+
+    conditions: LinkConditions
+    contact: bool
+    contact_changes_at: MissionTimeNs | None
+    up: DirectionCounts
+    down: DirectionCounts
+    in_flight: Annotated[tuple[InFlight, ...], Field(max_length=200)]
+    """The next 200 to arrive."""
+    incarnation: Count
+
+
+class ClockMode(StrEnum):
+    WALL = "wall"
+    """Mission time follows the wall clock, times a rate."""
+    LOCKSTEP = "lockstep"
+    """Mission time jumps from event to event."""
+
+
+class ClockState(Wire):
+    """What mission time it is: at wall time `anchor_wall_ns` it was `anchor_mission_ns`, and it runs at `rate`."""
+
+    mode: ClockMode = ClockMode.WALL
+    rate: Annotated[float, Field(ge=0, le=1e6)]
+    """Mission seconds a wall second; 0 while the mission is paused."""
+    anchor_wall_ns: MissionTimeNs
+    anchor_mission_ns: MissionTimeNs
+    start_ns: MissionTimeNs
+    """Mission time at which the mission began."""
+
+
+class Acknowledgement(Wire):
+    """What a receiver of custody messages has: everything below `next_sequence`, but for the gaps."""
+
+    stream: Text
+    """Topic name of the messages acknowledged."""
+    source: Identifier
+    incarnation: Count
+    next_sequence: Count
+    """One more than the highest sequence received."""
+    gaps: Annotated[tuple[tuple[Count, Count], ...], Field(max_length=64)] = ()
+    """First and last sequence of each run that is missing below `next_sequence`."""

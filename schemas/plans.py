@@ -1,0 +1,54 @@
+"""What the ground asks of the rover: plans of one or several rounds."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from schemas.wire import Identifier, MissionTimeNs, PositionM, Wire
+
+Waypoint = tuple[PositionM, PositionM]
+
+
+class PlannedSample(Wire):
+    """One place to drill, on the round's path."""
+
+    sample_id: Identifier
+    x_m: PositionM
+    y_m: PositionM
+    depth_m: Annotated[float, Field(gt=0, le=3)]
+
+
+class RoundPlan(Wire):
+    """One round: a path, its first vertex where the round begins, and the places on it, in the order reached."""
+
+    round: Annotated[int, Field(ge=1, le=10_000)]
+    path_m: Annotated[tuple[Waypoint, ...], Field(min_length=1, max_length=4096)]
+    samples: Annotated[tuple[PlannedSample, ...], Field(max_length=256)]
+    information_nats: Annotated[float, Field(ge=0)]
+    """Mutual information between the round's measurements and the field, given what the ground counted in."""
+
+
+class MissionPlan(Wire):
+    """Consecutive rounds, the next first. A newer revision replaces those that have not begun, and none that has."""
+
+    revision: Annotated[int, Field(ge=1)]
+    rounds: Annotated[tuple[RoundPlan, ...], Field(min_length=1, max_length=64)]
+    last: bool = False
+    """Nothing comes after these rounds: the mission is complete when they are."""
+    samples_known: Annotated[int, Field(ge=0)]
+    """How many measured values the ground had when it planned."""
+    samples_pending: tuple[Identifier, ...] = ()
+    """Measurements under way that were counted in: the posterior variance does not depend on their values."""
+    planned_at: MissionTimeNs
+
+    @model_validator(mode="after")
+    def _rounds_follow_each_other(self) -> MissionPlan:
+        numbers = [planned.round for planned in self.rounds]
+        if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
+            raise ValueError(f"expected consecutive rounds, got {numbers}")
+        ids = [sample.sample_id for planned in self.rounds for sample in planned.samples]
+        if len(set(ids)) != len(ids):
+            raise ValueError("expected every sample id once")
+        return self

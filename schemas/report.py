@@ -1,0 +1,69 @@
+"""The report of a finished mission: one JSON document."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from schemas.link import DirectionCounts
+from schemas.maps import MapScore
+from schemas.wire import Text, Wire
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class MessageCounts(Wire):
+    """Messages across the link, both directions together."""
+
+    sent: Count
+    delivered: Count
+    retransmitted: Count
+    lost: Count
+    up: DirectionCounts
+    down: DirectionCounts
+
+
+class ReportSample(Wire):
+    """One measurement as the ground has it."""
+
+    sample_id: Text
+    round: Count
+    x_m: float
+    y_m: float
+    helium3_ppb: float
+    measured_at_s: float
+    """Seconds of mission time since the start."""
+
+
+class MissionReport(Wire):
+    """What a mission did and how good its map is. Only `wall_time_s` and `host` differ between equal runs."""
+
+    scenario: Text
+    region: Text
+    region_note: Text
+    """What the region's data are: the embedded regions are synthetic stand-ins."""
+    planner: Text
+    kernel: Text
+    seed: int
+    driver: Text
+    """in-process, zenoh or lockstep."""
+    rate: float | None
+    completed: bool
+    rounds: Count
+    samples: Count
+    rmse_ppb: float
+    rmse_history: tuple[MapScore, ...]
+    """One entry a round."""
+    coverage_68: float
+    coverage_95: float
+    path_length_m: float
+    drilled_m: float
+    mission_time_s: float
+    wall_time_s: float
+    messages: MessageCounts
+    sample_table: tuple[ReportSample, ...]
+    path_m: tuple[tuple[float, float], ...]
+    one_way_light_time_s: float
+    version: Text
+    host: Text

@@ -1,0 +1,151 @@
+"""The one table of topics: payload, direction, class of service, whether it is recorded. Nothing else spells a key."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+
+from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
+from schemas.ground import GroundStatus, MissionTrack, Presence
+from schemas.link import Acknowledgement, ClockState, Direction, LinkChange, LinkStatus
+from schemas.maps import MapLayerQuery, MapPoint, MapPointQuery, MapRaster, MapScore
+from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
+from schemas.plans import MissionPlan
+from schemas.telemetry import RoverEvent, RoverState, SampleReport
+from schemas.wire import Wire
+
+KEY_ROOT = "he3"
+
+
+class Side(StrEnum):
+    MOON = "moon"
+    EARTH = "earth"
+
+
+class Crosses(Enum):
+    """Whether a topic goes over the link, and which way."""
+
+    UP = "tc"
+    DOWN = "tm"
+    NEVER = None
+
+
+@dataclass(frozen=True, slots=True)
+class Custody:
+    """Delivered exactly once, end to end, in spite of loss and black-outs; lower priority values go first."""
+
+    priority: int
+
+
+@dataclass(frozen=True, slots=True)
+class Latest:
+    """Only the newest counts: never repeated, never queued behind another of its kind."""
+
+    priority: int = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """Asked and answered within one side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row of the table."""
+
+    name: str
+    payload: type[Wire]
+    crosses: Crosses = Crosses.NEVER
+    service: Custody | Latest | Query = Latest()
+    recorded: bool = False
+    reply: type[Wire] | None = None
+    max_bytes: int = 16_384
+    max_reply_bytes: int = 1_048_576
+
+    def key(self, mission: str) -> str:
+        """The Zenoh key expression of this topic in that mission."""
+        return f"{KEY_ROOT}/{mission}/{self.name}"
+
+    @property
+    def direction(self) -> Direction | None:
+        """Which way it crosses the link; None for a topic that stays on its side."""
+        return {Crosses.UP: Direction.UP, Crosses.DOWN: Direction.DOWN, Crosses.NEVER: None}[self.crosses]
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """Where the key exists: both sides for what crosses."""
+        if self.crosses is not Crosses.NEVER:
+            return Side.MOON, Side.EARTH
+        return (Side(self.name.split("/", 1)[0]),)
+
+
+PLAN = Topic("tc/plan", MissionPlan, Crosses.UP, Custody(priority=1), recorded=True, max_bytes=1_048_576)
+COMMAND = Topic("tc/command", Telecommand, Crosses.UP, Custody(priority=0), recorded=True)
+TM_ACK = Topic("tc/ack", Acknowledgement, Crosses.UP, Latest(priority=0), recorded=True)
+
+SAMPLE = Topic("tm/sample", SampleReport, Crosses.DOWN, Custody(priority=2), recorded=True)
+EVENT = Topic("tm/event", RoverEvent, Crosses.DOWN, Custody(priority=1), recorded=True)
+COMMAND_REPORT = Topic("tm/command", CommandReport, Crosses.DOWN, Custody(priority=0), recorded=True)
+STATE = Topic("tm/state", RoverState, Crosses.DOWN, Latest(), recorded=True)
+TC_ACK = Topic("tm/ack", Acknowledgement, Crosses.DOWN, Latest(priority=0), recorded=True)
+
+MEASURE = Topic("moon/field/measure", MeasurementRequest, service=Query(), reply=MeasurementReply)
+TERRAIN = Topic("moon/field/terrain", TerrainRequest, service=Query(), reply=TerrainReply, max_bytes=65_536)
+MOON_CLOCK = Topic("moon/clock", ClockState)
+MOON_PRESENCE = Topic("moon/presence", Presence)
+
+EARTH_CLOCK = Topic("earth/clock", ClockState, recorded=True)
+EARTH_PRESENCE = Topic("earth/presence", Presence)
+LINK_STATUS = Topic("earth/link/status", LinkStatus, recorded=True, max_bytes=262_144)
+LINK_SET = Topic("earth/link/set", LinkChange, service=Query(), reply=LinkStatus)
+GROUND_STATUS = Topic("earth/ground/status", GroundStatus, recorded=True, max_bytes=65_536)
+ISSUE_COMMAND = Topic("earth/ground/command", Telecommand, service=Query(), reply=CommandStatus)
+LIST_COMMANDS = Topic(
+    "earth/ground/commands", NoParameters, service=Query(), reply=CommandList, max_reply_bytes=4_194_304
+)
+COMMAND_STATUS = Topic("earth/ground/command-status", CommandStatus, recorded=True, max_bytes=65_536)
+MAP_POINT = Topic("earth/map/point", MapPointQuery, service=Query(), reply=MapPoint)
+MAP_LAYER = Topic("earth/map/layer", MapLayerQuery, service=Query(), reply=MapRaster, max_reply_bytes=33_554_432)
+MAP_SCORE = Topic("earth/map/score", NoParameters, service=Query(), reply=MapScore)
+TRACK = Topic("earth/map/track", NoParameters, service=Query(), reply=MissionTrack, max_reply_bytes=33_554_432)
+
+TOPICS: tuple[Topic, ...] = (
+    PLAN,
+    COMMAND,
+    TM_ACK,
+    SAMPLE,
+    EVENT,
+    COMMAND_REPORT,
+    STATE,
+    TC_ACK,
+    MEASURE,
+    TERRAIN,
+    MOON_CLOCK,
+    MOON_PRESENCE,
+    EARTH_CLOCK,
+    EARTH_PRESENCE,
+    LINK_STATUS,
+    LINK_SET,
+    GROUND_STATUS,
+    ISSUE_COMMAND,
+    LIST_COMMANDS,
+    COMMAND_STATUS,
+    MAP_POINT,
+    MAP_LAYER,
+    MAP_SCORE,
+    TRACK,
+)
+
+BY_NAME: dict[str, Topic] = {topic.name: topic for topic in TOPICS}
+"""Every topic, by its name (the key without root and mission)."""
+
+
+def topic_of(key: str, mission: str) -> Topic | None:
+    """The topic that a key expression belongs to in that mission, or None."""
+    prefix = f"{KEY_ROOT}/{mission}/"
+    return BY_NAME.get(key.removeprefix(prefix)) if key.startswith(prefix) else None
+
+
+def crossing(direction: Direction) -> tuple[Topic, ...]:
+    """The topics that go over the link that way."""
+    return tuple(topic for topic in TOPICS if topic.direction is direction)

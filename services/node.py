@@ -1,0 +1,233 @@
+"""The rule that everything follows from: a service is a node, a state machine that sees events and returns effects.
+
+A node owns no socket, clock, file, thread or global random generator. Time is an argument, randomness a seeded
+generator handed in at its making. The same node runs in its own process over Zenoh, in one simulated process with
+all others, and under thousands of random faults; given the same events at the same times, it does the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Protocol
+
+from schemas.topics import Side, Topic
+from schemas.wire import Header, Wire
+
+MissionTime = int
+"""Nanoseconds of mission time (UTC) since 1970-01-01T00:00:00Z."""
+
+SECOND: MissionTime = 1_000_000_000
+
+
+def seconds(value: float) -> MissionTime:
+    """A duration [ns] from seconds, to the nearest nanosecond."""
+    return round(value * SECOND)
+
+
+# --- events: what a node sees -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """The process runs; `incarnation` counts its starts from 1. Timers and questions of earlier starts still stand."""
+
+    incarnation: int
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message came, checked against its schema."""
+
+    topic: Topic
+    header: Header
+    body: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Overheard:
+    """A message came on a topic that this node handles unread (the link carries sealed letters)."""
+
+    topic: Topic
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Someone asks; answer it with `Answer` or `Refuse` and the same token, now or later."""
+
+    topic: Topic
+    request: Any
+    token: int
+
+
+class Silence(Enum):
+    """Why a question has no answer."""
+
+    NO_ROUTE = "nobody is there to answer"
+    TIMEOUT = "no answer in time"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """The answer to this node's question of that name."""
+
+    topic: Topic
+    question: str
+    reply: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Unanswered:
+    """This node's question of that name has no answer; `detail` is what a refusal said."""
+
+    topic: Topic
+    question: str
+    why: Silence
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """The time asked for with `WakeAt` under that name has come."""
+
+    timer: str
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """The computation of that name has ended: with a result, or with the error that it raised."""
+
+    job: str
+    result: Any
+    error: Exception | None = None
+
+
+Event = Started | Received | Overheard | Asked | Answered | Unanswered | Due | Computed
+
+# --- effects: what a node wants done ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Publish a message; the header is stamped on the way out."""
+
+    topic: Topic
+    body: Wire
+
+
+@dataclass(frozen=True, slots=True)
+class Forward:
+    """Publish a sealed letter, as it came, on one side (the link only)."""
+
+    topic: Topic
+    payload: bytes
+    side: Side
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Put a question to whoever serves the topic on this side; `Answered` or `Unanswered` follows, exactly once."""
+
+    topic: Topic
+    request: Wire
+    question: str
+    timeout_s: float = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Answer an `Asked`."""
+
+    token: int
+    reply: Wire
+
+
+@dataclass(frozen=True, slots=True)
+class Refuse:
+    """Answer an `Asked` with one line that says what was wrong."""
+
+    token: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class WakeAt:
+    """Ask for `Due(timer)` at that time; the same name again moves it, None takes it back. A past time means now."""
+
+    timer: str
+    at: MissionTime | None
+
+
+@dataclass(frozen=True, slots=True)
+class Compute:
+    """Run a pure, picklable function elsewhere; `Computed(job)` follows, `takes_s` of mission time later or more.
+
+    The result must be a function of the arguments alone. In virtual time it comes exactly `takes_s` later.
+    """
+
+    job: str
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
+    takes_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Show:
+    """Hand a new immutable snapshot to those who answer operators' queries; the old one is dropped."""
+
+    snapshot: object
+
+
+class Level(Enum):
+    DEBUG = "debug"
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A line for the structured log."""
+
+    level: Level
+    text: str
+    fields: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """This node has nothing left to do; a run that waits for it may end."""
+
+    ok: bool
+    why: str
+
+
+Effect = Send | Forward | Ask | Answer | Refuse | WakeAt | Compute | Show | Note | Finish
+
+
+class Node(Protocol):
+    """A service's state machine."""
+
+    @property
+    def interface(self) -> Interface:
+        """What it listens to and serves; fixed for its life."""
+
+    def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
+        """Effects of the event, in order. Never blocks, never raises for anything that came from outside."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """What a node is called, where it stands, and what it wants to hear."""
+
+    name: str
+    sides: tuple[Side, ...]
+    subscribes: tuple[Topic, ...] = ()
+    overhears: tuple[Topic, ...] = ()
+    """Topics taken unread, on every side the node stands on where they are not its own output: see `Forward`."""
+    serves: tuple[Topic, ...] = ()
+    custody: bool = True
+    """Whether topics of custody service are acknowledged by this node when it subscribes to them."""
