@@ -1,0 +1,47 @@
+"""Physical constants and published figures, each with its unit and where it comes from.
+
+Sources:
+  BIPM       the SI Brochure, 9th edition, exact by definition
+  IAU        IAU Working Group on Cartographic Coordinates and Rotational Elements (IAU_2015:30100, the lunar sphere)
+  ALMANAC    the Moon's distance over a lunation, centre to centre, as in the astronomical almanacs
+  FA-JIN     Fa and Jin, regression of helium-3 on TiO2, solar wind and maturity, as the paper uses it
+  PAPER      the publication whose system this project rebuilds
+  ASSUMED    a working figure that nobody has verified
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import Final
+
+SPEED_OF_LIGHT_M_S: Final = 299_792_458.0  # m/s, exact, BIPM
+NANOSECONDS_PER_SECOND: Final = 1_000_000_000  # 1, by definition
+
+MOON_RADIUS_M: Final = 1_737_400.0  # m, reference sphere, IAU
+MOON_DISTANCE_MIN_M: Final = 356_410e3  # m, nearest perigee, centre to centre, ALMANAC
+MOON_DISTANCE_MEAN_M: Final = 384_400e3  # m, mean, centre to centre, ALMANAC
+MOON_DISTANCE_MAX_M: Final = 406_697e3  # m, farthest apogee, centre to centre, ALMANAC
+
+ORBITAL_PIXELS_PER_DEGREE: Final = 512  # 1/deg, the grid of Kaguya MI mineral maps and SLDEM2015 (about 59 m)
+SITE_CELLS: Final = 500  # cells on a side of a finished region, PAPER
+SITE_RESOLUTION_M: Final = 1.0  # m, cell of a finished region, PAPER
+
+TITANIUM_SLOPE: Final = 0.06  # dex per wt % of FeO, PAPER; a fit to Apollo 17 soils alone gives 0.0816
+TITANIUM_INTERCEPT: Final = -0.54  # dex of wt %, PAPER; a fit to Apollo 17 soils alone gives -0.441
+HELIUM3_GAIN_PPB: Final = 0.56  # ppb per (wt % of TiO2 x flux / OMAT), FA-JIN
+HELIUM3_OFFSET_PPB: Final = 1.62  # ppb, FA-JIN
+OMAT_MIN: Final = 0.05  # 1, below it the helium-3 relation blows up; valid data lie at about 0.1 to 0.3, FA-JIN
+
+MAGNETOTAIL_HALF_ANGLE_DEG: Final = 27.0  # deg of orbit, half the magnetotail's passage; 25 to 30 in use, ASSUMED
+# Solar-wind flux at the landing sites, 1 at normal incidence with no shielding, PAPER.
+PUBLISHED_FLUX: Final = MappingProxyType({"apollo-11": 0.50, "apollo-15": 0.51, "apollo-16": 0.48, "apollo-17": 0.50})
+
+PERTURBATION: Final = 0.05  # 1, relative standard deviation of the sub-pixel variation of FeO and OMAT, PAPER
+CORRELATION_LENGTH_M: Final = 25.0  # m, e-folding length of that variation, PAPER
+
+ROVER_SLOPE_NOMINAL_DEG: Final = 15.0  # deg, what a VIPER-like rover is planned on, ASSUMED
+ROVER_SLOPE_LIMIT_DEG: Final = 20.0  # deg, what it can hold at all, ASSUMED
+RELIEF_WINDOW_M: Final = 100.0  # m, side of the moving mean that relief is measured against, PAPER
+RELIEF_SIGMAS: Final = 1.5  # standard deviations of relief beyond which a hollow or hummock is an obstacle, PAPER
+HUMMOCK_MAX_FRACTION: Final = 0.05  # 1, share of the region from which on a rise is landscape, not an obstacle, PAPER
+RELIEF_FLOOR_M: Final = 0.01  # m, relief that a rover does not notice; keeps rounding from making obstacles, ASSUMED

@@ -1,0 +1,195 @@
+"""The reference field: from orbital rasters to a finished region, in the paper's five steps.
+
+  1. a window of coarse FeO, OMAT and elevation (about 59 m a pixel), larger than the region so that no edge is invented
+  2. georeferenced bicubic resampling onto the region's cells (500 x 500 of 1 m)
+  3. perturbation of what was measured, X' = X (1 + 0.05 g), g unit Gaussian fields of 25 m correlation length that
+     share the layers' own correlation
+  4. TiO2' from FeO'
+  5. helium-3 from TiO2', OMAT' and the solar wind
+
+Derived layers (TiO2, helium-3, slope, relief, traversability) are always recomputed, never perturbed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from he3 import constants
+from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+from he3.randomfield import correlated, layer_correlation, unit_fields
+from he3.regolith import RegolithModel
+from he3.terrain import relief_m, slope_deg, traversable
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+METRES_PER_DEGREE = math.radians(1.0) * constants.MOON_RADIUS_M  # m per degree of latitude on the reference sphere
+_SURROUND_PIXELS = 2  # pixels that bicubic resampling wants beyond the outermost cell
+_ORBITAL_FOOTPRINT_M = METRES_PER_DEGREE / constants.ORBITAL_PIXELS_PER_DEGREE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OrbitalWindow:
+    """A georeferenced window of orbital rasters around a region, in degrees, row 0 in the south.
+
+    iron_wt, maturity, elevation_m: FeO [wt %], OMAT and height [m], each (rows, columns). south_deg and west_deg are
+    the outer corner of pixel (0, 0); origin is the region's south-west corner. ``seed`` is the one that the region's
+    published figures belong to.
+    """
+
+    name: str
+    title: str
+    provenance: str
+    iron_wt: FloatArray
+    maturity: FloatArray
+    elevation_m: FloatArray
+    south_deg: float
+    west_deg: float
+    pixels_per_degree: float
+    origin_lat_deg: float
+    origin_lon_deg: float
+    solar_wind_flux: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        shape = self.iron_wt.shape
+        for name in ("iron_wt", "maturity", "elevation_m"):
+            layer = getattr(self, name)
+            if layer.ndim != 2 or layer.shape != shape or min(layer.shape) < 4:
+                raise InvalidInput(f"{self.name}: expected {name} (rows, columns) of {shape} and at least 4 x 4, "
+                                   f"got {layer.shape}")  # fmt: skip
+            if not bool(np.isfinite(layer).all()):
+                raise InvalidInput(f"{self.name}: expected finite {name}, got NaN or infinity")
+        if not bool((self.iron_wt > 0).all() and (self.maturity > 0).all()):
+            raise InvalidInput(f"{self.name}: expected positive FeO and OMAT; values of 0 or less are no-data")
+        if not (self.pixels_per_degree > 0 and abs(self.origin_lat_deg) < 89):
+            raise InvalidInput(f"{self.name}: expected a positive pixels_per_degree and a latitude within -89..89 deg")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Region:
+    """A finished region: the truth about a site. All maps are (rows, columns) over ``grid``, read-only.
+
+    he3_ppb is the reference field, orbital_ppb what an orbiter knows of it: the coarse map, resampled, without the
+    variation within its pixels. seed is None, and the origin too, for a region that was given as finished arrays.
+    """
+
+    name: str
+    title: str
+    provenance: str
+    grid: SiteGrid
+    he3_ppb: FloatArray
+    orbital_ppb: FloatArray
+    elevation_m: FloatArray
+    slope_deg: FloatArray
+    traversable: BoolArray
+    seed: int | None = None
+    origin_lat_deg: float | None = None
+    origin_lon_deg: float | None = None
+    untraversable_fraction: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("he3_ppb", "orbital_ppb", "elevation_m", "slope_deg", "traversable"):
+            layer = getattr(self, name)
+            if layer.shape != self.grid.shape:
+                raise InvalidInput(f"{self.name}: expected {name} of shape {self.grid.shape}, got {layer.shape}")
+            layer.flags.writeable = False
+        object.__setattr__(self, "untraversable_fraction", float(1.0 - self.traversable.mean()))
+
+
+def reference(
+    window: OrbitalWindow,
+    seed: int | None = None,
+    *,
+    grid: SiteGrid | None = None,
+    model: RegolithModel | None = None,
+    perturbation: float = constants.PERTURBATION,
+    length_m: float = constants.CORRELATION_LENGTH_M,
+    slope_limit_deg: float = constants.ROVER_SLOPE_NOMINAL_DEG,
+) -> Region:
+    """The finished region that a window of orbital rasters and a seed make; the same for the same seed.
+
+    Without a seed, the window's own. grid is 500 x 500 cells of 1 m by default. Raises InvalidInput if the window does
+    not surround the grid, with half a relief window and two pixels to spare.
+    """
+    seed = window.seed if seed is None else seed
+    grid = grid or SiteGrid(constants.SITE_CELLS, constants.SITE_CELLS, constants.SITE_RESOLUTION_M)
+    model = model or RegolithModel()
+    measured = np.stack([window.iron_wt, window.maturity])
+    fine = np.stack([resample(window, layer, grid) for layer in measured])
+    independent = unit_fields(2, grid.shape, (grid.resolution_m,) * 2, length_m, np.random.default_rng(seed))
+    variation = correlated(independent, layer_correlation(measured))
+    iron, maturity = fine * (1.0 + perturbation * variation)
+    orbital = model.helium3_ppb(model.titanium_wt(window.iron_wt), window.maturity, window.solar_wind_flux)
+    margin = math.ceil(constants.RELIEF_WINDOW_M / 2 / grid.resolution_m)
+    elevation = resample(window, window.elevation_m, grid, margin)
+    slope = _cut(slope_deg(elevation, grid.resolution_m), margin)
+    return Region(
+        name=window.name,
+        title=window.title,
+        provenance=window.provenance,
+        grid=grid,
+        he3_ppb=model.helium3_ppb(model.titanium_wt(iron), maturity, window.solar_wind_flux),
+        orbital_ppb=resample(window, orbital, grid),
+        elevation_m=_cut(elevation, margin),
+        slope_deg=slope,
+        traversable=traversable(slope, _cut(relief_m(elevation, grid.resolution_m), margin), slope_limit_deg),
+        seed=seed,
+        origin_lat_deg=window.origin_lat_deg,
+        origin_lon_deg=window.origin_lon_deg,
+    )
+
+
+def resample(window: OrbitalWindow, layer: FloatArray, grid: SiteGrid, margin: int = 0) -> FloatArray:
+    """A layer of the window at the grid's cell centres, plus a margin of so many cells, by bicubic splines.
+
+    The site's plane is the local equirectangular one: a degree of longitude shrinks with the cosine of the latitude in
+    the middle of the region, so a pixel that is square in degrees is not square on the ground.
+    """
+    pixel_deg = 1.0 / window.pixels_per_degree
+    middle_lat = window.origin_lat_deg + grid.height_m / 2 / METRES_PER_DEGREE
+    metres_per_degree_east = METRES_PER_DEGREE * math.cos(math.radians(middle_lat))
+    rows, columns = layer.shape
+    north = (window.south_deg + (np.arange(rows) + 0.5) * pixel_deg - window.origin_lat_deg) * METRES_PER_DEGREE
+    east = (window.west_deg + (np.arange(columns) + 0.5) * pixel_deg - window.origin_lon_deg) * metres_per_degree_east
+    y = (np.arange(-margin, grid.rows + margin) + 0.5) * grid.resolution_m
+    x = (np.arange(-margin, grid.columns + margin) + 0.5) * grid.resolution_m
+    for axis, pixels, cells in (("north", north, y), ("east", east, x)):
+        spare = _SURROUND_PIXELS * (pixels[1] - pixels[0])
+        if not (pixels[0] + spare <= cells[0] and cells[-1] <= pixels[-1] - spare):
+            raise InvalidInput(
+                f"{window.name}: expected a raster window that surrounds {cells[0]:g}..{cells[-1]:g} m {axis} by "
+                f"{_SURROUND_PIXELS} pixels, got {pixels[0]:.0f}..{pixels[-1]:.0f} m"
+            )
+    fine: FloatArray = RectBivariateSpline(north, east, layer, s=0)(y, x)
+    return fine
+
+
+def orbital_view(he3_ppb: FloatArray, grid: SiteGrid, footprint_m: float = _ORBITAL_FOOTPRINT_M) -> FloatArray:
+    """What an orbiter with square footprints [m] would make of a field: block means, resampled by bicubic splines.
+
+    (rows, columns) in, the same out. For fields that come as finished arrays, without the coarse map they were made
+    from. Past the edge of the field a footprint holds less of it; nothing is invented.
+    """
+    coarse, centres = he3_ppb, []
+    for axis, cells in enumerate(grid.shape):
+        blocks = max(1, round(cells * grid.resolution_m / footprint_m))
+        edges = np.linspace(0, cells, blocks + 1).round().astype(int)
+        coarse = np.add.reduceat(coarse, edges[:-1], axis=axis) / np.expand_dims(np.diff(edges), 1 - axis)
+        centres.append((edges[:-1] + edges[1:]) / 2 * grid.resolution_m)
+    orders = [min(3, len(c) - 1) for c in centres]
+    if min(orders) < 1:
+        return np.full(grid.shape, float(he3_ppb.mean()))
+    inner = [np.clip(c, k[0], k[-1]) for c, k in zip((grid.y_m, grid.x_m), centres, strict=True)]
+    view: FloatArray = RectBivariateSpline(*centres, coarse, kx=orders[0], ky=orders[1], s=0)(*inner)
+    return view
+
+
+def _cut(values: FloatArray, margin: int) -> FloatArray:
+    return values[margin:-margin, margin:-margin].copy() if margin else values

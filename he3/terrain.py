@@ -1,0 +1,99 @@
+"""Terrain: slope, relief, and where a rover may go.
+
+The rule for traversability is the paper's. Arrays are over the site: [y, x], row 0 in the south.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from he3 import constants
+from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_SQUARE = np.ones((3, 3), dtype=np.bool_)
+
+
+def slope_deg(elevation_m: FloatArray, resolution_m: float) -> FloatArray:
+    """Steepest slope [deg] at each cell of an elevation (rows, columns) [m], by central differences."""
+    _expect_map("elevation", elevation_m, least=2)
+    north, east = np.gradient(elevation_m, resolution_m)
+    slope: FloatArray = np.degrees(np.arctan(np.hypot(north, east)))
+    return slope
+
+
+def relief_m(elevation_m: FloatArray, resolution_m: float, window_m: float = constants.RELIEF_WINDOW_M) -> FloatArray:
+    """Height [m] of each cell above the mean of the square window around it, (rows, columns).
+
+    Past the array's edge the ground is continued point-symmetrically, so that a plane has no relief anywhere; hand in
+    a margin of half a window, and cut it off afterwards, where the ground beyond the edge is known.
+    """
+    _expect_map("elevation", elevation_m, least=2)
+    half = round(window_m / resolution_m / 2)
+    if half < 1:
+        raise InvalidInput(f"expected a relief window of at least two cells of {resolution_m} m, got {window_m} m")
+    padded = elevation_m
+    remaining = half
+    while remaining > 0:  # an odd reflection reaches no further than the array is wide
+        pad = min(remaining, min(padded.shape) - 1)
+        padded = np.pad(padded, pad, mode="reflect", reflect_type="odd")
+        remaining -= pad
+    mean = ndimage.uniform_filter(padded - padded.mean(), size=2 * half + 1, mode="nearest") + padded.mean()
+    inner = (slice(half, half + elevation_m.shape[0]), slice(half, half + elevation_m.shape[1]))
+    relief: FloatArray = elevation_m - mean[inner]
+    return relief
+
+
+def traversable(
+    slope: FloatArray, relief: FloatArray, slope_limit_deg: float = constants.ROVER_SLOPE_NOMINAL_DEG
+) -> BoolArray:
+    """Where a rover may go, (rows, columns), by slope [deg] and relief [m] of the same shape.
+
+    Closed to it are slopes over the limit, hollows deeper than 1.5 standard deviations of relief, and hummocks higher
+    than that as long as each covers less than 5 % of the region (a larger rise is landscape); gaps and cracks in what
+    is closed are filled with a 3 x 3 morphological closing.
+    """
+    _expect_map("slope", slope)
+    if slope.shape != relief.shape:
+        raise InvalidInput(f"expected slope and relief of one shape, got {slope.shape} and {relief.shape}")
+    threshold = max(constants.RELIEF_SIGMAS * float(relief.std()), constants.RELIEF_FLOOR_M)
+    obstacles = (slope > slope_limit_deg) | (relief < -threshold) | _small_patches(relief > threshold)
+    framed = np.pad(obstacles, 2, mode="edge")  # the frame keeps the closing from eating at the region's edge
+    closed: BoolArray = ndimage.binary_closing(framed, structure=_SQUARE)[2:-2, 2:-2]
+    return ~closed
+
+
+def reachable(open_cells: BoolArray, grid: SiteGrid, start_m: tuple[float, float]) -> BoolArray:
+    """The open cells, (rows, columns), that a rover at a place [m] can come to through shared cell edges.
+
+    Empty if the place itself is closed. Raises OutsideRegion if the region does not contain it.
+    """
+    rows, columns = grid.cells_of(np.array([start_m], dtype=np.float64))
+    labels, _ = ndimage.label(open_cells)
+    label = labels[rows[0], columns[0]]
+    if label == 0:
+        return np.zeros_like(open_cells)
+    connected: BoolArray = labels == label
+    return connected
+
+
+def _small_patches(mask: BoolArray) -> BoolArray:
+    """The mask without those of its patches that cover 5 % of the region or more."""
+    labels, count = ndimage.label(mask, structure=_SQUARE)
+    cells = np.bincount(labels.ravel(), minlength=count + 1)
+    small = cells < constants.HUMMOCK_MAX_FRACTION * mask.size
+    small[0] = False
+    kept: BoolArray = small[labels]
+    return kept
+
+
+def _expect_map(name: str, values: FloatArray, least: int = 1) -> None:
+    if values.ndim != 2 or min(values.shape) < least:
+        raise InvalidInput(f"expected {name} (rows, columns) of at least {least} x {least}, got {values.shape}")
+    if not bool(np.isfinite(values).all()):
+        raise InvalidInput(f"expected finite {name}, got NaN or infinity")
