@@ -55,6 +55,7 @@ class Recipe:
     roughness_length_m: float
     tilt: tuple[float, float]  # rise per metre east and north
     craters: int  # that are strewn over the window at random
+    crater_diameters_m: tuple[float, float]
     landform: Callable[[FloatArray, FloatArray], FloatArray]
     variation_seed: int  # of the perturbation under which the published figures hold
 
@@ -73,8 +74,9 @@ def no_landform(x: FloatArray, y: FloatArray) -> FloatArray:
 
 def rille(x: FloatArray, y: FloatArray) -> FloatArray:
     """The upper edge of a winding rille in the north-west: ground falls away beyond a curved rim."""
-    beyond = (-(x + 15) * 0.80 + (y - 455) * 0.60) + 18 * np.sin((x * 0.60 + y * 0.80) / 95)
-    return -38.0 * np.logaddexp(0, beyond / 16) * 16 / 90
+    along, beyond = x * 0.77 + y * 0.64, (y - 395) * 0.77 - x * 0.64
+    beyond += 16 * np.sin(along / 70)
+    return -0.47 * 12 * np.logaddexp(0, beyond / 12)
 
 
 RECIPES = (
@@ -85,21 +87,22 @@ RECIPES = (
         centre_lat_deg=20.190,
         centre_lon_deg=30.772,
         flux=constants.PUBLISHED_FLUX["apollo-17"],
-        chemistry_seed=1701,
-        iron_wt=16.6,
-        iron_spread=0.020,
-        maturity=0.128,
-        maturity_spread=0.045,
-        chemistry_correlation=-0.40,
-        chemistry_length_m=60.0,
-        terrain_seed=1702,
+        chemistry_seed=1704,
+        iron_wt=17.2,
+        iron_spread=0.031,
+        maturity=0.1416,
+        maturity_spread=0.085,
+        chemistry_correlation=-0.12,
+        chemistry_length_m=15.0,
+        terrain_seed=142,
         base_m=-2630.0,
-        roughness_m=3.0,
+        roughness_m=5.0,
         roughness_length_m=160.0,
         tilt=(0.012, -0.02),
-        craters=26,
+        craters=30,
+        crater_diameters_m=(70.0, 190.0),
         landform=no_landform,
-        variation_seed=17,
+        variation_seed=7,
     ),
     Recipe(
         file="t2_hadley_rille_synthetic_standin.npz",
@@ -108,21 +111,22 @@ RECIPES = (
         centre_lat_deg=26.132,
         centre_lon_deg=3.633,
         flux=constants.PUBLISHED_FLUX["apollo-15"],
-        chemistry_seed=1501,
+        chemistry_seed=1502,
         iron_wt=16.0,
-        iron_spread=0.018,
-        maturity=0.193,
-        maturity_spread=0.040,
-        chemistry_correlation=-0.40,
-        chemistry_length_m=60.0,
-        terrain_seed=1502,
+        iron_spread=0.028,
+        maturity=0.1975,
+        maturity_spread=0.080,
+        chemistry_correlation=-0.02,
+        chemistry_length_m=15.0,
+        terrain_seed=209,
         base_m=-1930.0,
-        roughness_m=2.5,
+        roughness_m=4.0,
         roughness_length_m=160.0,
         tilt=(-0.01, 0.015),
         craters=24,
+        crater_diameters_m=(70.0, 150.0),
         landform=rille,
-        variation_seed=15,
+        variation_seed=23,
     ),
 )
 
@@ -179,7 +183,8 @@ def _elevation(recipe: Recipe, x: FloatArray, y: FloatArray) -> FloatArray:
     ground += recipe.roughness_m * unit_fields(1, x.shape, spacing, recipe.roughness_length_m, random)[0]
     for _ in range(recipe.craters):
         cx, cy = random.uniform(x.min(), x.max()), random.uniform(y.min(), y.max())
-        diameter = 90.0 * (1 - random.uniform(0, 0.93)) ** -0.5  # few large, many small
+        smallest, largest = recipe.crater_diameters_m
+        diameter = smallest * (1 - random.uniform(0, 1 - (smallest / largest) ** 2)) ** -0.5  # as N(>D) ~ D^-2
         ground += crater(x, y, cx, cy, diameter, random.uniform(0.2, 0.8))
     return ground.reshape(PIXELS, SUBSAMPLES, PIXELS, SUBSAMPLES).mean(axis=(1, 3))
 
