@@ -1,0 +1,153 @@
+"""The exact Gaussian process over the site, as an immutable value: conditioning on more samples returns a new one.
+
+    rng = np.random.default_rng(7)
+    fitted = fit_hyperparameters(xy_m, values_ppb, "se", rng=rng)            # maximum likelihood; "auto" picks a kernel
+    belief = GaussianProcess(fitted).condition(xy_m, values_ppb)
+    mean_ppb, std_ppb = belief.predict([[12.5, 80.0], [13.0, 81.0]])
+    later = belief.condition([[40.0, 55.0]], [7.9])                          # belief itself is unchanged
+    planned = belief.condition_on_places([[100.0, 20.0], [120.0, 20.0]])     # to be sampled: less variance, same mean
+    nats = information_gain(planned.posterior_covariance(places_m), fitted.noise_variance_ppb2)
+    posterior = GridPosterior.build(grid, fitted, xy_m, values_ppb)          # he3.gridposterior: every cell of the site
+    posterior.add([60.0, 61.0], 8.3)                                         # one sample, no refit
+    posterior.mean_ppb, posterior.std_ppb                                    # (rows, columns) float32
+
+Algorithm: Rasmussen & Williams 2006, alg. 2.1, with the Cholesky factor extended by blocks as samples come. Inside, all
+is in standardised units (``Hyperparameters.standardise``); places are metres and values ppb at the edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
+
+from he3.errors import InvalidInput, NumericalFailure
+from he3.frames import FloatArray, as_points
+from he3.hyperparameters import Hyperparameters, fit_hyperparameters
+
+__all__ = ["GaussianProcess", "Hyperparameters", "fit_hyperparameters"]
+
+
+def _none() -> FloatArray:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianProcess:
+    """The belief about the field given n samples.
+
+    places_m: (n, 2) [m]. factor: lower Cholesky factor (n, n) of their covariance plus noise. whitened: (n,), factor^-1
+    times the standardised observations. All but ``hyperparameters`` are made by ``condition``.
+    """
+
+    hyperparameters: Hyperparameters
+    places_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    factor: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    whitened: FloatArray = field(default_factory=_none)
+
+    def __len__(self) -> int:
+        return len(self.places_m)
+
+    def condition(self, xy_m: ArrayLike, values_ppb: ArrayLike) -> GaussianProcess:
+        """The belief after observations (k,) [ppb] at places (k, 2) [m]; repeated places are welcome."""
+        xy = as_points(np.asarray(xy_m, dtype=np.float64))
+        values = np.asarray(values_ppb, dtype=np.float64)
+        if values.shape != (len(xy),) or not np.isfinite(values).all():
+            raise InvalidInput(f"expected {len(xy)} finite values, one a place, got shape {values.shape}")
+        return self._extend(xy, self.hyperparameters.standardise(xy, values))
+
+    def condition_on_places(self, xy_m: ArrayLike) -> GaussianProcess:
+        """The belief after samples at places (k, 2) [m] whose values are not known yet: less variance, same mean."""
+        return self._extend(as_points(np.asarray(xy_m, dtype=np.float64)), None)
+
+    def _extend(self, xy: FloatArray, z: FloatArray | None) -> GaussianProcess:
+        n, k = len(self), len(xy)
+        if k == 0:
+            return self
+        cross = self._whiten(xy)
+        block = self.hyperparameters.covariance(xy, xy) - cross.T @ cross
+        noise = self.hyperparameters.noise_variance
+        # The field's own variance is never negative, whatever rounding says: a pivot is never below the noise.
+        block.flat[:: k + 1] = np.maximum(block.diagonal(), 0.0) + noise
+        try:
+            corner = np.linalg.cholesky(block)
+        except np.linalg.LinAlgError:
+            raise NumericalFailure(f"{k} samples could not be added to {n}: covariance not positive definite") from None
+        factor = np.zeros((n + k, n + k))
+        factor[:n, :n] = self.factor
+        factor[n:, :n] = cross.T
+        factor[n:, n:] = corner
+        # Values that are as expected leave the mean as it is; that is a whitened residual of zero.
+        new = np.zeros(k) if z is None else solve_triangular(corner, z - cross.T @ self.whitened, lower=True)
+        return GaussianProcess(
+            self.hyperparameters, np.vstack((self.places_m, xy)), factor, np.concatenate((self.whitened, new))
+        )
+
+    def _whiten(self, xy: FloatArray) -> FloatArray:
+        """factor^-1 K(samples, xy), (n, k): what ties the places to the samples."""
+        if len(self) == 0:
+            return np.zeros((0, len(xy)))
+        covariance = self.hyperparameters.covariance(self.places_m, xy)
+        whitened: FloatArray = solve_triangular(self.factor, covariance, lower=True, check_finite=False)
+        return whitened
+
+    def predict(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Posterior mean (k,) and standard deviation (k,) [ppb] of the field at places (k, 2) [m], noise excluded."""
+        xy = as_points(np.asarray(points_m, dtype=np.float64))
+        cross = self._whiten(xy)
+        scale = self.hyperparameters.scale_ppb
+        mean = self.hyperparameters.prior_mean_ppb(xy) + scale * (cross.T @ self.whitened)
+        variance = self.hyperparameters.prior_variance(xy) - np.einsum("ij,ij->j", cross, cross)
+        return mean, scale * np.sqrt(np.maximum(variance, 0.0))
+
+    def posterior_covariance(self, points_m: ArrayLike, others_m: ArrayLike | None = None) -> FloatArray:
+        """Posterior covariance (k, m) [ppb^2] of the field between places (k, 2) and others (m, 2), or one another."""
+        xy = as_points(np.asarray(points_m, dtype=np.float64))
+        cross = self._whiten(xy)
+        if others_m is None:
+            covariance = self.hyperparameters.covariance(xy, xy) - cross.T @ cross
+        else:
+            others = as_points(np.asarray(others_m, dtype=np.float64))
+            covariance = self.hyperparameters.covariance(xy, others) - cross.T @ self._whiten(others)
+        covariance *= self.hyperparameters.scale_ppb**2
+        return covariance
+
+    def posterior_covariances(self, sets_m: ArrayLike) -> FloatArray:
+        """Posterior covariances (B, k, k) [ppb^2] within each of B sets of k places (B, k, 2) [m], in one batch."""
+        sets = np.asarray(sets_m, dtype=np.float64)
+        if sets.ndim != 3 or sets.shape[2] != 2:
+            raise InvalidInput(f"expected sets of places (B, k, 2), got {sets.shape}")
+        batch, k, _ = sets.shape
+        flat = as_points(sets.reshape(-1, 2))
+        difference = sets[:, :, None, :] - sets[:, None, :, :]
+        covariance = self.hyperparameters.kernel.of_squared_distance((difference * difference).sum(axis=-1))
+        basis = self.hyperparameters.trend_basis(flat)
+        if basis is not None:
+            stacked = basis.reshape(batch, k, -1)
+            covariance += stacked @ stacked.transpose(0, 2, 1)
+        if len(self):
+            cross = self._whiten(flat).T.reshape(batch, k, -1)
+            covariance -= cross @ cross.transpose(0, 2, 1)
+        covariance *= self.hyperparameters.scale_ppb**2
+        return covariance
+
+    def trend_coefficients(self) -> tuple[FloatArray, FloatArray]:
+        """Posterior mean (2,) and standard deviation (2,) of the trend's gain [1] and offset [ppb].
+
+        The offset is at the orbital map's site mean. Raises InvalidInput if there is no trend.
+        """
+        trend = self.hyperparameters.trend
+        if trend is None:
+            raise InvalidInput("expected a belief with an orbital trend; this one has none")
+        prior_std = np.array([trend.gain_std, trend.offset_std_ppb])
+        prior_mean = np.array([1.0, self.hyperparameters.mean_ppb])
+        basis = self.hyperparameters.trend_basis(self.places_m)
+        assert basis is not None
+        if len(self) == 0:
+            return prior_mean, prior_std
+        cross = solve_triangular(self.factor, basis, lower=True, check_finite=False)
+        mean = prior_mean + prior_std * (cross.T @ self.whitened)
+        variance = 1.0 - np.einsum("ij,ij->j", cross, cross)
+        return mean, prior_std * np.sqrt(np.maximum(variance, 0.0))

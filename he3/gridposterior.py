@@ -1,0 +1,226 @@
+"""Exact posterior mean and variance on every cell of the site, kept up to date one sample at a time.
+
+For n samples with Cholesky factor L, the rows of V = L^-1 K(samples, cells) are kept, (n, cells) in float32. A new
+sample with covariances l = L^-1 k(samples, new) and pivot d adds one row,
+
+    v = (k(new, cells) - l' V) / d,      mean += b v,      variance -= v^2
+
+with b its whitened residual: the Cholesky factor extended by one row, seen from the cells. The cost is that of reading
+V once; nothing is refitted and nothing approximated. The small factor, l, d and b, and the sums of mean and variance,
+are in float64; only V and the new row are float32. At 1,000 samples their error is below 1e-4 of the prior
+variance, and below 1e-5 of the mean (tests/unit/test_gridposterior.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import blas
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray, SiteGrid, as_points
+from he3.gp import GaussianProcess
+from he3.hyperparameters import Hyperparameters
+from he3.kernels import Float32Array, SquaredExponential
+
+ROWS_A_BLOCK = 64  # samples a block of V: 64 MB at 500 x 500 cells; V grows by blocks and is never copied
+MOST_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
+_CELLS_A_CHUNK = 8192  # cells handled together while V is built, so that a block's slice stays in cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapSnapshot:
+    """The map after n samples, read-only (rows, columns) float32 arrays [ppb] that no later sample touches."""
+
+    samples: int
+    mean_ppb: Float32Array
+    std_ppb: Float32Array
+
+
+class GridPosterior:
+    """The belief on every cell of a grid; ``add`` changes it in place, ``snapshot`` and ``fork`` let go of it."""
+
+    def __init__(self, grid: SiteGrid, hyperparameters: Hyperparameters) -> None:
+        self.grid = grid
+        self._process = GaussianProcess(hyperparameters)
+        self._x = grid.x_m
+        self._y = grid.y_m
+        self._cells = grid.rows * grid.columns
+        self._blocks: list[Float32Array] = []
+        self._tail_is_shared = False
+        variance = np.full(self._cells, hyperparameters.kernel.prior_variance)
+        self._trend: Float32Array | None = None
+        self._prior_mean: FloatArray | float = hyperparameters.mean_ppb
+        if hyperparameters.trend is not None:
+            points = grid.points()
+            basis = hyperparameters.trend_basis(points)
+            assert basis is not None
+            variance += (basis * basis).sum(axis=1)
+            self._trend = np.ascontiguousarray(basis.T, dtype=np.float32)
+            self._prior_mean = hyperparameters.prior_mean_ppb(points)
+        self._variance: FloatArray = variance
+        self._mean: FloatArray = np.zeros(self._cells)
+        self._snapshot: MapSnapshot | None = None
+
+    @classmethod
+    def build(
+        cls, grid: SiteGrid, hyperparameters: Hyperparameters, xy_m: ArrayLike, values_ppb: ArrayLike
+    ) -> GridPosterior:
+        """The posterior given observations (n,) [ppb] at places (n, 2) [m], all at once."""
+        posterior = cls(grid, hyperparameters)
+        posterior._process = posterior._process.condition(xy_m, values_ppb)
+        posterior._check_size(len(posterior._process))
+        posterior._fill()
+        return posterior
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self._process)
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        return self._process.hyperparameters
+
+    @property
+    def process(self) -> GaussianProcess:
+        """The same belief at arbitrary places: immutable, stays as it is when samples are added here."""
+        return self._process
+
+    def add(self, xy_m: ArrayLike, value_ppb: float) -> None:
+        """Take in one observation [ppb] at the place (2,) [m]."""
+        place = _one_place(xy_m)
+        self._append(self._process.condition(place, [value_ppb]))
+
+    def add_place(self, xy_m: ArrayLike) -> None:
+        """Take in that the place (2,) [m] will be sampled: the variance falls, the mean stays."""
+        self._append(self._process.condition_on_places(_one_place(xy_m)))
+
+    def at(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Posterior mean (k,) and standard deviation (k,) [ppb] at arbitrary places (k, 2) [m], exact."""
+        return self._process.predict(points_m)
+
+    @property
+    def mean_ppb(self) -> Float32Array:
+        """Posterior mean (rows, columns) [ppb], read-only."""
+        return self.snapshot().mean_ppb
+
+    @property
+    def std_ppb(self) -> Float32Array:
+        """Posterior standard deviation of the field (rows, columns) [ppb], noise excluded, read-only."""
+        return self.snapshot().std_ppb
+
+    def snapshot(self) -> MapSnapshot:
+        """The map as it is now, for other threads: its arrays never change."""
+        if self._snapshot is None:
+            scale = self.hyperparameters.scale_ppb
+            mean = (self._mean * scale + self._prior_mean).astype(np.float32).reshape(self.grid.shape)
+            std = np.maximum(self._variance, 0.0)
+            np.sqrt(std, out=std)
+            std *= scale
+            spread = std.astype(np.float32).reshape(self.grid.shape)
+            mean.setflags(write=False)
+            spread.setflags(write=False)
+            self._snapshot = MapSnapshot(len(self), mean, spread)
+        return self._snapshot
+
+    def fork(self) -> GridPosterior:
+        """An independent copy for what-if: what either adds, the other does not see. Full blocks of V are shared."""
+        copy = object.__new__(GridPosterior)
+        copy.__dict__.update(self.__dict__)
+        copy._blocks = list(self._blocks)
+        copy._variance = self._variance.copy()
+        copy._mean = self._mean.copy()
+        copy._tail_is_shared = self._tail_is_shared = True
+        return copy
+
+    def _check_size(self, samples: int) -> None:
+        if samples > MOST_SAMPLES:
+            raise InvalidInput(f"expected at most {MOST_SAMPLES} samples on a grid, got {samples}")
+
+    def _append(self, process: GaussianProcess) -> None:
+        n = len(self._process)
+        self._check_size(n + 1)
+        row = self._row_of(n)
+        self._fill_covariance(process.places_m[n:], row[None, :], slice(0, self.grid.rows))
+        tie = process.factor[n, :n].astype(np.float32)
+        for start, block in self._filled(n):
+            row -= tie[start : start + len(block)] @ block
+        row *= np.float32(1.0 / process.factor[n, n])
+        residual = float(process.whitened[n])
+        if residual != 0.0:
+            self._mean += row * np.float32(residual)
+        self._variance -= row * row
+        self._process = process
+        self._snapshot = None
+
+    def _row_of(self, n: int) -> Float32Array:
+        """Row n of V, ready to be written."""
+        block, offset = divmod(n, ROWS_A_BLOCK)
+        if block == len(self._blocks):
+            self._blocks.append(np.empty((ROWS_A_BLOCK, self._cells), dtype=np.float32))
+        elif self._tail_is_shared:
+            tail = np.empty((ROWS_A_BLOCK, self._cells), dtype=np.float32)
+            tail[:offset] = self._blocks[block][:offset]
+            self._blocks[block] = tail
+        self._tail_is_shared = False
+        row: Float32Array = self._blocks[block][offset]
+        return row
+
+    def _filled(self, n: int) -> list[tuple[int, Float32Array]]:
+        """The first n rows of V, as (number of its first row, block)."""
+        starts = range(0, n, ROWS_A_BLOCK)
+        return [(start, self._blocks[start // ROWS_A_BLOCK][: n - start]) for start in starts]
+
+    def _fill_covariance(self, places: FloatArray, out: Float32Array, rows: slice) -> None:
+        """Write the prior covariance between k places and the cells of some rows of the grid into out (k, cells)."""
+        dx2 = ((places[:, :1] - self._x[None, :]) ** 2).astype(np.float32)
+        dy2 = ((places[:, 1:] - self._y[None, rows]) ** 2).astype(np.float32)
+        shaped = out.reshape(len(places), dy2.shape[1], self.grid.columns)
+        kernel = self.hyperparameters.kernel
+        if isinstance(kernel, SquaredExponential):  # separable: two short exponentials instead of one long one
+            factor = np.float32(-0.5 / kernel.length_scale_m**2)
+            east = np.exp(dx2 * factor) * np.float32(kernel.variance)
+            north = np.exp(dy2 * factor)
+            np.multiply(north[:, :, None], east[:, None, :], out=shaped)
+        else:
+            r2 = np.add(dy2[:, :, None], dx2[:, None, :])
+            kernel.fill(r2, shaped)
+        if self._trend is not None:
+            columns = self.grid.columns
+            basis = self.hyperparameters.trend_basis(places)
+            assert basis is not None
+            out += basis.astype(np.float32) @ self._trend[:, rows.start * columns : rows.stop * columns]
+
+    def _fill(self) -> None:
+        """Write all of V by block forward substitution, a band of the grid's rows at a time."""
+        process = self._process
+        n = len(process)
+        self._blocks = [np.empty((ROWS_A_BLOCK, self._cells), dtype=np.float32) for _ in range(0, n, ROWS_A_BLOCK)]
+        factor = process.factor.astype(np.float32)
+        columns = self.grid.columns
+        band = max(1, _CELLS_A_CHUNK // columns)
+        for first in range(0, self.grid.rows, band):
+            rows = slice(first, min(first + band, self.grid.rows))
+            cells = slice(rows.start * columns, rows.stop * columns)
+            for start, block in self._filled(n):
+                stop = start + len(block)
+                work = np.empty((stop - start, cells.stop - cells.start), dtype=np.float32)
+                self._fill_covariance(process.places_m[start:stop], work, rows)
+                for before, done in self._filled(start):
+                    work -= factor[start:stop, before : before + len(done)] @ done[:, cells]
+                # work.T is Fortran-ordered: X L' = work.T is solved in place, and X.T is the block of V.
+                solved = blas.strsm(
+                    1.0, factor[start:stop, start:stop], work.T, side=1, lower=1, trans_a=1, overwrite_b=1
+                ).T
+                block[:, cells] = solved
+                self._mean[cells] += process.whitened[start:stop].astype(np.float32) @ solved
+                self._variance[cells] -= np.einsum("ij,ij->j", solved, solved)
+
+
+def _one_place(xy_m: ArrayLike) -> FloatArray:
+    place: NDArray[np.float64] = np.asarray(xy_m, dtype=np.float64)
+    if place.shape != (2,):
+        raise InvalidInput(f"expected one place (2,) [m], got shape {place.shape}")
+    return as_points(place[None, :])

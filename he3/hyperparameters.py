@@ -1,0 +1,284 @@
+"""What the belief is made of besides the samples, and how it is found: maximum likelihood within stated bounds.
+
+Observations are standardised by their own mean and standard deviation when hyperparameters are fitted, and the kernel
+lives in those units. Bounds, and why:
+
+- length scales from 5 m, below which samples that planners keep 5 to 15 m apart say nothing about it, to 500 m, the
+  site's own width, beyond which a length scale is a trend that no sample on the site can tell from another;
+- the smooth part's from 40 m and the rough part's up to 60 m, so that each keeps to its role;
+- variances from 0.02 to 10 times that of the samples: a handful of samples close together may under-estimate the
+  field's variance by a lot, but hardly over-estimate it;
+- parts of a sum may fade to 0.001, so that one part alone stays possible;
+- the noise is the instrument's, and fixed, unless bounds for it are given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from he3.errors import InvalidInput, NumericalFailure
+from he3.frames import FloatArray, as_points
+from he3.kernels import AUTO, KERNELS, Kernel, SmoothPlusRough, kernel_from, squared_distances, with_log_parameters
+from he3.likelihood import likelihood_of_distances
+from he3.trend import OrbitalTrend
+
+DEFAULT_NOISE_STD_PPB = 0.1  # ppb, the paper's sensor
+LENGTH_SCALE_BOUNDS_M = (5.0, 500.0)  # m, see above
+SMOOTH_LENGTH_SCALE_BOUNDS_M = (40.0, 500.0)  # m, see above
+ROUGH_LENGTH_SCALE_BOUNDS_M = (5.0, 60.0)  # m, see above
+VARIANCE_BOUNDS = (0.02, 10.0)  # of the samples' variance, see above
+PART_VARIANCE_BOUNDS = (0.001, 10.0)  # of the samples' variance, see above
+# Smallest noise variance in standardised units that any computation uses: a noise of a thousandth of the field's
+# standard deviation. It bounds the condition number of n samples by n 1e6 (times the kernel's variance), which a
+# float64 Cholesky and a float32 grid both survive; a map is not better for pretending to more.
+NOISE_VARIANCE_FLOOR = 1e-6
+FEWEST_SAMPLES = 5  # below it the likelihood says next to nothing, and the previous or default kernel stays
+SMALLEST_SCALE_IN_NOISE = (
+    5.0  # samples that vary less than 5 noise standard deviations are not yet a measure of the field
+)
+_CANDIDATE_STARTS = 8  # starts whose likelihood is looked at; the best few are followed
+_FOLLOWED_STARTS = 2
+_ITERATIONS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Hyperparameters:
+    """Kernel in standardised units, noise, and the standardisation z = (y - trend - mean_ppb) / scale_ppb.
+
+    log_likelihood is that of the observations [ppb] they were fitted to, NaN if they were not fitted.
+    """
+
+    kernel: Kernel
+    noise_std_ppb: float = DEFAULT_NOISE_STD_PPB
+    mean_ppb: float = 0.0
+    scale_ppb: float = 1.0
+    log_likelihood: float = math.nan
+    trend: OrbitalTrend | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.scale_ppb) and self.scale_ppb > 0 and math.isfinite(self.mean_ppb)):
+            raise InvalidInput(f"expected a finite mean and a positive scale, got {self.mean_ppb} and {self.scale_ppb}")
+        if not (math.isfinite(self.noise_std_ppb) and self.noise_std_ppb >= 0):
+            raise InvalidInput(f"expected a noise standard deviation of 0 or more, got {self.noise_std_ppb!r} ppb")
+
+    @property
+    def noise_variance(self) -> float:
+        """Noise variance in standardised units, never below the floor that keeps the algebra safe."""
+        return max((self.noise_std_ppb / self.scale_ppb) ** 2, NOISE_VARIANCE_FLOOR)
+
+    @property
+    def noise_variance_ppb2(self) -> float:
+        """The same in ppb^2: what ``information_gain`` takes beside a covariance in ppb^2."""
+        return self.noise_variance * self.scale_ppb**2
+
+    def standardise(self, xy_m: FloatArray, values_ppb: FloatArray) -> FloatArray:
+        """Observations (n,) [ppb] at places (n, 2) [m] as the kernel sees them: no trend, no mean, unit scale."""
+        return (values_ppb - self.prior_mean_ppb(xy_m)) / self.scale_ppb
+
+    def prior_mean_ppb(self, xy_m: FloatArray) -> FloatArray:
+        """Mean of the field (n,) [ppb] at places (n, 2) [m] before any sample."""
+        if self.trend is None:
+            return np.full(len(xy_m), self.mean_ppb)
+        return self.trend.at(xy_m) + self.mean_ppb
+
+    def trend_basis(self, xy_m: FloatArray) -> FloatArray | None:
+        """Columns (n, 2) whose outer product is the trend's covariance in standardised units; None without a trend."""
+        return None if self.trend is None else self.trend.basis(xy_m) / self.scale_ppb
+
+    def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
+        """Prior covariance (N, M) between places a (N, 2) and b (M, 2) [m] in standardised units, trend included."""
+        covariance = self.kernel.covariance(a_m, b_m)
+        if self.trend is not None:
+            covariance += (self.trend.basis(a_m) / self.scale_ppb) @ (self.trend.basis(b_m) / self.scale_ppb).T
+        return covariance
+
+    def prior_variance(self, xy_m: FloatArray) -> FloatArray:
+        """Prior variance (n,) at places (n, 2) [m] in standardised units, trend included."""
+        variance = np.full(len(xy_m), self.kernel.prior_variance)
+        basis = self.trend_basis(xy_m)
+        if basis is not None:
+            variance += (basis * basis).sum(axis=1)
+        return variance
+
+
+def parameter_bounds(kernel: Kernel) -> list[tuple[float, float]]:
+    """Lower and upper bound of each of the kernel's parameters, in their order."""
+    if isinstance(kernel, SmoothPlusRough):
+        return [PART_VARIANCE_BOUNDS, SMOOTH_LENGTH_SCALE_BOUNDS_M, PART_VARIANCE_BOUNDS, ROUGH_LENGTH_SCALE_BOUNDS_M]
+    return [VARIANCE_BOUNDS, LENGTH_SCALE_BOUNDS_M]
+
+
+def fit_hyperparameters(
+    xy_m: FloatArray,
+    values_ppb: FloatArray,
+    kernel_name: str,
+    *,
+    rng: np.random.Generator,
+    noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
+    noise_bounds_ppb: tuple[float, float] | None = None,
+    previous: Hyperparameters | None = None,
+    trend: OrbitalTrend | None = None,
+) -> Hyperparameters:
+    """The hyperparameters under which the samples are likeliest, within the bounds of this module.
+
+    xy_m: places (n, 2) [m]; values_ppb: observations (n,) [ppb]; kernel_name: one of ``KERNEL_NAMES``, where "auto"
+    fits every kernel and keeps the best by the Bayesian information criterion. The search is by L-BFGS-B from several
+    starts, of which ``previous`` is one: the result is never less likely than the previous hyperparameters on these
+    samples. With fewer than FEWEST_SAMPLES the kernel stays what it was, or at its default.
+    Raises InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
+    """
+    xy = as_points(xy_m)
+    values = np.asarray(values_ppb, dtype=np.float64)
+    if values.shape != (len(xy),) or not np.isfinite(values).all():
+        raise InvalidInput(f"expected {len(xy)} finite values, one a place, got shape {values.shape}")
+    if kernel_name == AUTO:
+        return _fit_best_kernel(xy, values, rng, noise_std_ppb, noise_bounds_ppb, previous, trend)
+    return _fit(xy, values, kernel_from(kernel_name), rng, noise_std_ppb, noise_bounds_ppb, previous, trend)
+
+
+def information_criterion(fitted: Hyperparameters, samples: int) -> float:
+    """Bayesian information criterion as a log evidence: log likelihood - p/2 log n (Schwarz 1978). Higher is better."""
+    parameters = len(fitted.kernel.parameters())
+    return fitted.log_likelihood - 0.5 * parameters * math.log(max(samples, 1))
+
+
+def _fit_best_kernel(
+    xy: FloatArray,
+    values: FloatArray,
+    rng: np.random.Generator,
+    noise_std_ppb: float,
+    noise_bounds_ppb: tuple[float, float] | None,
+    previous: Hyperparameters | None,
+    trend: OrbitalTrend | None,
+) -> Hyperparameters:
+    fits = []
+    for name in KERNELS:
+        warm = previous if previous is not None and previous.kernel.name == name else None
+        fits.append(_fit(xy, values, kernel_from(name), rng, noise_std_ppb, noise_bounds_ppb, warm, trend))
+    if len(xy) < FEWEST_SAMPLES:
+        return next((fit for fit in fits if previous is not None and fit.kernel.name == previous.kernel.name), fits[0])
+    return max(fits, key=lambda fit: information_criterion(fit, len(xy)))
+
+
+def _fit(
+    xy: FloatArray,
+    values: FloatArray,
+    default: Kernel,
+    rng: np.random.Generator,
+    noise_std_ppb: float,
+    noise_bounds_ppb: tuple[float, float] | None,
+    previous: Hyperparameters | None,
+    trend: OrbitalTrend | None,
+) -> Hyperparameters:
+    residual = values if trend is None else values - trend.at(xy)
+    mean = float(residual.mean()) if len(residual) else 0.0
+    smallest = max(SMALLEST_SCALE_IN_NOISE * noise_std_ppb, 1e-3)
+    scale = max(float(residual.std()) if len(residual) else 1.0, smallest)
+    z = (residual - mean) / scale
+    bounds = parameter_bounds(default)
+    warm = None
+    if previous is not None and previous.kernel.name == default.name:
+        warm = _in_scale(previous, scale, bounds)
+    noise_bounds = None
+    if noise_bounds_ppb is not None:
+        low, high = noise_bounds_ppb
+        if not 0 < low <= high:
+            raise InvalidInput(f"expected noise bounds 0 < low <= high [ppb], got {noise_bounds_ppb}")
+        noise_bounds = (
+            max(low / scale, NOISE_VARIANCE_FLOOR**0.5) ** 2,
+            max(high / scale, NOISE_VARIANCE_FLOOR**0.5) ** 2,
+        )
+    noise = max((noise_std_ppb / scale) ** 2, NOISE_VARIANCE_FLOOR)
+    if noise_bounds is not None:
+        before = noise if previous is None else (previous.noise_std_ppb / scale) ** 2
+        noise = min(max(before, noise_bounds[0]), noise_bounds[1])
+    basis = None if trend is None else trend.basis(xy) / scale
+    problem = _Problem(
+        default=default,
+        r2=squared_distances(xy, xy),
+        z=z,
+        trend_covariance=None if basis is None else basis @ basis.T,
+        noise=noise,
+        bounds=np.log(np.array(bounds + ([noise_bounds] if noise_bounds else []))),
+    )
+    if len(xy) < FEWEST_SAMPLES:
+        best = problem.start(warm or default)
+    else:
+        best = problem.solve(_starts(problem, warm, default, rng))
+    kernel = with_log_parameters(default, best[: len(bounds)])
+    if noise_bounds is not None:
+        noise_std_ppb = float(np.exp(0.5 * best[-1])) * scale
+    likelihood = -problem.cost(best)[0] - len(z) * math.log(scale) if len(z) else math.nan
+    return Hyperparameters(kernel, noise_std_ppb, mean, scale, likelihood, trend)
+
+
+def _in_scale(previous: Hyperparameters, scale: float, bounds: Sequence[tuple[float, float]]) -> Kernel:
+    """The previous kernel in units of the new scale, within bounds."""
+    ratio = (previous.scale_ppb / scale) ** 2
+    parameters = {
+        key: min(max(value * ratio if key.endswith("variance") else value, low), high)
+        for (key, value), (low, high) in zip(previous.kernel.parameters().items(), bounds, strict=True)
+    }
+    return kernel_from(previous.kernel.name, parameters)
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Minimise minus the log likelihood over the logarithms of the parameters, the noise's last if it is free."""
+
+    default: Kernel
+    r2: FloatArray
+    z: FloatArray
+    trend_covariance: FloatArray | None
+    noise: float
+    bounds: FloatArray
+
+    @property
+    def noise_is_free(self) -> bool:
+        return len(self.bounds) > len(self.default.parameters())
+
+    def start(self, kernel: Kernel) -> FloatArray:
+        parameters = np.log(list(kernel.parameters().values()))
+        if self.noise_is_free:
+            parameters = np.append(parameters, np.log(self.noise))
+        return np.clip(parameters, self.bounds[:, 0], self.bounds[:, 1])
+
+    def cost(self, log_parameters: FloatArray) -> tuple[float, FloatArray]:
+        count = len(self.default.parameters())
+        noise = float(np.exp(log_parameters[-1])) if self.noise_is_free else self.noise
+        kernel = with_log_parameters(self.default, log_parameters[:count])
+        value, gradient = likelihood_of_distances(kernel, noise, self.r2, self.z, self.trend_covariance)
+        return -value, -gradient[: len(self.bounds)]
+
+    def solve(self, starts: Sequence[FloatArray]) -> FloatArray:
+        best, lowest = starts[0], math.inf
+        for start in starts:
+            found = minimize(
+                self.cost,
+                start,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=self.bounds,
+                options={"maxiter": _ITERATIONS, "ftol": 1e-9, "gtol": 1e-4},
+            )
+            if found.fun < lowest:
+                best, lowest = np.asarray(found.x), float(found.fun)
+        if not math.isfinite(lowest):
+            raise NumericalFailure(f"no start of {len(starts)} gave a finite likelihood for {self.default.name!r}")
+        return best
+
+
+def _starts(problem: _Problem, warm: Kernel | None, default: Kernel, rng: np.random.Generator) -> list[FloatArray]:
+    """Where to start: the previous optimum if there is one, and the likeliest of the default and some random places."""
+    low, high = problem.bounds.T
+    candidates = [problem.start(default)]
+    candidates += [low + (high - low) * rng.random(len(low)) for _ in range(_CANDIDATE_STARTS - 1)]
+    candidates.sort(key=lambda start: problem.cost(start)[0])
+    if warm is None:
+        return candidates[:_FOLLOWED_STARTS]
+    return [problem.start(warm), *candidates[: _FOLLOWED_STARTS - 1]]

@@ -1,0 +1,303 @@
+"""Covariance functions of the belief: frozen values that know their formula and its derivatives.
+
+All are stationary and isotropic, so each is a function of the squared distance r^2 [m^2] alone. Variances are in the
+squared units of the field (in this project: standardised, see ``he3.gp``); length scales are in metres.
+With a = sqrt(2 nu) r / l (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eqs. 4.9, 4.14-4.17):
+
+    se         s^2 exp(-r^2 / (2 l^2))
+    matern12   s^2 exp(-a)
+    matern32   s^2 (1 + a) exp(-a)
+    matern52   s^2 (1 + a + a^2 / 3) exp(-a)
+    smooth+rough   se with a long length scale, plus matern12 with a short one: a trend with a perturbation on it
+
+Derivatives are with respect to the logarithms of the parameters, in the order of ``parameters``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray, as_points
+
+Float32Array = NDArray[np.float32]
+
+
+@runtime_checkable
+class Kernel(Protocol):
+    """A covariance function of the squared distance between two places."""
+
+    name: ClassVar[str]
+
+    @property
+    def prior_variance(self) -> float:
+        """Variance of the field at one place before any sample."""
+
+    def parameters(self) -> dict[str, float]:
+        """The parameters by name, all positive, in the order of the derivatives."""
+
+    def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
+        """Covariance (N, M) between places a (N, 2) and b (M, 2) [m]."""
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        """Covariance at the squared distances [m^2], same shape."""
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        """Covariance at the squared distances [m^2], and its derivative to the logarithm of each parameter."""
+
+    def fill(self, r2: Float32Array, out: Float32Array) -> None:
+        """Write the covariance at the squared distances [m^2] into ``out``; r2 is used up. The fast float32 form."""
+
+
+def squared_distances(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
+    """Squared distances (N, M) [m^2] between places a (N, 2) and b (M, 2) [m]; exactly 0 for equal places."""
+    dx = a_m[:, 0, None] - b_m[None, :, 0]
+    dy = a_m[:, 1, None] - b_m[None, :, 1]
+    dx *= dx
+    dy *= dy
+    dx += dy
+    return dx
+
+
+class _Stationary:
+    """What every kernel of the squared distance shares: checked places in, named parameters out."""
+
+    __slots__ = ()
+    name: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        for key, value in self.parameters().items():
+            if not (math.isfinite(value) and value > 0):
+                raise InvalidInput(f"kernel {self.name!r}: expected a positive {key}, got {value!r}")
+
+    def parameters(self) -> dict[str, float]:
+        return {field.name: float(getattr(self, field.name)) for field in fields(self)}  # type: ignore[arg-type]
+
+    def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
+        return self.of_squared_distance(squared_distances(as_points(a_m), as_points(b_m)))
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class SquaredExponential(_Stationary):
+    """Infinitely smooth; the kernel the paper names."""
+
+    variance: float = 1.0
+    length_scale_m: float = 60.0
+
+    name: ClassVar[str] = "se"
+
+    @property
+    def prior_variance(self) -> float:
+        return self.variance
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        k = r2 * (-0.5 / self.length_scale_m**2)
+        np.exp(k, out=k)
+        k *= self.variance
+        return k
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        k = self.of_squared_distance(r2)
+        to_length = r2 * self.length_scale_m**-2
+        to_length *= k
+        return k, (k, to_length)
+
+    def fill(self, r2: Float32Array, out: Float32Array) -> None:
+        np.multiply(r2, np.float32(-0.5 / self.length_scale_m**2), out=out)
+        np.exp(out, out=out)
+        out *= np.float32(self.variance)
+
+
+@dataclass(frozen=True, slots=True)
+class Matern12(_Stationary):
+    """Continuous but nowhere smooth: the exponential covariance of the reference field's perturbation."""
+
+    variance: float = 1.0
+    length_scale_m: float = 60.0
+
+    name: ClassVar[str] = "matern12"
+
+    @property
+    def prior_variance(self) -> float:
+        return self.variance
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        k = np.sqrt(r2)
+        k *= -1.0 / self.length_scale_m
+        np.exp(k, out=k)
+        k *= self.variance
+        return k
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        a = np.sqrt(r2)
+        a *= 1.0 / self.length_scale_m
+        k = np.exp(-a)
+        k *= self.variance
+        a *= k
+        return k, (k, a)
+
+    def fill(self, r2: Float32Array, out: Float32Array) -> None:
+        np.sqrt(r2, out=out)
+        out *= np.float32(-1.0 / self.length_scale_m)
+        np.exp(out, out=out)
+        out *= np.float32(self.variance)
+
+
+@dataclass(frozen=True, slots=True)
+class Matern32(_Stationary):
+    """Once differentiable."""
+
+    variance: float = 1.0
+    length_scale_m: float = 60.0
+
+    name: ClassVar[str] = "matern32"
+
+    @property
+    def prior_variance(self) -> float:
+        return self.variance
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        a = np.sqrt(r2 * (3.0 / self.length_scale_m**2))
+        k = np.exp(-a)
+        a += 1.0
+        k *= a
+        k *= self.variance
+        return k
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        a2 = r2 * (3.0 / self.length_scale_m**2)
+        a = np.sqrt(a2)
+        decay = np.exp(-a)
+        decay *= self.variance
+        a += 1.0
+        a *= decay
+        a2 *= decay
+        return a, (a, a2)
+
+    def fill(self, r2: Float32Array, out: Float32Array) -> None:
+        r2 *= np.float32(3.0 / self.length_scale_m**2)
+        np.sqrt(r2, out=r2)
+        np.negative(r2, out=out)
+        np.exp(out, out=out)
+        out *= np.float32(self.variance)
+        r2 += np.float32(1.0)
+        out *= r2
+
+
+@dataclass(frozen=True, slots=True)
+class Matern52(_Stationary):
+    """Twice differentiable; the kernel that produced the paper's numbers."""
+
+    variance: float = 1.0
+    length_scale_m: float = 60.0
+
+    name: ClassVar[str] = "matern52"
+
+    @property
+    def prior_variance(self) -> float:
+        return self.variance
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        return self.with_log_gradients(r2)[0]
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        a2_third = r2 * (5.0 / (3.0 * self.length_scale_m**2))
+        a = np.sqrt(a2_third * 3.0)
+        decay = np.exp(-a)
+        decay *= self.variance
+        a += 1.0
+        to_length = a2_third * a
+        to_length *= decay
+        a += a2_third
+        a *= decay
+        return a, (a, to_length)
+
+    def fill(self, r2: Float32Array, out: Float32Array) -> None:
+        r2 *= np.float32(5.0 / self.length_scale_m**2)
+        np.sqrt(r2, out=r2)
+        np.negative(r2, out=out)
+        np.exp(out, out=out)
+        out *= np.float32(self.variance)
+        # 1 + a + a^2 / 3 = ((a + 3/2)^2 + 3/4) / 3
+        r2 += np.float32(1.5)
+        r2 *= r2
+        r2 += np.float32(0.75)
+        r2 *= np.float32(1.0 / 3.0)
+        out *= r2
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothPlusRough(_Stationary):
+    """A squared-exponential trend with an exponential perturbation on it: the matched model of the reference field."""
+
+    smooth_variance: float = 0.7
+    smooth_length_scale_m: float = 120.0
+    rough_variance: float = 0.3
+    rough_length_scale_m: float = 25.0
+
+    name: ClassVar[str] = "smooth+rough"
+
+    @property
+    def smooth(self) -> SquaredExponential:
+        return SquaredExponential(self.smooth_variance, self.smooth_length_scale_m)
+
+    @property
+    def rough(self) -> Matern12:
+        return Matern12(self.rough_variance, self.rough_length_scale_m)
+
+    @property
+    def prior_variance(self) -> float:
+        return self.smooth_variance + self.rough_variance
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        k = self.smooth.of_squared_distance(r2)
+        k += self.rough.of_squared_distance(r2)
+        return k
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        smooth, by_smooth = self.smooth.with_log_gradients(r2)
+        rough, by_rough = self.rough.with_log_gradients(r2)
+        return smooth + rough, (*by_smooth, *by_rough)
+
+    def fill(self, r2: Float32Array, out: Float32Array) -> None:
+        self.smooth.fill(r2, out)
+        self.rough.fill(r2, r2)
+        out += r2
+
+
+KERNELS: dict[str, type[Kernel]] = {
+    kind.name: kind for kind in (SquaredExponential, Matern12, Matern32, Matern52, SmoothPlusRough)
+}
+AUTO = "auto"  # not a kernel: let the evidence choose among KERNELS
+KERNEL_NAMES = (*KERNELS, AUTO)
+
+
+def kernel_from(name: str, parameters: Mapping[str, float] | None = None) -> Kernel:
+    """The kernel of that wire name with those parameters, or with its defaults if there are none.
+
+    Raises InvalidInput for a name or a set of parameters that no kernel has.
+    """
+    if name not in KERNELS:
+        raise InvalidInput(f"expected a kernel among {', '.join(KERNELS)}, got {name!r}")
+    kind = KERNELS[name]
+    if parameters is None:
+        return kind()
+    expected = kind().parameters()
+    if set(parameters) != set(expected):
+        raise InvalidInput(f"kernel {name!r}: expected parameters {', '.join(expected)}, got {', '.join(parameters)}")
+    return kind(**{key: float(value) for key, value in parameters.items()})
+
+
+def with_log_parameters(kernel: Kernel, log_parameters: FloatArray) -> Kernel:
+    """The same kind of kernel with the given logarithms of its parameters, in the order of ``parameters``."""
+    values = np.exp(log_parameters)
+    return type(kernel)(**{key: float(value) for key, value in zip(kernel.parameters(), values, strict=True)})

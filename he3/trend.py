@@ -1,0 +1,73 @@
+"""A prior mean from a coarse orbital map, whose gain and offset are learned from the samples.
+
+The field is modelled as m(x) + g(x), with g the zero-mean Gaussian process of the kernel and
+
+    m(x) = M + offset + gain (o(x) - M),      gain ~ N(1, gain_std^2),  offset ~ N(0, offset_std^2)
+
+where o is the orbital map and M its mean over the site, so that gain and offset are nearly independent. Gain and offset
+being Gaussian, they are marginalised exactly by adding their covariance to the kernel's (Rasmussen & Williams 2006,
+sect. 2.7): their uncertainty is part of the posterior variance from the first sample on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray, SiteGrid, as_points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrbitalTrend:
+    """The orbital map over the site [ppb], as ``[row, column]`` at cell centres, and how far it may be off.
+
+    The defaults are weak: a map that is a third too steep and several ppb too high is well within them. Raises
+    InvalidInput for a map of another shape than the grid, or one with a value that is not finite.
+    """
+
+    grid: SiteGrid
+    orbital_ppb: NDArray[np.floating]
+    gain_std: float = 0.5  # 1, weak: half of everything the map shows may be wrong
+    offset_std_ppb: float = 5.0  # ppb, weak: more than half of the site means that are known
+    _mean_ppb: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        values = np.array(self.orbital_ppb, dtype=np.float64)
+        if values.shape != self.grid.shape:
+            raise InvalidInput(f"expected an orbital map of shape {self.grid.shape}, got {values.shape}")
+        if not np.isfinite(values).all():
+            raise InvalidInput("expected an orbital map of finite values [ppb], got NaN or infinity")
+        values.setflags(write=False)
+        object.__setattr__(self, "orbital_ppb", values)
+        object.__setattr__(self, "_mean_ppb", float(values.mean()))
+
+    @property
+    def site_mean_ppb(self) -> float:
+        """Mean of the orbital map over the site [ppb]: where the gain turns about."""
+        return self._mean_ppb
+
+    def at(self, points_m: FloatArray) -> FloatArray:
+        """The map (N,) [ppb] at places (N, 2) [m]: bilinear between cell centres, constant beyond the outermost."""
+        xy = as_points(points_m)
+        rows, columns = self.grid.shape
+        row = np.clip(xy[:, 1] / self.grid.resolution_m - 0.5, 0.0, rows - 1.0)
+        column = np.clip(xy[:, 0] / self.grid.resolution_m - 0.5, 0.0, columns - 1.0)
+        row_0 = row.astype(np.intp)
+        column_0 = column.astype(np.intp)
+        row_1 = np.minimum(row_0 + 1, rows - 1)
+        column_1 = np.minimum(column_0 + 1, columns - 1)
+        north = row - row_0
+        east = column - column_0
+        values = self.orbital_ppb
+        south_edge = values[row_0, column_0] * (1.0 - east) + values[row_0, column_1] * east
+        north_edge = values[row_1, column_0] * (1.0 - east) + values[row_1, column_1] * east
+        interpolated: FloatArray = south_edge * (1.0 - north) + north_edge * north
+        return interpolated
+
+    def basis(self, points_m: FloatArray) -> FloatArray:
+        """Columns (N, 2) for gain and offset [ppb per prior standard deviation of each] at places (N, 2) [m]."""
+        contrast = self.at(points_m) - self._mean_ppb
+        return np.column_stack((contrast * self.gain_std, np.full(len(contrast), self.offset_std_ppb)))
