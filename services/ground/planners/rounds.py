@@ -1,0 +1,60 @@
+"""From a path to a round: sample places along it, the part of it that a budget allows, what its samples would tell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from he3.errors import NoRoute
+from he3.frames import FloatArray
+from he3.gp import GaussianProcess
+from he3.information import information_gain
+from services.ground.planning import PlannedRound, PlanningRequest
+
+
+def arc_lengths(path_m: FloatArray) -> FloatArray:
+    """Distance (K,) [m] along the polyline (K, 2) from its first vertex to each of its vertices."""
+    steps = np.diff(path_m, axis=0)
+    return np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
+
+
+def places_along(path_m: FloatArray, count: int) -> FloatArray:
+    """Places (count, 2) [m] on the polyline, equally spaced by arc length, the last at its end, none at its
+    beginning."""
+    along = arc_lengths(path_m)
+    at = along[-1] * np.arange(1, count + 1) / count
+    places = np.column_stack((np.interp(at, along, path_m[:, 0]), np.interp(at, along, path_m[:, 1])))
+    places[-1] = path_m[-1]
+    return places
+
+
+def cut(path_m: FloatArray, length_m: float) -> FloatArray:
+    """The first ``length_m`` metres of the polyline, or all of it if it is no longer than that."""
+    along = arc_lengths(path_m)
+    if along[-1] <= length_m:
+        return path_m
+    whole = int(np.searchsorted(along, length_m, side="right"))
+    share = (length_m - along[whole - 1]) / (along[whole] - along[whole - 1])
+    end = path_m[whole - 1] + share * (path_m[whole] - path_m[whole - 1])
+    return np.vstack((path_m[:whole], end))
+
+
+def budget_share_m(request: PlanningRequest) -> float:
+    """This round's even share [m] of the metres that are left. Raises NoRoute if none are."""
+    if not request.budget_m > 0:
+        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m are left for {request.samples_left} samples")
+    return request.budget_m * request.samples / request.samples_left
+
+
+def belief_about(request: PlanningRequest) -> GaussianProcess:
+    """The belief given all that is observed or certain to be; only its covariances mean anything."""
+    belief = GaussianProcess(request.hyperparameters)
+    return belief.condition_on_places(request.observed_m) if request.observed_m.size else belief
+
+
+def planned(request: PlanningRequest, path_m: FloatArray, samples_m: FloatArray) -> PlannedRound:
+    """The round with this path, which begins at the start or where the rover finds footing, and these sample places."""
+    start = np.array(request.start_m, dtype=np.float64)
+    path = path_m if np.array_equal(path_m[0], start) else np.vstack((start, path_m))
+    covariance = belief_about(request).posterior_covariance(samples_m)
+    nats = information_gain(covariance, request.hyperparameters.noise_variance_ppb2)
+    return PlannedRound(path_m=path, samples_m=samples_m, information_nats=nats)

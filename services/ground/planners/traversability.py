@@ -1,0 +1,169 @@
+"""Open ground: which straight legs the rover may drive, to the cell.
+
+A leg is free when every cell that it touches is traversable and no point of it lies outside the region. Cells are
+taken as closed squares, grown by ``TOUCH`` of a cell: a leg that runs along the edge of a cell touches both
+neighbours, and one through a corner touches all four, so that it neither slips between two closed cells that meet at a
+corner nor depends on the rounding of whoever follows it.
+
+The check goes through the slabs of one cell's width across the leg's longer axis. In each it looks at the few cells
+that the leg crosses there, and by the chessboard distance to the nearest closed cell it leaps over slabs that cannot
+touch one. The direction of a leg makes no difference to the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import floor
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from he3.errors import InvalidInput, NoRoute
+from he3.frames import FloatArray, SiteGrid, as_points
+
+BoolArray = NDArray[np.bool_]
+
+TOUCH = 1e-6
+"""Distance [cells] within which a leg counts as touching a cell: a thousand times what rounding does to a
+coordinate."""
+
+SegmentCheck = Callable[[float, float, float, float], bool]
+"""Whether the leg from (ax, ay) to (bx, by) [m] is free."""
+
+
+class OpenGround:
+    """Traversable cells of a site, with what is needed to check legs over them quickly. Immutable."""
+
+    def __init__(self, grid: SiteGrid, traversable: BoolArray) -> None:
+        if traversable.shape != grid.shape:
+            raise InvalidInput(f"open ground: expected traversable of shape {grid.shape}, got {traversable.shape}")
+        self.grid = grid
+        self.open = np.ascontiguousarray(traversable, dtype=np.bool_)
+        padded = np.pad(self.open, 1)
+        distance = ndimage.distance_transform_cdt(padded, metric="chessboard")[1:-1, 1:-1]
+        self.clearance = np.minimum(distance, 255).astype(np.uint8)
+        """(rows, columns): chessboard distance [cells] to the nearest closed cell or cell outside; 0 if closed
+        itself."""
+        self._by_column = np.ascontiguousarray(self.clearance.T)
+
+    def is_open(self, points_m: FloatArray) -> BoolArray:
+        """Whether each of the (N, 2) places [m] lies in the region and in a traversable cell."""
+        xy = as_points(points_m)
+        inside = self.grid.contains(xy)
+        answer = np.zeros(len(xy), dtype=np.bool_)
+        answer[inside] = self.open[self.grid.cells_of(xy[inside])]
+        return answer
+
+    def footing(self, start_m: tuple[float, float]) -> tuple[float, float]:
+        """The place [m] from which legs are checked for a rover that stands at the given one: mostly the same place.
+
+        A rover on the very edge of a closed cell could make no leg that does not touch it; it first drives to the
+        centre of the cell that it is in. Raises NoRoute if that cell is closed, OutsideRegion if there is none.
+        """
+        here = np.array([start_m], dtype=np.float64)
+        rows, columns = self.grid.cells_of(here)
+        if not self.open[rows[0], columns[0]]:
+            raise NoRoute(f"the rover stands on ground that it may not cross: ({start_m[0]:g}, {start_m[1]:g}) m")
+        if self.segments_free(here, here)[0]:
+            return float(start_m[0]), float(start_m[1])
+        size = self.grid.resolution_m
+        return (float(columns[0]) + 0.5) * size, (float(rows[0]) + 0.5) * size
+
+    def connected_to(self, start_m: tuple[float, float]) -> BoolArray:
+        """(rows, columns): the cells that can be reached from the place [m] over shared edges; none if it is closed."""
+        labels, _ = ndimage.label(self.open)
+        row, column = self.grid.cells_of(np.array([start_m]))
+        label = labels[row[0], column[0]]
+        connected: BoolArray = (labels == label) if label else np.zeros(self.grid.shape, dtype=np.bool_)
+        return connected
+
+    def segments_free(self, a_m: FloatArray, b_m: FloatArray) -> BoolArray:
+        """Whether each leg from a (N, 2) to b (N, 2) [m] is free."""
+        a, b = as_points(a_m), as_points(b_m)
+        if a.shape != b.shape:
+            raise InvalidInput(f"expected as many ends as beginnings of legs, got {a.shape} and {b.shape}")
+        p, q = a / self.grid.resolution_m, b / self.grid.resolution_m
+        steep = np.abs(q[:, 1] - p[:, 1]) > np.abs(q[:, 0] - p[:, 0])
+        free = np.empty(len(a), dtype=np.bool_)
+        # The longer axis first: for steep legs that is y, and the clearance is looked up column by column.
+        free[~steep] = _march(self._by_column, p[~steep], q[~steep])
+        free[steep] = _march(self.clearance, p[steep][:, ::-1], q[steep][:, ::-1])
+        return free
+
+    def path_free(self, path_m: FloatArray) -> bool:
+        """Whether every leg of the polyline (K, 2) [m] is free."""
+        path = as_points(path_m)
+        return bool(self.segments_free(path[:-1], path[1:]).all())
+
+    def segment_check(self) -> SegmentCheck:
+        """The same check for one leg at a time, for planners that ask tens of thousands of times a second."""
+        return _scalar_check(self.grid, self.clearance.tobytes(), self._by_column.tobytes())
+
+
+def _march(clearance: NDArray[np.uint8], p: FloatArray, q: FloatArray) -> BoolArray:
+    """Whether the legs p (N, 2) to q [cells], first coordinate along the longer axis, touch only open cells.
+
+    clearance: indexed [first coordinate, second coordinate].
+    """
+    n, m = clearance.shape
+    inside: BoolArray = (np.minimum(p, q) >= 0.0) & (np.maximum(p, q) <= (n, m))
+    free = inside[:, 0] & inside[:, 1]
+    forward = (p[:, 0] <= q[:, 0])[:, None]
+    low, high = np.where(forward, p, q), np.where(forward, q, p)
+    extent = high[:, 0] - low[:, 0]
+    slope = (high[:, 1] - low[:, 1]) / np.where(extent > 0.0, extent, 1.0)
+    slab = np.maximum(np.floor(low[:, 0] - TOUCH), 0.0).astype(np.intp)
+    last = np.minimum(np.floor(high[:, 0] + TOUCH), n - 1).astype(np.intp)
+    alive = np.flatnonzero(free & (slab <= last))
+    while alive.size:
+        i, x0, x1, y0, s = slab[alive], low[alive, 0], high[alive, 0], low[alive, 1], slope[alive]
+        ya = y0 + s * (np.minimum(np.maximum(x0, i), x1) - x0)
+        yb = y0 + s * (np.maximum(np.minimum(x1, i + 1), x0) - x0)
+        first = np.maximum(np.floor(np.minimum(ya, yb) - TOUCH), 0.0).astype(np.intp)
+        final = np.minimum(np.floor(np.maximum(ya, yb) + TOUCH), m - 1).astype(np.intp)
+        room = clearance[i, first].astype(np.intp)
+        # A slab of a leg no steeper than one cell a cell crosses at most three cells.
+        middle = np.minimum(first + 1, final)
+        blocked = (room == 0) | (clearance[i, middle] == 0) | (clearance[i, final] == 0)
+        free[alive[blocked]] = False
+        slab[alive] = i + np.maximum(room - (final - first), 1)
+        alive = alive[~blocked & (slab[alive] <= last[alive])]
+    return free
+
+
+def _scalar_check(grid: SiteGrid, by_row: bytes, by_column: bytes) -> SegmentCheck:
+    rows, columns, scale = grid.rows, grid.columns, 1.0 / grid.resolution_m
+
+    def free(ax: float, ay: float, bx: float, by: float) -> bool:
+        x0, y0, x1, y1 = ax * scale, ay * scale, bx * scale, by * scale
+        if abs(y1 - y0) > abs(x1 - x0):
+            x0, y0, x1, y1 = y0, x0, y1, x1
+            n, m, clearance = rows, columns, by_row
+        else:
+            n, m, clearance = columns, rows, by_column
+        if x0 > x1:
+            x0, y0, x1, y1 = x1, y1, x0, y0
+        if x0 < 0.0 or x1 > n or y0 < 0.0 or y1 < 0.0 or y0 > m or y1 > m:
+            return False
+        slope = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
+        slab, last = floor(x0 - TOUCH), floor(x1 + TOUCH)
+        slab, last = max(slab, 0), min(last, n - 1)
+        while slab <= last:
+            ya = y0 + slope * (min(max(x0, slab), x1) - x0)
+            yb = y0 + slope * (max(min(x1, slab + 1), x0) - x0)
+            if ya > yb:
+                ya, yb = yb, ya
+            first, final = max(floor(ya - TOUCH), 0), min(floor(yb + TOUCH), m - 1)
+            at = slab * m + first
+            room = clearance[at]
+            if not room:
+                return False
+            if final > first:
+                if not clearance[at + 1] or not clearance[at + final - first]:
+                    return False
+                room -= final - first
+            slab += room if room > 1 else 1
+        return True
+
+    return free

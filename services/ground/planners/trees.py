@@ -1,0 +1,235 @@
+"""Trees over open ground, grown by OMPL: a path to one target, or a tree over everything within reach.
+
+Determinism. OMPL draws from generators whose seeds come from one process-wide source. That source is seeded anew before
+each tree, and every OMPL object that owns a generator is made after that and dropped with the tree; so a tree follows
+from its arguments alone, whatever was planned before in the same process. (OMPL logs an error at the second seeding, because
+generators that exist already would not notice; none of ours do. Its log is silenced.) Growth ends after a number of
+iterations, never after a time. A lock keeps two threads from seeding each other's trees.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import isfinite, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray
+from services.ground.planners.traversability import OpenGround, SegmentCheck
+
+IntArray = NDArray[np.intp]
+Place = tuple[float, float]
+
+_SEEDING = threading.Lock()
+_SEEDS = 2**31 - 1  # OMPL takes seeds from 1 up to what fits 32 bits
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """A tree of straight free legs, its root at node 0.
+
+    nodes_m: (N, 2) [m]. parents: (N,) index of each node's parent, -1 for the root. cost_m: (N,) length of the path
+    from the root [m]. order: (N,) the nodes so arranged that parents come before their children.
+    """
+
+    nodes_m: FloatArray
+    parents: IntArray
+    cost_m: FloatArray
+    order: IntArray
+
+    def path_to(self, node: int) -> FloatArray:
+        """Polyline (K, 2) [m] from the root to the node."""
+        chain = [node]
+        while self.parents[chain[-1]] >= 0:
+            chain.append(int(self.parents[chain[-1]]))
+        return self.nodes_m[chain[::-1]]
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How a tree grows."""
+
+    step_m: float = 10.0
+    """Longest edge made by extending the tree [m]; rewiring makes longer ones."""
+    goal_tolerance_m: float = 10.0
+    """The target counts as reached within this distance [m]."""
+    goal_bias: float = 0.05
+    """Share of iterations that aim at the target itself, until it is reached (OMPL's default)."""
+    rewire_most_m: float = 50.0
+    """Largest radius within which RRT* chooses parents and rewires [m]."""
+    rewire_scale_m: float = 150.0
+    """The radius shrinks as rewire_scale_m sqrt(log n / n) once the tree has n nodes [m]."""
+
+
+def tree_path(
+    ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, iterations: int, refine: int, seed: int,
+    growth: Growth,
+) -> tuple[FloatArray, bool]:  # fmt: skip
+    """The path (K, 2) [m] from start towards the target along the tree as it grew, and whether the target was reached.
+
+    optimal: grow RRT* rather than RRT. iterations: bound on growth. refine: growth of RRT* goes on to this many
+    iterations once the target is reached, which is what makes the path shorter. If the target was not reached, the path
+    leads to the node nearest to it; it is the start alone, (1, 2), if no node is nearer than that.
+    """
+    with _SEEDING:
+        growing = _prepared(ground, start_m, target_m, optimal=optimal, seed=seed, growth=growth)
+        growing.solve(iterations, refine)
+        problem = growing.problem
+        if not problem.hasSolution():
+            return np.array([start_m], dtype=np.float64), False
+        states = problem.getSolutionPath().getStates()
+        path = np.array([(state[0], state[1]) for state in states], dtype=np.float64)
+        return path, bool(problem.hasExactSolution())
+
+
+def spanning_tree(ground: OpenGround, start_m: Place, *, iterations: int, seed: int, growth: Growth) -> Tree:
+    """An RRT* tree over all that can be reached from the start, with no target, after so many iterations."""
+    with _SEEDING:
+        growing = _prepared(ground, start_m, start_m, optimal=True, seed=seed, growth=replace(growth, goal_bias=0.0))
+        information = growing.problem.getSpaceInformation()
+        growing.problem.setGoal(_Nowhere(information))
+        growing.solve(iterations, iterations)
+        data = ob.PlannerData(information)
+        growing.planner.getPlannerData(data)
+        return _tree(data)
+
+
+class _Nowhere(ob.GoalRegion):  # type: ignore[misc]
+    """A goal that no state satisfies: the tree just grows."""
+
+    def __init__(self, space: ob.SpaceInformation) -> None:
+        super().__init__(space)
+        self.setThreshold(0.0)
+
+    def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
+        return 1.0
+
+
+class _LegValidator(ob.MotionValidator):  # type: ignore[misc]
+    """OMPL's question whether a motion is free, answered to the cell."""
+
+    def __init__(self, space: ob.SpaceInformation, free: SegmentCheck) -> None:
+        super().__init__(space)
+        self._free = free
+        self.on_check: Callable[[], None] | None = None
+
+    def checkMotion(self, a: ob.State, b: ob.State, _last_valid: object = None) -> bool:  # noqa: N802
+        if self.on_check is not None:
+            self.on_check()
+        return self._free(a[0], a[1], b[0], b[1])
+
+
+@dataclass(slots=True)
+class _Growing:
+    """One OMPL problem and the planner that is about to grow its tree."""
+
+    problem: ob.ProblemDefinition
+    planner: ob.Planner
+    validator: _LegValidator
+    growth: Growth
+    optimal: bool
+
+    def solve(self, iterations: int, refine: int) -> None:
+        """Grow for so many iterations, or for ``refine`` only if RRT* has found the target by then.
+
+        OMPL's RRTstar knows one "range": the longest extension and, at once, the largest rewiring radius. The paper has
+        10 m for the one and up to 50 m for the other. So the range is the step while an iteration extends the tree, and
+        the radius from the iteration's first leg check on, which is the one that OMPL makes for the extension.
+        """
+        planner, growth = self.planner, self.growth
+        grown = 0
+
+        def widen() -> None:
+            planner.setRange(growth.rewire_most_m)
+            self.validator.on_check = None
+
+        def enough() -> bool:
+            nonlocal grown
+            grown += 1
+            if not self.optimal:
+                return grown > iterations
+            planner.setRange(growth.step_m)
+            self.validator.on_check = widen
+            return grown > iterations or (grown > refine and isfinite(planner.bestCost().value()))
+
+        planner.solve(ob.PlannerTerminationCondition(enough))
+        self.validator.on_check = (
+            None  # it refers to the planner, which refers to the validator: nobody would free them
+        )
+
+
+def _prepared(
+    ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, seed: int, growth: Growth
+) -> _Growing:
+    if seed < 0:
+        raise InvalidInput(f"planning: expected a seed of 0 or more, got {seed}")
+    ou.setLogLevel(ou.LOG_NONE)
+    ou.RNG.setSeed(seed % _SEEDS + 1)
+    space = ob.RealVectorStateSpace(2)
+    bounds = ob.RealVectorBounds(2)
+    for axis, high in enumerate((ground.grid.width_m, ground.grid.height_m)):
+        bounds.setLow(axis, 0.0)
+        bounds.setHigh(axis, high)
+    space.setBounds(bounds)
+    information = ob.SpaceInformation(space)
+    free = ground.segment_check()
+    validator = _LegValidator(information, free)
+    information.setStateValidityChecker(lambda state: free(state[0], state[1], state[0], state[1]))
+    information.setMotionValidator(validator)
+    information.setup()
+    problem = ob.ProblemDefinition(information)
+    start, target = space.allocState(), space.allocState()
+    start[0], start[1] = start_m
+    target[0], target[1] = target_m
+    problem.setStartAndGoalStates(start, target, growth.goal_tolerance_m)
+    planner = (og.RRTstar if optimal else og.RRT)(information)
+    planner.setProblemDefinition(problem)
+    planner.setRange(growth.step_m)
+    planner.setGoalBias(growth.goal_bias)
+    if optimal:
+        planner.setKNearest(False)
+        # OMPL's radius is factor sqrt(2 (1 + 1/2) area / pi) sqrt(log n / n).
+        area = ground.grid.width_m * ground.grid.height_m
+        planner.setRewireFactor(growth.rewire_scale_m / sqrt(3.0 * area / pi))
+    planner.setup()
+    return _Growing(problem, planner, validator, growth, optimal)
+
+
+def _tree(data: ob.PlannerData) -> Tree:
+    count = data.numVertices()
+    nodes = np.empty((count, 2))
+    parents = np.full(count, -1, dtype=np.intp)
+    for i in range(count):
+        state = data.getVertex(i).getState()
+        nodes[i] = state[0], state[1]
+        for child in data.getEdges(i):
+            parents[child] = i
+    return arranged(nodes, parents, int(data.getStartIndex(0)))
+
+
+def arranged(nodes: FloatArray, parents: IntArray, root: int) -> Tree:
+    """The tree of these nodes and parents, renumbered so that the root is node 0, with costs and order."""
+    if root != 0:
+        swap = np.arange(len(nodes))
+        swap[[0, root]] = root, 0
+        nodes, parents = nodes[swap], parents[swap]
+        parents = np.where(parents >= 0, swap[parents], -1)
+    depth = np.where(parents < 0, 0, 1)
+    above = parents.copy()
+    while (above >= 0).any():  # pointer doubling: depth of every node in log(height) rounds
+        has = above >= 0
+        depth[has] += depth[above[has]]
+        above[has] = above[above[has]]
+    order = np.argsort(depth, kind="stable")
+    step = np.hypot(*(nodes - nodes[np.maximum(parents, 0)]).T)
+    cost = np.zeros(len(nodes))
+    for level in np.split(order, np.flatnonzero(np.diff(depth[order])) + 1)[1:]:
+        cost[level] = cost[parents[level]] + step[level]
+    return Tree(nodes, parents, cost, order)
