@@ -47,8 +47,8 @@ class Recipe:
     iron_spread: float  # its relative standard deviation between pixels
     maturity: float  # mean OMAT
     maturity_spread: float
-    chemistry_correlation: float  # between FeO and OMAT; titanium-rich soils are dark and mature here
-    chemistry_length_m: float
+    chemistry_correlation: float  # between FeO and OMAT
+    chemistry_length_m: float  # shorter than a pixel: neighbours hardly resemble each other
     terrain_seed: int
     base_m: float
     roughness_m: float  # standard deviation of the rolling ground
@@ -65,7 +65,8 @@ def crater(x: FloatArray, y: FloatArray, cx: float, cy: float, diameter: float, 
     r = np.hypot(x - cx, y - cy) / (diameter / 2)
     depth, rim = 0.20 * freshness * diameter, 0.04 * freshness * diameter
     bowl = -depth + (depth + rim) * r**2
-    return np.where(r < 1, bowl, rim * np.maximum(r, 1e-9) ** -3.0)
+    height: FloatArray = np.where(r < 1, bowl, rim * np.maximum(r, 1e-9) ** -3.0)
+    return height
 
 
 def no_landform(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -89,10 +90,10 @@ RECIPES = (
         flux=constants.PUBLISHED_FLUX["apollo-17"],
         chemistry_seed=1704,
         iron_wt=17.2,
-        iron_spread=0.031,
-        maturity=0.1416,
-        maturity_spread=0.085,
-        chemistry_correlation=-0.12,
+        iron_spread=0.029,
+        maturity=0.14131,
+        maturity_spread=0.080,
+        chemistry_correlation=-0.08,
         chemistry_length_m=15.0,
         terrain_seed=142,
         base_m=-2630.0,
@@ -112,11 +113,11 @@ RECIPES = (
         centre_lon_deg=3.633,
         flux=constants.PUBLISHED_FLUX["apollo-15"],
         chemistry_seed=1502,
-        iron_wt=16.0,
+        iron_wt=16.4,
         iron_spread=0.028,
-        maturity=0.1975,
+        maturity=0.20868,
         maturity_spread=0.080,
-        chemistry_correlation=-0.02,
+        chemistry_correlation=-0.10,
         chemistry_length_m=15.0,
         terrain_seed=209,
         base_m=-1930.0,
@@ -186,7 +187,8 @@ def _elevation(recipe: Recipe, x: FloatArray, y: FloatArray) -> FloatArray:
         smallest, largest = recipe.crater_diameters_m
         diameter = smallest * (1 - random.uniform(0, 1 - (smallest / largest) ** 2)) ** -0.5  # as N(>D) ~ D^-2
         ground += crater(x, y, cx, cy, diameter, random.uniform(0.2, 0.8))
-    return ground.reshape(PIXELS, SUBSAMPLES, PIXELS, SUBSAMPLES).mean(axis=(1, 3))
+    pixels: FloatArray = ground.reshape(PIXELS, SUBSAMPLES, PIXELS, SUBSAMPLES).mean(axis=(1, 3))
+    return pixels
 
 
 def write(path: Path, arrays: dict[str, NDArray[np.generic]]) -> None:
