@@ -92,8 +92,10 @@ class LinkConditions(Wire):
 class LinkChange(Wire):
     """New values for what is named; everything else stays. It holds for what is sent from now on."""
 
+    conditions: LinkConditions | None = None
+    """All of it anew; what else is named comes on top."""
     direction: Direction | None = None
-    """None: both."""
+    """Which way the figures are meant; None: both."""
     one_way_light_time_s: Seconds | None = None
     jitter_s: Seconds | None = None
     rate_bit_s: Annotated[float, Field(ge=1, le=1e12)] | None = None
@@ -104,7 +106,17 @@ class LinkChange(Wire):
     corrupt: Fraction | None = None
     contact: bool | None = None
     """False: black-out from now on; True: contact from now on, whatever was scheduled; None: as it is."""
+    contact_as_scheduled: bool = False
+    """Back to windows or duty cycle, after `contact` overrode them."""
     at_edge: AtEdge | None = None
+
+    @model_validator(mode="after")
+    def _says_one_thing(self) -> LinkChange:
+        if self.contact is not None and self.contact_as_scheduled:
+            raise ValueError("expected contact or contact_as_scheduled, got both")
+        if self.rate_bit_s is not None and self.unlimited_rate:
+            raise ValueError("expected rate_bit_s or unlimited_rate, got both")
+        return self
 
 
 class InFlight(Wire):
@@ -122,14 +134,30 @@ class InFlight(Wire):
     """When its last bit arrives; None while it waits for contact."""
 
 
+class Dropped(Wire):
+    """A message that will not arrive, and why."""
+
+    topic: Text
+    source: Text
+    sequence: Count
+    direction: Direction
+    why: Text
+    at: MissionTimeNs
+
+
 class DirectionCounts(Wire):
-    """What happened to the messages of one direction since the start."""
+    """What happened to the messages of one direction since the start.
+
+    offered + duplicated = delivered + lost + dropped + superseded + waiting + in flight.
+    """
 
     offered: Count = 0
     delivered: Count = 0
     lost: Count = 0
     dropped_out_of_contact: Count = 0
     dropped_queue_full: Count = 0
+    superseded: Count = 0
+    """Replaced by a newer one while they waited to leave."""
     duplicated: Count = 0
     corrupted: Count = 0
     waiting: Count = 0
@@ -147,6 +175,10 @@ class LinkStatus(Wire):
     down: DirectionCounts
     in_flight: Annotated[tuple[InFlight, ...], Field(max_length=200)]
     """The next 200 to arrive."""
+    dropped: Annotated[tuple[Dropped, ...], Field(max_length=50)] = ()
+    """The last 50 that will not arrive."""
+    contact_forced: bool | None = None
+    """Contact as an operator decided it; None: as scheduled."""
     incarnation: Count
 
 

@@ -42,6 +42,8 @@ class Latest:
     """Only the newest counts: never repeated, never queued behind another of its kind."""
 
     priority: int = 9
+    distinct: tuple[str, ...] = ()
+    """Fields of the body that tell one kind from another, where a topic speaks of several things."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,15 +81,17 @@ class Topic:
         return (Side(self.name.split("/", 1)[0]),)
 
 
+_OF_A_STREAM = Latest(priority=0, distinct=("stream", "source", "incarnation"))
+
 PLAN = Topic("tc/plan", MissionPlan, Crosses.UP, Custody(priority=1), recorded=True, max_bytes=1_048_576)
 COMMAND = Topic("tc/command", Telecommand, Crosses.UP, Custody(priority=0), recorded=True)
-TM_ACK = Topic("tc/ack", Acknowledgement, Crosses.UP, Latest(priority=0), recorded=True)
+TM_ACK = Topic("tc/ack", Acknowledgement, Crosses.UP, _OF_A_STREAM, recorded=True)
 
 SAMPLE = Topic("tm/sample", SampleReport, Crosses.DOWN, Custody(priority=2), recorded=True)
 EVENT = Topic("tm/event", RoverEvent, Crosses.DOWN, Custody(priority=1), recorded=True)
 COMMAND_REPORT = Topic("tm/command", CommandReport, Crosses.DOWN, Custody(priority=0), recorded=True)
 STATE = Topic("tm/state", RoverState, Crosses.DOWN, Latest(), recorded=True)
-TC_ACK = Topic("tm/ack", Acknowledgement, Crosses.DOWN, Latest(priority=0), recorded=True)
+TC_ACK = Topic("tm/ack", Acknowledgement, Crosses.DOWN, _OF_A_STREAM, recorded=True)
 
 MEASURE = Topic("moon/field/measure", MeasurementRequest, service=Query(), reply=MeasurementReply)
 TERRAIN = Topic("moon/field/terrain", TerrainRequest, service=Query(), reply=TerrainReply, max_bytes=65_536)

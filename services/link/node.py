@@ -1,0 +1,151 @@
+"""The link's node: the only path between Moon and Earth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from he3.errors import InvalidInput
+from schemas.link import Direction, LinkChange
+from schemas.topics import LINK_SET, LINK_STATUS, Side, crossing
+from services.link.channel import Drop, Reason
+from services.link.relay import Relay
+from services.node import (
+    SECOND,
+    Answer,
+    Asked,
+    Due,
+    Effect,
+    Event,
+    Forward,
+    Interface,
+    Level,
+    MissionTime,
+    Note,
+    Overheard,
+    Refuse,
+    Send,
+    Started,
+    WakeAt,
+)
+from services.scenario import Scenario
+
+STATUS_AT_MOST_EVERY: MissionTime = 1 * SECOND
+"""Between two reports when letters are offered [ns]."""
+STATUS_BUSY: MissionTime = 10 * SECOND
+"""Between two reports while something is under way [ns]."""
+STATUS_IDLE: MissionTime = 60 * SECOND
+"""Between two reports while nothing is [ns]."""
+
+_TRAFFIC, _CONTACT, _STATUS = "traffic", "contact", "status"
+_ARRIVES_ON = {Direction.UP: Side.MOON, Direction.DOWN: Side.EARTH}
+
+
+class LinkNode:
+    """Carries sealed letters between the sides, and tells operators how it is doing."""
+
+    def __init__(self, relay: Relay) -> None:
+        self._relay = relay
+        self._interface = Interface(
+            name="link",
+            sides=(Side.MOON, Side.EARTH),
+            overhears=(*crossing(Direction.UP), *crossing(Direction.DOWN)),
+            serves=(LINK_SET,),
+            custody=False,
+        )
+        self._incarnation = 0
+        self._reported_at: MissionTime | None = None
+        self._report_due: MissionTime | None = None
+        self._woken_at: dict[str, MissionTime | None] = {}
+        self._in_contact: bool | None = None
+
+    @property
+    def interface(self) -> Interface:
+        return self._interface
+
+    def handle(self, event: Event, now: MissionTime) -> Iterator[Effect]:
+        """Effects of the event, in order."""
+        match event:
+            case Started(incarnation=incarnation):
+                self._incarnation = incarnation
+                self._woken_at.clear()
+                self._in_contact = self._relay.in_contact(now)
+                self._relay.restarted(incarnation)
+                yield Note(Level.INFO, "link up", {"incarnation": incarnation, "contact": self._in_contact})
+                self._report_due = now
+            case Overheard(topic=topic, payload=payload):
+                if topic.direction is not None:
+                    self._relay.offer(topic, payload, now)
+                    self._report_soon(now)
+            case Asked(topic=topic, request=LinkChange() as change, token=token):
+                yield from self._changed(change, token, now)
+            case Asked(topic=topic, token=token):
+                yield Refuse(token, f"expected a change of the link on {LINK_SET.name}, got {topic.name}")
+            case Due(timer=timer):
+                self._woken_at.pop(timer, None)
+        yield from self._carry_on(now)
+
+    def _changed(self, change: LinkChange, token: int, now: MissionTime) -> Iterator[Effect]:
+        try:
+            self._relay.change(change, now)
+        except InvalidInput as error:
+            yield Refuse(token, str(error))
+            return
+        what = change.model_dump(mode="json", exclude_defaults=True)
+        if what:
+            yield Note(Level.INFO, "link changed", what)
+            self._report_due = now
+        yield Answer(token, self._relay.status(now, self._incarnation))
+
+    def _carry_on(self, now: MissionTime) -> Iterator[Effect]:
+        """What every event may have set in motion: arrivals, losses, contact, reports, timers."""
+        for direction, flight in self._relay.arrived(now):
+            yield Forward(flight.letter.topic, flight.payload, _ARRIVES_ON[direction])
+        for direction, drop in self._relay.drops():
+            yield from _dropped(direction, drop)
+        contact = self._relay.in_contact(now)
+        if contact is not self._in_contact:
+            self._in_contact = contact
+            self._report_due = now
+            yield Note(Level.INFO, "contact regained" if contact else "contact lost", self._until(now))
+        if self._report_due is not None and self._report_due <= now:
+            yield Send(LINK_STATUS, self._relay.status(now, self._incarnation))
+            self._reported_at = now
+            self._report_due = now + (STATUS_BUSY if self._relay.busy else STATUS_IDLE)
+        yield from self._wake(_TRAFFIC, self._relay.next_event())
+        yield from self._wake(_CONTACT, self._relay.contact_changes_at(now))
+        yield from self._wake(_STATUS, self._report_due)
+
+    def _report_soon(self, now: MissionTime) -> None:
+        soon = now if self._reported_at is None else max(now, self._reported_at + STATUS_AT_MOST_EVERY)
+        self._report_due = soon if self._report_due is None else min(soon, self._report_due)
+
+    def _until(self, now: MissionTime) -> dict[str, MissionTime]:
+        changes_at = self._relay.contact_changes_at(now)
+        return {} if changes_at is None else {"until": changes_at}
+
+    def _wake(self, timer: str, at: MissionTime | None) -> Iterator[Effect]:
+        if self._woken_at.get(timer) != at:
+            self._woken_at[timer] = at
+            yield WakeAt(timer, at)
+
+
+def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
+    """A line for the log about a loss; that the newest replaced an older one is no loss."""
+    if drop.reason is Reason.SUPERSEDED:
+        return
+    letter = drop.letter
+    level = Level.DEBUG if drop.reason is Reason.LOST else Level.WARNING
+    fields = {
+        "why": drop.reason.value,
+        "direction": direction.value,
+        "topic": letter.topic.name,
+        "source": letter.source,
+        "sequence": letter.sequence,
+        "at": drop.at,
+    }
+    yield Note(level, "letter dropped", fields)
+
+
+def build_node(scenario: Scenario) -> LinkNode:
+    """The link of that scenario, with nothing under way."""
+    return LinkNode(Relay(scenario.link, scenario.start_ns, scenario.seed))

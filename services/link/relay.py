@@ -1,0 +1,192 @@
+"""Both directions of the link, the contact that they share, and what operators see of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from random import Random
+
+from pydantic import ValidationError
+
+from he3.errors import InvalidInput
+from schemas.link import (
+    AtEdge,
+    Direction,
+    DirectionConditions,
+    Dropped,
+    InFlight,
+    LinkChange,
+    LinkConditions,
+    LinkStatus,
+)
+from schemas.topics import Topic
+from schemas.wire import one_line
+from services.link.channel import Channel, Drop, Flight, Limits
+from services.link.contact import Contact
+from services.link.letter import Letter, sealed
+from services.node import MissionTime
+
+SHOWN_IN_FLIGHT = 200
+SHOWN_DROPPED = 50
+
+
+class Relay:
+    """Takes letters in on one side and gives them out on the other, when they arrive."""
+
+    def __init__(self, conditions: LinkConditions, start: MissionTime, seed: int, limits: Limits | None = None) -> None:
+        self._conditions = conditions
+        self._start = start
+        self._seed = seed
+        self._forced: bool | None = None
+        self._contact = Contact.of(conditions, start)
+        self._order = 0
+        self._dropped: deque[Dropped] = deque(maxlen=SHOWN_DROPPED)
+        self._channels = {
+            direction: Channel(
+                _of(conditions, direction), self._contact, self._generator(direction, 0), conditions.at_edge, limits
+            )
+            for direction in Direction
+        }
+
+    def restarted(self, incarnation: int) -> None:
+        """Draws afresh, so that a restarted link does not repeat what it did to the first messages of its last life."""
+        for direction, channel in self._channels.items():
+            channel.reseed(self._generator(direction, incarnation))
+
+    def offer(self, topic: Topic, payload: bytes, now: MissionTime) -> None:
+        """Takes a letter in; raises InvalidInput for a topic that does not cross."""
+        direction = topic.direction
+        if direction is None:
+            raise InvalidInput(f"expected a topic that crosses the link, got {topic.name}")
+        self._order += 1
+        self._channels[direction].offer(sealed(topic, payload, now, self._order), now)
+
+    def arrived(self, now: MissionTime) -> list[tuple[Direction, Flight]]:
+        """What has come out by now on either side, in the order of arrival, then of offering."""
+        arrived = [
+            (direction, flight) for direction, channel in self._channels.items() for flight in channel.arrived(now)
+        ]
+        return sorted(arrived, key=lambda pair: (pair[1].arrives_at, pair[1].letter.order))
+
+    def next_event(self) -> MissionTime | None:
+        """When something arrives or may begin to be sent next."""
+        times = [time for channel in self._channels.values() if (time := channel.next_event()) is not None]
+        return min(times, default=None)
+
+    def drops(self) -> list[tuple[Direction, Drop]]:
+        """What was found to be lost since the last call."""
+        drops = [(direction, drop) for direction, channel in self._channels.items() for drop in channel.drops()]
+        self._dropped.extend(_shown_dropped(direction, drop) for direction, drop in drops)
+        return drops
+
+    def change(self, change: LinkChange, now: MissionTime) -> None:
+        """Puts the change in force; raises InvalidInput, and changes nothing, when the outcome would make no sense."""
+        conditions = changed(self._conditions, change)
+        if change.contact is not None or change.contact_as_scheduled:
+            self._forced = change.contact
+        elif change.conditions is not None:
+            self._forced = None
+        self._conditions = conditions
+        self._contact = Contact.of(conditions, self._start, self._forced)
+        for direction, channel in self._channels.items():
+            channel.change(_of(conditions, direction), self._contact, conditions.at_edge, now)
+
+    def in_contact(self, now: MissionTime) -> bool:
+        """Whether the sides see each other."""
+        return self._contact.open_at(now)
+
+    def contact_changes_at(self, now: MissionTime) -> MissionTime | None:
+        """When contact begins or ends next."""
+        return self._contact.changes_at(now)
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything waits or is under way."""
+        return not all(channel.idle for channel in self._channels.values())
+
+    def status(self, now: MissionTime, incarnation: int) -> LinkStatus:
+        """The link as it is now."""
+        shown = [
+            entry
+            for direction, channel in self._channels.items()
+            for entry in (
+                *(_shown_flight(direction, flight) for flight in channel.flights()[:SHOWN_IN_FLIGHT]),
+                *(_shown_waiting(direction, letter) for letter in channel.waiting()[:SHOWN_IN_FLIGHT]),
+            )
+        ]
+        shown.sort(key=lambda entry: (entry.arrives_at is None, entry.arrives_at or entry.offered_at))
+        return LinkStatus(
+            conditions=self._conditions,
+            contact=self.in_contact(now),
+            contact_changes_at=self.contact_changes_at(now),
+            up=self._channels[Direction.UP].counts,
+            down=self._channels[Direction.DOWN].counts,
+            in_flight=tuple(shown[:SHOWN_IN_FLIGHT]),
+            dropped=tuple(self._dropped),
+            contact_forced=self._forced,
+            incarnation=incarnation,
+        )
+
+    def _generator(self, direction: Direction, incarnation: int) -> Random:
+        return Random(f"link/{self._seed}/{direction.value}/{incarnation}")  # a text seeds the same on every machine
+
+
+def changed(conditions: LinkConditions, change: LinkChange) -> LinkConditions:
+    """The conditions with the change made; raises InvalidInput when the outcome would make no sense."""
+    conditions = change.conditions or conditions
+    figures = {
+        name: value
+        for name in ("one_way_light_time_s", "jitter_s", "rate_bit_s", "loss", "duplicate", "reorder", "corrupt")
+        if (value := getattr(change, name)) is not None
+    }
+    if change.unlimited_rate:
+        figures["rate_bit_s"] = None
+    directions = tuple(Direction) if change.direction is None else (change.direction,)
+    ways = {way.value: _of(conditions, way).model_copy(update=figures) for way in directions}
+    at_edge: AtEdge = change.at_edge or conditions.at_edge
+    try:
+        whole = conditions.model_copy(update={**ways, "at_edge": at_edge}).model_dump()
+        return LinkConditions.model_validate(whole)
+    except ValidationError as error:
+        raise InvalidInput(one_line(error)) from None
+
+
+def _of(conditions: LinkConditions, direction: Direction) -> DirectionConditions:
+    return conditions.up if direction is Direction.UP else conditions.down
+
+
+def _shown_flight(direction: Direction, flight: Flight) -> InFlight:
+    letter = flight.letter
+    return InFlight(
+        topic=letter.topic.name,
+        source=letter.source,
+        sequence=letter.sequence,
+        direction=direction,
+        size_bytes=len(letter.payload),
+        offered_at=letter.offered_at,
+        departs_at=flight.departs_at,
+        arrives_at=flight.arrives_at,
+    )
+
+
+def _shown_waiting(direction: Direction, letter: Letter) -> InFlight:
+    return InFlight(
+        topic=letter.topic.name,
+        source=letter.source,
+        sequence=letter.sequence,
+        direction=direction,
+        size_bytes=len(letter.payload),
+        offered_at=letter.offered_at,
+        departs_at=None,
+        arrives_at=None,
+    )
+
+
+def _shown_dropped(direction: Direction, drop: Drop) -> Dropped:
+    return Dropped(
+        topic=drop.letter.topic.name,
+        source=drop.letter.source,
+        sequence=drop.letter.sequence,
+        direction=direction,
+        why=drop.reason.value,
+        at=drop.at,
+    )
