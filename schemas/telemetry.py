@@ -70,6 +70,10 @@ class RoverEvent(Wire):
     plan_revision: Count = 0
     sample_id: Identifier | None = None
     driven_m: Metres = 0.0
+    obstacle_m: tuple[PositionM, PositionM] | None = None
+    """Nearest place on the way ahead that the rover may not enter (`blocked` only); x_m and y_m are where it stands."""
+    samples_done: Annotated[tuple[Identifier, ...], Field(max_length=256)] = ()
+    """Samples of that round that are measured (`round_completed`, `round_aborted` and `blocked`): they will arrive."""
     detail: Text = ""
 
 
