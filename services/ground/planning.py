@@ -88,6 +88,8 @@ def checked(request: PlanningRequest) -> PlanningRequest:
         raise InvalidInput(
             f"planning: expected 1 <= samples <= samples_left, got {request.samples} and {request.samples_left}"
         )
+    if request.seed < 0:
+        raise InvalidInput(f"planning: expected a seed of 0 or more, got {request.seed}")
     as_points(np.array([request.start_m]))
     if request.observed_m.size:
         as_points(request.observed_m)

@@ -2,9 +2,9 @@
 
 Determinism. OMPL draws from generators whose seeds come from one process-wide source. That source is seeded anew before
 each tree, and every OMPL object that owns a generator is made after that and dropped with the tree; so a tree follows
-from its arguments alone, whatever was planned before in the same process. (OMPL logs an error at the second seeding, because
-generators that exist already would not notice; none of ours do. Its log is silenced.) Growth ends after a number of
-iterations, never after a time. A lock keeps two threads from seeding each other's trees.
+from its arguments alone, whatever was planned before in the same process. (At the second seeding OMPL logs an error,
+because generators that exist already would not notice; none of ours do. Its log is silenced.) Growth ends after a
+number of iterations, never after a time. A lock keeps two threads from seeding each other's trees.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from he3.errors import InvalidInput
 from he3.frames import FloatArray
 from services.ground.planners.traversability import OpenGround, SegmentCheck
 
@@ -168,8 +167,6 @@ class _Growing:
 def _prepared(
     ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, seed: int, growth: Growth
 ) -> _Growing:
-    if seed < 0:
-        raise InvalidInput(f"planning: expected a seed of 0 or more, got {seed}")
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(seed % _SEEDS + 1)
     space = ob.RealVectorStateSpace(2)
