@@ -13,7 +13,10 @@ variance, and below 1e-5 of the mean (tests/unit/test_gridposterior.py).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +30,10 @@ from he3.kernels import Float32Array, SquaredExponential
 
 ROWS_A_BLOCK = 64  # samples a block of V: 64 MB at 500 x 500 cells; V grows by blocks and is never copied
 MOST_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
-_CELLS_A_CHUNK = 8192  # cells handled together while V is built, so that a block's slice stays in cache
+# Cells that are worked on together, so that all but V stays in cache: the map is cut into bands of whole rows. They do
+# not depend on the number of threads, and so neither do the results.
+_CELLS_TO_APPEND = 32768
+_CELLS_TO_BUILD = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,15 +48,19 @@ class MapSnapshot:
 class GridPosterior:
     """The belief on every cell of a grid; ``add`` changes it in place, ``snapshot`` and ``fork`` let go of it."""
 
-    def __init__(self, grid: SiteGrid, hyperparameters: Hyperparameters) -> None:
+    def __init__(self, grid: SiteGrid, hyperparameters: Hyperparameters, *, threads: int = 1) -> None:
+        """The prior: no samples yet. With several threads the cells are shared out among them; results are the same."""
+        if threads < 1:
+            raise InvalidInput(f"expected one thread or more, got {threads}")
         self.grid = grid
+        self._threads = threads
         self._process = GaussianProcess(hyperparameters)
         self._x = grid.x_m
         self._y = grid.y_m
         self._cells = grid.rows * grid.columns
         self._blocks: list[Float32Array] = []
         self._tail_is_shared = False
-        variance = np.full(self._cells, hyperparameters.kernel.prior_variance)
+        variance = np.full(self._cells, hyperparameters.kernel.prior_variance, dtype=np.float64)
         self._trend: Float32Array | None = None
         self._prior_mean: FloatArray | float = hyperparameters.mean_ppb
         if hyperparameters.trend is not None:
@@ -66,10 +76,16 @@ class GridPosterior:
 
     @classmethod
     def build(
-        cls, grid: SiteGrid, hyperparameters: Hyperparameters, xy_m: ArrayLike, values_ppb: ArrayLike
+        cls,
+        grid: SiteGrid,
+        hyperparameters: Hyperparameters,
+        xy_m: ArrayLike,
+        values_ppb: ArrayLike,
+        *,
+        threads: int = 1,
     ) -> GridPosterior:
         """The posterior given observations (n,) [ppb] at places (n, 2) [m], all at once."""
-        posterior = cls(grid, hyperparameters)
+        posterior = cls(grid, hyperparameters, threads=threads)
         posterior._process = posterior._process.condition(xy_m, values_ppb)
         posterior._check_size(len(posterior._process))
         posterior._fill()
@@ -143,17 +159,39 @@ class GridPosterior:
         n = len(self._process)
         self._check_size(n + 1)
         row = self._row_of(n)
-        self._fill_covariance(process.places_m[n:], row[None, :], slice(0, self.grid.rows))
-        tie = process.factor[n, :n].astype(np.float32)
-        for start, block in self._filled(n):
-            row -= tie[start : start + len(block)] @ block
-        row *= np.float32(1.0 / process.factor[n, n])
-        residual = float(process.whitened[n])
-        if residual != 0.0:
-            self._mean += row * np.float32(residual)
-        self._variance -= row * row
+        place = process.places_m[n:]
+        filled = [(process.factor[n, start : start + len(block)], block) for start, block in self._filled(n)]
+        ties = [(tie.astype(np.float32), block) for tie, block in filled]
+        inverse_pivot = np.float32(1.0 / process.factor[n, n])
+        residual = np.float32(process.whitened[n])
+
+        def extend(rows: slice) -> None:
+            cells = self._cells_of(rows)
+            part = row[cells]
+            self._fill_covariance(place, part[None, :], rows)
+            for tie, block in ties:
+                part -= tie @ block[:, cells]
+            part *= inverse_pivot
+            if residual != 0.0:
+                self._mean[cells] += part * residual
+            self._variance[cells] -= part * part
+
+        self._in_bands(extend, _CELLS_TO_APPEND)
         self._process = process
         self._snapshot = None
+
+    def _in_bands(self, work: Callable[[slice], None], cells: int) -> None:
+        """Do the work for every row of the grid, given as slices of about that many cells."""
+        height = max(1, cells // self.grid.columns)
+        bands = [slice(first, min(first + height, self.grid.rows)) for first in range(0, self.grid.rows, height)]
+        if self._threads == 1:
+            for band in bands:
+                work(band)
+        else:
+            list(_pool(self._threads).map(work, bands))
+
+    def _cells_of(self, rows: slice) -> slice:
+        return slice(rows.start * self.grid.columns, rows.stop * self.grid.columns)
 
     def _row_of(self, n: int) -> Float32Array:
         """Row n of V, ready to be written."""
@@ -188,35 +226,39 @@ class GridPosterior:
             r2 = np.add(dy2[:, :, None], dx2[:, None, :])
             kernel.fill(r2, shaped)
         if self._trend is not None:
-            columns = self.grid.columns
             basis = self.hyperparameters.trend_basis(places)
             assert basis is not None
-            out += basis.astype(np.float32) @ self._trend[:, rows.start * columns : rows.stop * columns]
+            out += basis.astype(np.float32) @ self._trend[:, self._cells_of(rows)]
 
     def _fill(self) -> None:
-        """Write all of V by block forward substitution, a band of the grid's rows at a time."""
+        """Write all of V by block forward substitution."""
         process = self._process
         n = len(process)
         self._blocks = [np.empty((ROWS_A_BLOCK, self._cells), dtype=np.float32) for _ in range(0, n, ROWS_A_BLOCK)]
         factor = process.factor.astype(np.float32)
-        columns = self.grid.columns
-        band = max(1, _CELLS_A_CHUNK // columns)
-        for first in range(0, self.grid.rows, band):
-            rows = slice(first, min(first + band, self.grid.rows))
-            cells = slice(rows.start * columns, rows.stop * columns)
+        whitened = process.whitened.astype(np.float32)
+
+        def substitute(rows: slice) -> None:
+            cells = self._cells_of(rows)
             for start, block in self._filled(n):
                 stop = start + len(block)
-                work = np.empty((stop - start, cells.stop - cells.start), dtype=np.float32)
+                work = np.empty((len(block), cells.stop - cells.start), dtype=np.float32)
                 self._fill_covariance(process.places_m[start:stop], work, rows)
                 for before, done in self._filled(start):
                     work -= factor[start:stop, before : before + len(done)] @ done[:, cells]
-                # work.T is Fortran-ordered: X L' = work.T is solved in place, and X.T is the block of V.
-                solved = blas.strsm(
-                    1.0, factor[start:stop, start:stop], work.T, side=1, lower=1, trans_a=1, overwrite_b=1
-                ).T
+                # Transposed, work is in Fortran order, and X L' = work' is solved in place: X' is the block of V.
+                corner = factor[start:stop, start:stop]
+                solved = blas.strsm(1.0, corner, work.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
                 block[:, cells] = solved
-                self._mean[cells] += process.whitened[start:stop].astype(np.float32) @ solved
+                self._mean[cells] += whitened[start:stop] @ solved
                 self._variance[cells] -= np.einsum("ij,ij->j", solved, solved)
+
+        self._in_bands(substitute, _CELLS_TO_BUILD)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="map")
 
 
 def _one_place(xy_m: ArrayLike) -> FloatArray:

@@ -99,7 +99,7 @@ class Hyperparameters:
 
     def prior_variance(self, xy_m: FloatArray) -> FloatArray:
         """Prior variance (n,) at places (n, 2) [m] in standardised units, trend included."""
-        variance = np.full(len(xy_m), self.kernel.prior_variance)
+        variance = np.full(len(xy_m), self.kernel.prior_variance, dtype=np.float64)
         basis = self.trend_basis(xy_m)
         if basis is not None:
             variance += (basis * basis).sum(axis=1)
