@@ -195,6 +195,10 @@ class Scenario(Section):
         document = self.model_dump(mode="json")
         for section, values in sections.items():
             (document if section == "top" else document[section]).update(values)
+        return self.replaced(document)
+
+    def replaced(self, document: dict[str, Any]) -> Scenario:
+        """The scenario that the document describes, which began as this one."""
         return checked_scenario(document, f"scenario '{self.name}' as changed")
 
 

@@ -8,52 +8,22 @@ for event, whether its nodes share a process or run lockstep in many.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future
-from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from he3.errors import He3Error
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire, decode_reply, encode
 from services.host import Action, Host, Publish, PutQuestion, Reply, ReplyError, Trace
-from services.node import SECOND, Compute, Finish, Level, MissionTime, Node, Note, Show, Silence, WakeAt, seconds
+from services.node import SECOND, Finish, Level, MissionTime, Node, Note, Show, Silence, seconds
+from services.seat import Executor, InlineExecutor, Kind, Seat
 
 Tap = Callable[[Topic, Side, bytes, MissionTime], None]
 """Called with every message published, on the side where it was, at its time."""
 
 NOBODY = ""
 """The sender of what the outside world injects."""
-
-
-class Executor(Protocol):
-    """Runs pure functions; a process of its own where a result must not depend on what was run before."""
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]: ...
-
-
-class InlineExecutor:
-    """Runs each function at once, here: for functions that draw on no global state."""
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*arguments))
-        except Exception as error:  # noqa: BLE001 - carried to whoever asked, who sees exactly this error
-            future.set_exception(error)
-        return future
-
-
-@dataclass(slots=True)
-class _Seat:
-    """A host and what waits for it."""
-
-    host: Host
-    inbox: list[tuple[tuple[int, str, int], Callable[[MissionTime], list[Action]]]] = field(default_factory=list)
-    timers: dict[str, MissionTime] = field(default_factory=dict)
-    emitted: int = 0
 
 
 class Simulation:
@@ -76,26 +46,25 @@ class Simulation:
         self.messages = 0
         """Messages published so far."""
         self._mission = mission
-        self._executor = executor or InlineExecutor()
-        self._seats = {host.interface.name: _Seat(host) for host in (Host(node, mission, trace) for node in nodes)}
+        executor = executor or InlineExecutor()
+        hosts = [Host(node, mission, trace) for node in nodes]
+        self._seats = {host.interface.name: Seat(host, executor) for host in hosts}
         self._taps: list[Tap] = []
-        self._wake: list[tuple[MissionTime, int, str, str]] = []
-        self._running: list[tuple[MissionTime, int, str, str, Future[Any]]] = []
         self._order = 0
         self._questions: dict[int, tuple[str, str]] = {}
         self._outside: dict[int, list[bytes | str]] = {}
         for seat in self._seats.values():
-            self._put(seat, (0, NOBODY, 0), partial(seat.host.start, 1))
+            seat.put((Kind.MESSAGE, NOBODY, 0), partial(seat.host.start, 1))
 
     # --- driving ------------------------------------------------------------------------------------------------
 
     def step(self) -> bool:
-        """Advance to the next instant at which something happens, and let it all happen; False when nothing is left."""
+        """Advance to the next instant at which something happens and let it all happen; False if nothing is left."""
         instant = self._next_instant()
         if instant is None:
             return False
-        self.now = max(self.now, instant)
-        while self._collect_due():
+        self.now = instant
+        while self._next_instant() == self.now:
             self._round()
         return True
 
@@ -138,8 +107,8 @@ class Simulation:
         self._outside[token] = answers
         self._route_question(topic, payload, token, NOBODY)
         while not answers:
-            if not self._collect_due():
-                raise He3Error(f"{topic.name}: nobody is there to answer")
+            if self._next_instant() != self.now:
+                raise He3Error(f"{topic.name}: no answer")
             self._round()
         return answers[0]
 
@@ -154,72 +123,42 @@ class Simulation:
         return self._order
 
     def _next_instant(self) -> MissionTime | None:
-        if any(seat.inbox for seat in self._seats.values()):
+        """Never before now: what was due earlier is due now."""
+        if any(seat.waiting for seat in self._seats.values()):
             return self.now
-        while self._wake and self._seats[self._wake[0][2]].timers.get(self._wake[0][3]) != self._wake[0][0]:
-            heapq.heappop(self._wake)
-        times = [heap[0][0] for heap in (self._wake, self._running) if heap]
-        return min(times) if times else None
-
-    def _collect_due(self) -> bool:
-        """Move what is due now into the inboxes; False when nobody has anything to handle."""
-        while self._running and self._running[0][0] <= self.now:
-            _, order, name, job, future = heapq.heappop(self._running)
-            error = future.exception()
-            if error is not None and not isinstance(error, Exception):
-                raise error
-            result = None if error is not None else future.result()
-            seat = self._seats[name]
-            self._put(seat, (2, job, order), partial(seat.host.computed, job, result, error))
-        while self._wake and self._wake[0][0] <= self.now:
-            at, order, name, timer = heapq.heappop(self._wake)
-            seat = self._seats[name]
-            if seat.timers.get(timer) == at:
-                del seat.timers[timer]
-                self._put(seat, (3, timer, order), partial(seat.host.due, timer))
-        return any(seat.inbox for seat in self._seats.values())
+        times = [wake for seat in self._seats.values() if (wake := seat.next_wake()) is not None]
+        return max(self.now, min(times)) if times else None
 
     def _round(self) -> None:
-        batches = [(seat, sorted(seat.inbox, key=lambda entry: entry[0])) for seat in self._seats.values()]
-        for seat in self._seats.values():
-            seat.inbox = []
-        for seat, batch in batches:
-            for _, handle in batch:
-                for action in handle(self.now):
-                    self._perform(seat, action)
+        """Every node handles what was there when the round began."""
+        ready = [seat for seat in self._seats.values() if seat.waiting or self._is_due(seat)]
+        for seat, actions in [(seat, seat.run(self.now)) for seat in ready]:
+            for action in actions:
+                self._perform(seat, action)
 
-    def _put(self, seat: _Seat, order: tuple[int, str, int], handle: Callable[[MissionTime], list[Action]]) -> None:
-        seat.inbox.append((order, handle))
+    def _is_due(self, seat: Seat) -> bool:
+        wake = seat.next_wake()
+        return wake is not None and wake <= self.now
 
-    def _perform(self, seat: _Seat, action: Action) -> None:
-        name = seat.host.interface.name
+    def _perform(self, seat: Seat, action: Action) -> None:
         match action:
             case Publish():
                 seat.emitted += 1
-                self._publish(action, name, seat.emitted)
+                self._publish(action, seat.name, seat.emitted)
             case PutQuestion(topic, _, payload, question, _):
                 token = self._next_order()
-                self._questions[token] = (name, question)
-                self._route_question(topic, payload, token, name)
+                self._questions[token] = (seat.name, question)
+                self._route_question(topic, payload, token, seat.name)
             case Reply(token, _, payload):
-                self._answer(seat, token, payload)
+                self._answer(seat.name, token, payload)
             case ReplyError(token, _, why):
-                self._answer(seat, token, why)
-            case WakeAt(timer, None):
-                seat.timers.pop(timer, None)
-            case WakeAt(timer, at) if at is not None:
-                seat.timers[timer] = at
-                heapq.heappush(self._wake, (at, self._next_order(), name, timer))
-            case Compute(job, function, arguments, takes_s):
-                future = self._executor.submit(function, *arguments)
-                ends = self.now + seconds(takes_s)
-                heapq.heappush(self._running, (ends, self._next_order(), name, job, future))
+                self._answer(seat.name, token, why)
             case Show(snapshot):
-                self.snapshots[name] = snapshot
+                self.snapshots[seat.name] = snapshot
             case Note():
-                self.notes.append((self.now, name, action))
+                self.notes.append((self.now, seat.name, action))
             case Finish():
-                self.finished[name] = action
+                self.finished[seat.name] = action
 
     def _publish(self, action: Publish, sender: str, emission: int) -> None:
         self.messages += 1
@@ -227,30 +166,29 @@ class Simulation:
             tap(action.topic, action.side, action.payload, self.now)
         for name, seat in self._seats.items():
             if name != sender and seat.host.hears(action.topic, action.side):
-                self._put(seat, (0, sender, emission), partial(seat.host.deliver, action.topic, action.payload))
+                seat.put((Kind.MESSAGE, sender, emission), partial(seat.host.deliver, action.topic, action.payload))
 
     def _route_question(self, topic: Topic, payload: bytes, token: int, asker: str) -> None:
         for seat in self._seats.values():
             if topic in seat.host.interface.serves:
-                self._put(seat, (1, asker, token), partial(seat.host.ask, topic, payload, token))
+                seat.put((Kind.QUESTION, asker, token), partial(seat.host.ask, topic, payload, token))
                 return
-        self._answer(None, token, Silence.NO_ROUTE)
+        self._answer(NOBODY, token, Silence.NO_ROUTE)
 
-    def _answer(self, answerer: _Seat | None, token: int, answer: bytes | str | Silence) -> None:
+    def _answer(self, answerer: str, token: int, answer: bytes | str | Silence) -> None:
         if token in self._outside:
-            text = answer.value if isinstance(answer, Silence) else answer
-            self._outside.pop(token).append(text)
+            self._outside.pop(token).append(answer.value if isinstance(answer, Silence) else answer)
             return
         name, question = self._questions.pop(token)
         seat = self._seats[name]
-        order = (1, answerer.host.interface.name if answerer else NOBODY, token)
+        order = (Kind.QUESTION, answerer, token)
         match answer:
             case bytes():
-                self._put(seat, order, partial(seat.host.answered, question, answer))
+                seat.put(order, partial(seat.host.answered, question, answer))
             case Silence():
-                self._put(seat, order, partial(seat.host.unanswered, question, answer, ""))
+                seat.put(order, partial(seat.host.unanswered, question, answer, ""))
             case _:
-                self._put(seat, order, partial(seat.host.unanswered, question, Silence.REFUSED, answer))
+                seat.put(order, partial(seat.host.unanswered, question, Silence.REFUSED, answer))
 
 
 def warnings_of(simulation: Simulation) -> list[str]:

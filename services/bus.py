@@ -1,0 +1,278 @@
+"""Zenoh, and nothing else: the only place, beside the link's two routers, where sessions are opened.
+
+Callbacks only hand over; nothing in here waits inside one. A session that loses its router finds it again by itself.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import zenoh
+
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.topics import KEY_ROOT, Side, Topic
+from schemas.wire import Header, Wire, decode, decode_reply, encode
+from services.deployment import deployment
+from services.node import MissionTime, Silence
+
+CLOSE_WITHIN_S = 1.0
+"""Closing a session on a bad link can take 10 s; nobody waits longer than this for it."""
+
+OnPayload = Callable[[bytes, bytes], None]
+"""Called with payload and attachment (empty when there is none)."""
+
+
+def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
+    """The shipped configuration of that side and role (`router` or `client`), with that endpoint."""
+    path = deployment("zenoh", f"{side.value}-{role}.json5")
+    try:
+        config = zenoh.Config.from_file(str(path))
+        config.insert_json5("listen/endpoints" if role == "router" else "connect/endpoints", json.dumps([endpoint]))
+    except zenoh.ZError as error:
+        raise InvalidInput(
+            f"{path}: expected a Zenoh configuration and an endpoint, got: {_first_line(error)}"
+        ) from None
+    return config
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A query that came in; answer it exactly once, from any thread."""
+
+    query: zenoh.Query
+
+    @property
+    def payload(self) -> bytes | None:
+        payload = self.query.payload
+        return None if payload is None else payload.to_bytes()
+
+    @property
+    def attachment(self) -> bytes:
+        return _attachment(self.query)
+
+    @property
+    def parameters(self) -> dict[str, str]:
+        """What stood behind the '?' of the selector."""
+        parameters: Any = self.query.parameters
+        return dict(parameters)
+
+    def reply(self, payload: bytes, attachment: bytes | None = None, encoding: zenoh.Encoding | None = None) -> None:
+        encoding = encoding or zenoh.Encoding.APPLICATION_JSON
+        self.query.reply(self.query.key_expr, payload, encoding=encoding, attachment=attachment)
+        self.query.drop()  # type: ignore[no-untyped-call]
+
+    def refuse(self, why: str) -> None:
+        self.query.reply_err(json.dumps({"error": why}).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+        self.query.drop()  # type: ignore[no-untyped-call]
+
+
+class Bus:
+    """A session on one side of a mission."""
+
+    def __init__(self, session: zenoh.Session, mission: str) -> None:
+        self._session = session
+        self._mission = mission
+        self._held: list[Any] = []
+
+    def publish(self, topic: Topic, payload: bytes, attachment: bytes | None = None) -> None:
+        self._session.put(
+            topic.key(self._mission),
+            payload,
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            attachment=attachment,
+        )
+
+    def subscribe(self, topic: Topic, on_payload: OnPayload) -> None:
+        def hand_over(sample: zenoh.Sample) -> None:
+            if _is_put(sample):
+                on_payload(sample.payload.to_bytes(), _attachment(sample))
+
+        self._held.append(self._session.declare_subscriber(topic.key(self._mission), hand_over))
+
+    def serve(self, topic: Topic, on_question: Callable[[Question], None]) -> None:
+        """Answer questions of that topic, whoever asks."""
+        key = topic.key(self._mission)
+        self._held.append(self._session.declare_queryable(key, lambda query: on_question(Question(query))))
+
+    def ask(
+        self,
+        topic: Topic,
+        payload: bytes,
+        timeout_s: float,
+        on_end: Callable[[bytes | Silence, str, bytes], None],
+        attachment: bytes | None = None,
+    ) -> None:
+        """Ask, and call `on_end` exactly once: with the answer, or with why there is none and what was said."""
+        outcome: list[tuple[bytes | Silence, str, bytes]] = []
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if outcome:
+                return
+            if reply.ok is not None:
+                outcome.append((reply.ok.payload.to_bytes(), "", _attachment(reply.ok)))
+                return
+            said = reply.err.payload.to_bytes() if reply.err is not None else b""
+            if said == b"Timeout":
+                outcome.append((Silence.TIMEOUT, f"within {timeout_s:g} s", b""))
+            else:
+                outcome.append((Silence.REFUSED, _error_text(said), b""))
+
+        def on_done() -> None:
+            on_end(*(outcome[0] if outcome else (Silence.NO_ROUTE, "", b"")))
+
+        self._session.get(
+            topic.key(self._mission),
+            handler=zenoh.handlers.Callback(on_reply, on_done),
+            payload=payload,
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            timeout=timeout_s,
+            attachment=attachment,
+        )
+
+    def announce(self, name: str, side: Side) -> None:
+        """Show this process as alive for as long as its session lives."""
+        self._held.append(self._session.liveliness().declare_token(alive_key(self._mission, side, name)))
+
+    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
+        """Call `on_change(name, alive)` for every process that is alive now, appears, or is gone."""
+
+        def hand_over(sample: zenoh.Sample) -> None:
+            name = str(sample.key_expr).rsplit("/", 1)[-1]
+            on_change(name, _is_put(sample))
+
+        key = alive_key(self._mission, side, "*")
+        self._held.append(self._session.liveliness().declare_subscriber(key, hand_over, history=True))
+
+    def close(self) -> None:
+        """End the session; returns within a second even when the transport hangs."""
+        closing = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
+        closing.start()
+        closing.join(CLOSE_WITHIN_S)
+
+    def _close(self) -> None:
+        try:
+            self._session.close()  # type: ignore[no-untyped-call]
+        except zenoh.ZError:
+            return  # it is going away anyway
+
+
+def alive_key(mission: str, side: Side, name: str) -> str:
+    """Key of the liveliness token of a process; the one key that is not a topic, as it carries no message."""
+    return f"{KEY_ROOT}/{mission}/{side.value}/alive/{name}"
+
+
+def open_session(side: Side, role: str, endpoint: str) -> zenoh.Session:
+    """A session, connected (client) or listening (router); raises PeerUnreachable with one line."""
+    config = session_config(side, role, endpoint)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        if role == "router":
+            raise PeerUnreachable(
+                f"cannot listen as the {side.value} router at {endpoint}: {_first_line(error)}"
+            ) from None
+        raise PeerUnreachable(f"no {side.value} router at {endpoint}") from None
+
+
+def open_client(
+    side: Side, endpoint: str, mission: str, stop: threading.Event, on_waiting: Callable[[str], None]
+) -> Bus | None:
+    """A bus on that side, as soon as its router is there; `on_waiting` is told once. None when `stop` was set first."""
+    told = False
+    while not stop.is_set():
+        try:
+            return Bus(open_session(side, "client", endpoint), mission)
+        except PeerUnreachable as error:
+            if not told:
+                on_waiting(f"{error}; still trying")
+                told = True
+            stop.wait(0.3)
+    return None
+
+
+class Client:
+    """An operator's session on Earth: asks, listens, and holds nothing up. Use it in a `with` statement."""
+
+    def __init__(self, endpoint: str, mission: str, name: str = "operator", side: Side = Side.EARTH) -> None:
+        self._mission = mission
+        self._name = name
+        self._bus = Bus(open_session(side, "client", endpoint), mission)
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._bus.close()
+
+    def query(self, topic: Topic, request: Wire, timeout_s: float = 10.0) -> Any:
+        """The body of the answer; raises PeerUnreachable when nobody answers, He3Error with a refusal's text."""
+        payload = encode(self._header(0), request)
+        ended = threading.Event()
+        outcome: list[tuple[bytes | Silence, str]] = []
+
+        def on_end(answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
+            outcome.append((answer, detail))
+            ended.set()
+
+        self._bus.ask(topic, payload, timeout_s, on_end)
+        if not ended.wait(timeout_s + 1.0):
+            raise PeerUnreachable(f"{topic.key(self._mission)}: no answer within {timeout_s:g} s")
+        answer, detail = outcome[0]
+        if isinstance(answer, bytes):
+            return decode_reply(topic, answer, self._mission)[1]
+        if answer is Silence.REFUSED:
+            raise He3Error(detail)
+        raise PeerUnreachable(f"{topic.key(self._mission)}: {answer.value}{' ' + detail if detail else ''}")
+
+    def subscribe(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> None:
+        """Call `on_message(header, body)`, in another thread, with each message that comes and is well formed."""
+
+        def checked(payload: bytes, _attachment: bytes) -> None:
+            try:
+                header, body = decode(topic, payload, self._mission)
+            except ValueError:
+                return  # a stranger's; the services count those, an onlooker passes over them
+            on_message(header, body)
+
+        self._bus.subscribe(topic, checked)
+
+    def subscribe_raw(self, topic: Topic, on_payload: Callable[[bytes], None]) -> None:
+        """Call `on_payload`, in another thread, with the bytes of each message that comes."""
+        self._bus.subscribe(topic, lambda payload, _attachment: on_payload(payload))
+
+    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
+        self._bus.watch_alive(side, on_change)
+
+    def _header(self, now: MissionTime) -> Header:
+        return Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=now)
+
+
+def _is_put(sample: Any) -> bool:
+    return bool(sample.kind == zenoh.SampleKind.PUT)
+
+
+def _attachment(carrier: Any) -> bytes:
+    attachment = carrier.attachment
+    return b"" if attachment is None else bytes(attachment.to_bytes())
+
+
+def _error_text(said: bytes) -> str:
+    try:
+        return str(json.loads(said)["error"])
+    except (ValueError, TypeError, KeyError):
+        return said.decode(errors="replace")[:200]
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0].split(" at /")[0]
