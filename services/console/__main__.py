@@ -1,0 +1,61 @@
+"""The operator's command ``he3``: everything that goes wrong is one line on standard error and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from he3.errors import He3Error, InvalidInput
+from services.console.app import build
+
+FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+TRACEBACK = "HE3_TRACEBACK"
+"""Environment variable that asks for the traceback of an error that should not have happened."""
+
+# typer carries its own copy of click and exports only the leaves of its exception tree.
+_UsageError: Any = typer.BadParameter.__bases__[0]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        result = build()(words, prog_name="he3", standalone_mode=False)
+    except _UsageError as error:
+        return _usage(error)
+    except InvalidInput as error:
+        return _say(str(error), BAD_INPUT)
+    except He3Error as error:
+        return _say(str(error), FAILED)
+    except (KeyboardInterrupt, typer.Abort):
+        return _say("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123 - so that the interpreter's last flush has a place to go
+        return FAILED
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        return _say(f"defect: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)", FAILED)
+    return result if isinstance(result, int) else 0
+
+
+def _usage(error: Any) -> int:
+    message: str = error.format_message()
+    if "\n" in message:  # the help itself, for a command that was given nothing
+        sys.stdout.write(message + "\n")
+        return BAD_INPUT
+    return _say(f"{message} (see he3 --help)", BAD_INPUT)
+
+
+def _say(message: str, code: int) -> int:
+    first, *rest = message.splitlines() or [""]
+    sys.stderr.write(f"he3: {first}{' ...' if rest else ''}\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

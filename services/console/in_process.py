@@ -1,0 +1,48 @@
+"""A whole mission in this process, watched, and its files written."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from he3.errors import He3Error
+from services.console.outputs import Outputs, recording_file, write_outcome
+from services.console.progress import Moment, Progress, moment_of
+from services.console.reporting import Run, gather
+from services.mission import InProcessMission
+
+if TYPE_CHECKING:
+    from schemas.report import MissionReport
+    from services.scenario import Scenario
+
+
+def run_in_process(scenario: Scenario, where: Outputs, progress: Progress) -> tuple[MissionReport, list[Path]]:
+    """The report of the mission, run to its end, and the files written.
+
+    Raises InvalidInput before anything is written, He3Error when the mission fails.
+    """
+    from services.ground.planner_process import PlannerProcess
+    from services.recorder.writer import RecordingWriter
+    from services.regions import load_region
+
+    region = load_region(scenario.region, scenario.field.field_seed)
+    began = time.monotonic()
+    with ExitStack() as stack:
+        stream = stack.enter_context(recording_file(where))
+        sink = None if stream is None else stack.enter_context(RecordingWriter(stream, scenario.name))
+        planners = stack.enter_context(PlannerProcess())
+        mission = InProcessMission(scenario, planners, sink)
+        stack.enter_context(progress)
+        end = mission.run(lambda: progress.show(lambda: _moment(mission)))
+        if mission.status is None or not end.ok:
+            raise He3Error(f"the mission failed: {end.why}")
+        run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
+        outcome = gather(mission.ask, scenario, mission.status, run)
+    return outcome.report, write_outcome(outcome, region, where)
+
+
+def _moment(mission: InProcessMission) -> Moment:
+    in_flight = 0 if mission.link is None else mission.link.up.in_flight + mission.link.down.in_flight
+    return moment_of(mission.status, mission.mission_time_s, in_flight)

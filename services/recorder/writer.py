@@ -1,0 +1,75 @@
+"""An MCAP recording: every message under the JSON Schema of its topic, readable even after the process was killed.
+
+Messages gather in a chunk, and a chunk is written when it is large enough or when `flush` is called; a file that ends
+in the middle of a chunk holds every chunk before it.
+"""
+
+from __future__ import annotations
+
+import json
+from types import TracebackType
+from typing import IO, Self
+
+from mcap.writer import CompressionType, Writer
+
+from schemas.topics import Topic
+from schemas.wire import SCHEMA_VERSION, Envelope
+from services.node import MissionTime
+
+CHUNK_BYTES = 65_536
+"""Uncompressed size at which a chunk is written: what a kill can cost at most when nobody flushes."""
+
+PROFILE = "he3-seeker"
+
+
+class RecordingWriter:
+    """Writes a recording into a stream that it is given, and does not close it."""
+
+    def __init__(self, stream: IO[bytes], mission: str) -> None:
+        self._stream = stream
+        self._mission = mission
+        self._channels: dict[str, int] = {}
+        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile=PROFILE, library=PROFILE)
+        self._writer.add_metadata("mission", {"mission": mission, "schema_version": str(SCHEMA_VERSION)})
+        self._stream.flush()
+        self.messages = 0
+        """Messages written so far."""
+
+    def write(
+        self, topic: Topic, payload: bytes, received_at: MissionTime, made_at: MissionTime, sequence: int
+    ) -> None:
+        """Append one message: when it reached the recorder and when it was made, both in mission time [ns]."""
+        channel = self._channels.get(topic.name)
+        if channel is None:
+            channel = self._channels[topic.name] = self._register(topic)
+        self._writer.add_message(
+            channel, log_time=received_at, data=payload, publish_time=made_at, sequence=sequence & 0xFFFFFFFF
+        )
+        self.messages += 1
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system: from here on a kill costs none of it."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Finish the file with its index and summary."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _register(self, topic: Topic) -> int:
+        schema = Envelope[topic.payload].model_json_schema()  # type: ignore[name-defined]
+        schema_id = self._writer.register_schema(
+            name=topic.payload.__name__, encoding="jsonschema", data=json.dumps(schema).encode()
+        )
+        return self._writer.register_channel(
+            topic=topic.key(self._mission), message_encoding="json", schema_id=schema_id, metadata={"topic": topic.name}
+        )
