@@ -212,3 +212,9 @@ class Acknowledgement(Wire):
     """One more than the highest sequence received."""
     gaps: Annotated[tuple[tuple[Count, Count], ...], Field(max_length=64)] = ()
     """First and last sequence of each run that is missing below `next_sequence`."""
+
+
+class ClockChange(Wire):
+    """Let mission time run at another rate from now on; 0 stops it."""
+
+    rate: Annotated[float, Field(ge=0, le=100_000)]

@@ -7,7 +7,7 @@ from enum import Enum, StrEnum
 
 from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, MissionTrack, Presence
-from schemas.link import Acknowledgement, ClockState, Direction, LinkChange, LinkStatus
+from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
 from schemas.maps import MapLayerQuery, MapPoint, MapPointQuery, MapRaster, MapScore
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.plans import MissionPlan
@@ -100,6 +100,7 @@ MOON_PRESENCE = Topic("moon/presence", Presence)
 
 EARTH_CLOCK = Topic("earth/clock", ClockState, recorded=True)
 EARTH_PRESENCE = Topic("earth/presence", Presence)
+CLOCK_SET = Topic("earth/clock/set", ClockChange, service=Query(), reply=ClockState)
 LINK_STATUS = Topic("earth/link/status", LinkStatus, recorded=True, max_bytes=262_144)
 LINK_SET = Topic("earth/link/set", LinkChange, service=Query(), reply=LinkStatus)
 GROUND_STATUS = Topic("earth/ground/status", GroundStatus, recorded=True, max_bytes=65_536)
@@ -128,6 +129,7 @@ TOPICS: tuple[Topic, ...] = (
     MOON_PRESENCE,
     EARTH_CLOCK,
     EARTH_PRESENCE,
+    CLOCK_SET,
     LINK_STATUS,
     LINK_SET,
     GROUND_STATUS,

@@ -67,7 +67,7 @@ class Question:
         self.query.drop()  # type: ignore[no-untyped-call]
 
     def refuse(self, why: str) -> None:
-        self.query.reply_err(json.dumps({"error": why}).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+        self.query.reply_err(error_body(why), encoding=zenoh.Encoding.APPLICATION_JSON)
         self.query.drop()  # type: ignore[no-untyped-call]
 
 
@@ -256,6 +256,11 @@ class Client:
 
     def _header(self, now: MissionTime) -> Header:
         return Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=now)
+
+
+def error_body(why: str) -> bytes:
+    """How a refusal looks on the wire."""
+    return json.dumps({"error": why}).encode()
 
 
 def _is_put(sample: Any) -> bool:

@@ -1,0 +1,16 @@
+"""The field service: ``python -m services.field SCENARIO``."""
+
+import sys
+
+from services.field.node import build_node
+from services.node import Node
+from services.options import Options
+from services.run import Service, run_service
+
+
+def build(options: Options) -> Node:
+    return build_node(options.scenario)
+
+
+if __name__ == "__main__":
+    sys.exit(run_service(Service("field", build)))

@@ -1,0 +1,17 @@
+"""The link service: ``python -m services.link SCENARIO``. It embeds both routers and keeps mission time."""
+
+import sys
+
+from services.link.node import build_node
+from services.link.process import LinkProcess
+from services.node import Node
+from services.options import Options
+from services.run import Service, run_service
+
+
+def build(options: Options) -> Node:
+    return build_node(options.scenario)
+
+
+if __name__ == "__main__":
+    sys.exit(run_service(Service("link", build), process=LinkProcess))

@@ -1,0 +1,127 @@
+"""The link's process: both routers, and the time keeper of the mission.
+
+Mission time is decided here, since the link alone is seen from both sides: it starts when those have come who were
+asked to be waited for, and runs at the rate that an operator sets.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from pathlib import Path
+
+from he3.errors import He3Error
+from schemas.link import ClockState
+from schemas.topics import CLOCK_SET, Side
+from schemas.wire import Header, Refused, decode, encode
+from services.bus import Bus, Question, open_session
+from services.clock import at_rate, started
+from services.options import Options
+from services.questions import request_of
+from services.run import CLOCKS, Process, Service, Stop
+
+CLOCK_FILE = "clock.json"
+
+
+class LinkProcess(Process):
+    """A process that owns the two routers and the clock."""
+
+    def __init__(self, service: Service, options: Options, stop: Stop) -> None:
+        super().__init__(service, options, stop)
+        self._missing = set(options.wait_for)
+        self._clock_sequence = 0
+
+    def open(self, side: Side, endpoint: str) -> Bus | None:
+        """The router of that side."""
+        return Bus(open_session(side, "router", endpoint), self.mission)
+
+    def learn_time(self) -> bool:
+        """Start the clock, or go on with the one that an earlier start of this process left."""
+        scenario = self.options.scenario
+        remembered = self._remembered()
+        if remembered is not None:
+            self.clock = remembered
+            self._missing.clear()
+        else:
+            rate = 0.0 if self._missing else scenario.rate
+            self.clock = started(scenario.start_ns, rate, time.time_ns())
+        for side, bus in self.buses.items():
+            bus.serve(CLOCKS[side], partial(self._tell_time, side))
+            if self._missing:
+                bus.watch_alive(side, lambda name, alive: self.later(partial(self._seen, name, alive)))
+        self.buses[Side.EARTH].serve(CLOCK_SET, lambda question: self.later(partial(self._set_rate, question)))
+        self._announce_time()
+        if self._missing:
+            self.log.info("mission time waits", for_=", ".join(sorted(self._missing)))
+        return True
+
+    def _seen(self, name: str, alive: bool) -> None:
+        if alive and name in self._missing:
+            self._missing.discard(name)
+            if not self._missing:
+                self._change_rate(self.options.scenario.rate)
+                self.log.info("mission time runs", rate=self.options.scenario.rate)
+
+    def _set_rate(self, question: Question) -> None:
+        payload = question.payload
+        try:
+            if payload is None:
+                change = request_of(CLOCK_SET, question.parameters)
+            else:
+                _, change = decode(CLOCK_SET, payload, self.mission)
+        except (He3Error, Refused) as error:
+            question.refuse(str(error))
+            return
+        self._missing.clear()
+        self._change_rate(change.rate)
+        question.reply(self._time_message())
+
+    def _change_rate(self, rate: float) -> None:
+        assert self.clock is not None, "the link's clock exists before anybody can change it"
+        self.clock = at_rate(self.clock, rate, time.time_ns())
+        self._announce_time()
+
+    def _announce_time(self) -> None:
+        self._remember()
+        for side, bus in self.buses.items():
+            bus.publish(CLOCKS[side], self._time_message())
+
+    def _tell_time(self, _side: Side, question: Question) -> None:
+        question.reply(self._time_message())
+
+    def _time_message(self) -> bytes:
+        clock = self.clock
+        assert clock is not None, "the link's clock exists before anybody can ask"
+        self._clock_sequence += 1
+        header = Header(
+            mission=self.mission,
+            source=self.name,
+            incarnation=0,
+            sequence=self._clock_sequence,
+            made_at=clock.anchor_mission_ns,
+        )
+        return encode(header, clock)
+
+    # --- what survives a restart --------------------------------------------------------------------------------
+
+    def _clock_path(self) -> Path | None:
+        return None if self.options.journal is None else self.options.journal / CLOCK_FILE
+
+    def _remembered(self) -> ClockState | None:
+        path = self._clock_path()
+        if path is None or not path.exists():
+            return None
+        try:
+            return ClockState.model_validate_json(path.read_bytes())
+        except ValueError:
+            self.log.warning(f"{path}: expected a clock, got something else; starting mission time anew")
+            return None
+
+    def _remember(self) -> None:
+        path = self._clock_path()
+        if path is None or self.clock is None:
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch = path.with_suffix(".new")
+        scratch.write_text(self.clock.model_dump_json())
+        scratch.replace(path)

@@ -1,0 +1,16 @@
+"""The rover service: ``python -m services.rover SCENARIO``."""
+
+import sys
+
+from services.node import Node
+from services.options import Options
+from services.rover.node import build_node
+from services.run import Service, run_service
+
+
+def build(options: Options) -> Node:
+    return build_node(options.scenario)
+
+
+if __name__ == "__main__":
+    sys.exit(run_service(Service("rover", build)))

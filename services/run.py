@@ -1,0 +1,314 @@
+"""One node in a process of its own, over Zenoh, on the wall clock: at rate 1 or faster.
+
+The main loop is the only thread that touches the node. Zenoh's callbacks put what came into a queue; operators'
+questions about the map are answered by other threads from the latest snapshot, and never wait for the node.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+from he3.errors import He3Error
+from schemas.link import ClockState
+from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
+from schemas.wire import Refused, Wire, decode
+from services.bus import Bus, Question, open_client
+from services.clock import mission_time, wall_time
+from services.host import Action, Host, Publish, PutQuestion, Reply, ReplyError
+from services.log import Log
+from services.node import Finish, MissionTime, Node, Note, Show, Silence
+from services.options import Options, parse_options
+from services.presence import Heartbeat
+from services.questions import SnapshotServer, SnapshotService, request_of
+from services.seat import Executor, InlineExecutor, Kind, Seat
+from services.trace import EventLog
+
+CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
+IDLE_S = 0.5
+"""The longest that the loop sleeps: it looks at the parent and the clock at least as often."""
+
+
+class OwnedExecutor(Executor, Protocol):
+    """An executor with a process of its own to end."""
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """What distinguishes one service's process from another's."""
+
+    name: str
+    build: Callable[[Options], Node]
+    executor: Callable[[], OwnedExecutor] | None = None
+    answers: SnapshotService | None = None
+    """Which questions are answered from snapshots, and how."""
+
+
+class Stop:
+    """Set once, by a signal; wakes the loop."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+
+    def __call__(self, *_: Any) -> None:
+        self.event.set()
+        self.inbox.put(lambda: None)
+
+
+def run_service(service: Service, arguments: Sequence[str] | None = None, process: type[Process] | None = None) -> int:
+    """Run the service until it is told to stop; the process's exit code. One line on standard error if it cannot."""
+    stop = Stop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    # A thread that computes hands over after 0.5 ms, so that a question waits no longer for it than for the network.
+    sys.setswitchinterval(0.0005)
+    try:
+        options = parse_options(service.name, sys.argv[1:] if arguments is None else arguments)
+        return (process or Process)(service, options, stop).run()
+    except He3Error as error:
+        sys.stderr.write(f"he3 {service.name}: {error}\n")
+        return 2
+
+
+class Process:
+    """A service's process: its sessions, its queue, its clock, its node."""
+
+    def __init__(self, service: Service, options: Options, stop: Stop) -> None:
+        self._service = service
+        self.options = options
+        self.stop = stop
+        self.name = service.name
+        self.mission = options.scenario.name
+        self.clock: ClockState | None = None
+        self._last: MissionTime = 0
+        self.buses: dict[Side, Bus] = {}
+        self._tokens: dict[int, Question] = {}
+        self._counter = 0
+        self._snapshot: object | None = None
+        self._answers: SnapshotServer | None = None
+        if service.answers is not None:
+            self._answers = SnapshotServer(
+                service.answers, service.name, self.mission, lambda: self._snapshot, self._now_or_none
+            )
+        self.log = Log(service.name, self._now_or_none, options.level, options.log_json)
+
+    # --- life ---------------------------------------------------------------------------------------------------
+
+    def run(self) -> int:
+        executor: OwnedExecutor | InlineExecutor | None = None
+        try:
+            executor = self._service.executor() if self._service.executor else InlineExecutor()
+            node = self._service.build(self.options)
+            self._events = EventLog(self.options.events) if self.options.events else None
+            host = Host(node, self.mission, self._events)
+            self._seat = Seat(host, _Waking(executor, self.stop.inbox))
+            if not self._connect(host):
+                return 0
+            self._heartbeat = Heartbeat(host, self._publish_quietly)
+            self._loop()
+            return 0
+        finally:
+            for bus in self.buses.values():
+                bus.close()
+            if executor is not None and not isinstance(executor, InlineExecutor):
+                executor.close()
+
+    def _connect(self, host: Host) -> bool:
+        """Join both networks the node stands on, and learn the time; False when told to stop first."""
+        endpoints = {Side.MOON: self.options.scenario.network.moon, Side.EARTH: self.options.scenario.network.earth}
+        interface = host.interface
+        for side in interface.sides:
+            bus = self.open(side, endpoints[side])
+            if bus is None:
+                return False
+            self.buses[side] = bus
+            self._listen(host, side, bus)
+        if not self.learn_time():
+            return False
+        for side, bus in self.buses.items():
+            bus.announce(interface.name, side)
+        self.log.info("ready", sides="+".join(side.value for side in interface.sides), pid=os.getpid())
+        return True
+
+    def _listen(self, host: Host, side: Side, bus: Bus) -> None:
+        interface = host.interface
+        for topic in (*interface.subscribes, *interface.overhears):
+            if host.hears(topic, side):
+                bus.subscribe(topic, partial(self._came, topic))
+        for topic in interface.serves:
+            if side in topic.sides:
+                if self._answers is not None and self._service.answers and topic in self._service.answers.topics:
+                    self._answers.serve(topic, bus)
+                else:
+                    bus.serve(topic, partial(self._asked, topic))
+
+    def open(self, side: Side, endpoint: str) -> Bus | None:
+        """A bus on that side, as soon as its router is there; None when told to stop first."""
+        return open_client(side, endpoint, self.mission, self.stop.event, self.log.warning)
+
+    def learn_time(self) -> bool:
+        """Ask the time keeper until it answers; a subscription brings every later change. False when told to stop."""
+        side, bus = next(iter(self.buses.items()))
+        topic = CLOCKS[side]
+        bus.subscribe(topic, lambda payload, _attachment: self.later(partial(self._set_clock, side, payload)))
+        told = False
+        while self.clock is None and not self.stop.event.is_set():
+            bus.ask(topic, b"", 2.0, lambda answer, *_: self.later(partial(self._set_clock, side, answer)))
+            try:
+                self.stop.inbox.get(timeout=IDLE_S)()
+            except queue.Empty:
+                if not told:
+                    self.log.warning(f"no time keeper answers on {topic.key(self.mission)}; still trying")
+                    told = True
+        return not self.stop.event.is_set()
+
+    # --- the loop -----------------------------------------------------------------------------------------------
+
+    def _loop(self) -> None:
+        now = self._now()
+        self._seat.put((Kind.MESSAGE, "", 0), partial(self._seat.host.start, 1))
+        self._run_seat(now)
+        while not self.stop.event.is_set():
+            self._run_due()
+            with contextlib.suppress(queue.Empty):
+                self.stop.inbox.get(timeout=self._patience_s())()
+            self._drain()
+            self._heartbeat.beat(time.monotonic(), self._last)
+
+    def _drain(self) -> None:
+        """Take in everything that waits, timers first: what is due is handled at the time it was due."""
+        while not self.stop.event.is_set():
+            if self._seat.waiting:
+                self._run_seat(self._now())
+            try:
+                take_in = self.stop.inbox.get_nowait()
+            except queue.Empty:
+                return
+            self._run_due()
+            take_in()
+
+    def _run_due(self) -> None:
+        while not self.stop.event.is_set():
+            wake = self._seat.next_wake(wait=False)
+            if wake is None or wake > self._now():
+                return
+            self._run_seat(max(wake, self._last))
+
+    def _run_seat(self, now: MissionTime) -> None:
+        self._last = max(self._last, now)
+        for action in self._seat.run(self._last, wait=False):
+            self._perform(action)
+
+    def _patience_s(self) -> float:
+        wake = self._seat.next_wake(wait=False)
+        if wake is None or self.clock is None:
+            return IDLE_S
+        at = wall_time(self.clock, wake)
+        return IDLE_S if at is None else min(IDLE_S, max(0.0, (at - time.time_ns()) / 1e9))
+
+    def _perform(self, action: Action) -> None:
+        match action:
+            case Publish(topic, side, payload):
+                self.buses[side].publish(topic, payload)
+            case PutQuestion(topic, side, payload, question, timeout_s):
+                on_end = partial(self._answer_came, question)
+                self.buses[side].ask(topic, payload, timeout_s, on_end)
+            case Reply(token, _, payload):
+                self._tokens.pop(token).reply(payload)
+            case ReplyError(token, _, why):
+                self._tokens.pop(token).refuse(why)
+            case Show(snapshot):
+                self._snapshot = snapshot
+            case Note():
+                self.log.write(action, self._last)
+            case Finish(ok, why):
+                self.log.info(f"finished: {why}", ok=ok)
+
+    # --- what comes in, in other threads ------------------------------------------------------------------------
+
+    def later(self, take_in: Callable[[], None]) -> None:
+        self.stop.inbox.put(take_in)
+
+    def _came(self, topic: Topic, payload: bytes, _attachment: bytes) -> None:
+        self.later(partial(self._put, Kind.MESSAGE, partial(self._seat.host.deliver, topic, payload)))
+
+    def _asked(self, topic: Topic, question: Question) -> None:
+        self.later(partial(self._take_question, topic, question))
+
+    def _answer_came(self, question: str, answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
+        host = self._seat.host
+        if isinstance(answer, bytes):
+            self.later(partial(self._put, Kind.QUESTION, partial(host.answered, question, answer)))
+        else:
+            self.later(partial(self._put, Kind.QUESTION, partial(host.unanswered, question, answer, detail)))
+
+    # --- taking it in, in the loop ------------------------------------------------------------------------------
+
+    def _put(self, kind: Kind, handle: Callable[[MissionTime], list[Action]]) -> None:
+        self._counter += 1
+        self._seat.put((kind, "", self._counter), handle)
+
+    def _take_question(self, topic: Topic, question: Question) -> None:
+        self._counter += 1
+        token = self._counter
+        self._tokens[token] = question
+        payload = question.payload
+        host = self._seat.host
+        if payload is not None:
+            self._put(Kind.QUESTION, partial(host.ask, topic, payload, token))
+            return
+        try:
+            request: Wire = request_of(topic, question.parameters)
+        except He3Error as error:
+            self._tokens.pop(token).refuse(str(error))
+            return
+        self._put(Kind.QUESTION, partial(host.ask_checked, topic, request, token))
+
+    def _set_clock(self, side: Side, payload: bytes | Silence) -> None:
+        if isinstance(payload, Silence):
+            return
+        try:
+            _, state = decode(CLOCKS[side], payload, self.mission)
+        except Refused as refusal:
+            self.log.warning(f"refused: {refusal}")
+            return
+        self.clock = state
+
+    # --- time ---------------------------------------------------------------------------------------------------
+
+    def _now(self) -> MissionTime:
+        """Mission time; it never runs backwards."""
+        assert self.clock is not None, "the loop runs only when the time is known"
+        return max(self._last, mission_time(self.clock, time.time_ns()))
+
+    def _now_or_none(self) -> MissionTime | None:
+        return None if self.clock is None else self._now()
+
+    def _publish_quietly(self, topic: Topic, side: Side, payload: bytes) -> None:
+        self.buses[side].publish(topic, payload)
+
+
+class _Waking:
+    """An executor that wakes the loop when a computation ends."""
+
+    def __init__(self, executor: Executor, inbox: queue.SimpleQueue[Callable[[], None]]) -> None:
+        self._executor = executor
+        self._inbox = inbox
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        future = self._executor.submit(function, *arguments)
+        future.add_done_callback(lambda _: self._inbox.put(lambda: None))
+        return future
