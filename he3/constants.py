@@ -4,6 +4,7 @@ Sources:
   BIPM       the SI Brochure, 9th edition, exact by definition
   IAU        IAU Working Group on Cartographic Coordinates and Rotational Elements (IAU_2015:30100, the lunar sphere)
   ALMANAC    the Moon's distance over a lunation, centre to centre, as in the astronomical almanacs
+  PRODUCTS   the labels of the Kaguya MI mineral maps and of SLDEM2015, which share a grid
   FA-JIN     Fa and Jin, regression of helium-3 on TiO2, solar wind and maturity, as the paper uses it
   PAPER      the publication whose system this project rebuilds
   ASSUMED    a working figure that nobody has verified
@@ -22,7 +23,7 @@ MOON_DISTANCE_MIN_M: Final = 356_410e3  # m, nearest perigee, centre to centre, 
 MOON_DISTANCE_MEAN_M: Final = 384_400e3  # m, mean, centre to centre, ALMANAC
 MOON_DISTANCE_MAX_M: Final = 406_697e3  # m, farthest apogee, centre to centre, ALMANAC
 
-ORBITAL_PIXELS_PER_DEGREE: Final = 512  # 1/deg, the grid of Kaguya MI mineral maps and SLDEM2015 (about 59 m)
+ORBITAL_PIXELS_PER_DEGREE: Final = 512  # 1/deg, grid of the orbital maps, about 59 m a pixel, PRODUCTS
 SITE_CELLS: Final = 500  # cells on a side of a finished region, PAPER
 SITE_RESOLUTION_M: Final = 1.0  # m, cell of a finished region, PAPER
 
