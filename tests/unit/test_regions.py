@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import subprocess
 import sys
 import zipfile
@@ -114,9 +115,12 @@ def test_rasters_on_disk_are_north_up_and_flipped_once() -> None:
 
 def test_the_committed_script_makes_the_committed_rasters(tmp_path: Path) -> None:
     """Numbers to the precision of float32: transforms differ in their last bits from machine to machine."""
-    root = str(SCRIPT.parent.parent)
     subprocess.run(
-        [sys.executable, str(SCRIPT), "--out", str(tmp_path)], check=True, capture_output=True, timeout=60, cwd=root
+        [sys.executable, str(SCRIPT), "--out", str(tmp_path)],
+        check=True,
+        capture_output=True,
+        timeout=60,
+        env={**os.environ, "PYTHONPATH": str(SCRIPT.parent.parent)},
     )
     for name in EMBEDDED.values():
         made = np.load(tmp_path / name)
