@@ -1,0 +1,101 @@
+"""Telecommands on the ground: what was asked, whether it may go up, and every stage that it is known to have passed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+from schemas.commands import CommandReport, CommandStage, CommandStatus, Telecommand
+from services.node import SECOND, MissionTime
+
+MOST_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
+MOST_LISTED = 300  # commands in a list, the newest; with the largest polygons it stays under the size of a reply
+LOST_AFTER_S = (
+    60.0  # beyond its expiry and the way there and back, before silence about a command means that it is lost
+)
+
+_ORDER = {stage: number for number, stage in enumerate(CommandStage)}
+ENDS = frozenset(
+    {CommandStage.REJECTED, CommandStage.COMPLETED, CommandStage.FAILED, CommandStage.EXPIRED, CommandStage.LOST}
+)
+"""Stages after which nothing more comes, except that word of a command given up for lost may still come."""
+
+
+@dataclass(slots=True)
+class CommandBook:
+    """All telecommands of the mission, in the order in which they were issued."""
+
+    grid: SiteGrid
+    round_trip_s: float = 0.0
+    """Light time there and back as the scenario says [s]."""
+    _book: dict[str, CommandStatus] = field(default_factory=dict)
+
+    def issue(self, command: Telecommand, now: MissionTime) -> tuple[CommandStatus, bool]:
+        """The command's status, and whether it is new and must go up; the same command again changes nothing.
+
+        Raises InvalidInput, in one line and without a change, for a command that could not be carried out.
+        """
+        known = self._book.get(command.command_id)
+        if known is not None:
+            if known.command != command:
+                raise InvalidInput(f"command {command.command_id}: expected a new id, got that of another command")
+            return known, False
+        if command.expires_at is not None and command.expires_at <= now:
+            late = (now - command.expires_at) / SECOND
+            raise InvalidInput(f"command {command.command_id}: expected an expiry ahead, got one {late:g} s ago")
+        places = [command.target_m] if command.target_m is not None else list(command.polygon_m or ())
+        if command.target_m is not None and not self.grid.contains(np.array(places))[0]:
+            raise InvalidInput(
+                f"command {command.command_id}: expected a target within 0..{self.grid.width_m:g} m east and "
+                f"0..{self.grid.height_m:g} m north, got ({places[0][0]:g}, {places[0][1]:g})"
+            )
+        under_way = sum(not is_over(status) for status in self._book.values())
+        if under_way >= MOST_UNDER_WAY:
+            raise InvalidInput(f"expected at most {MOST_UNDER_WAY} commands under way, got one more")
+        stages = tuple(
+            CommandReport(command_id=command.command_id, stage=stage, at=now)
+            for stage in (CommandStage.QUEUED, CommandStage.RELEASED)
+        )
+        status = CommandStatus(command=command, stages=stages)
+        self._book[command.command_id] = status
+        return status, True
+
+    def report(self, report: CommandReport) -> CommandStatus | None:
+        """The command's status after a report on it; None if nothing is new or the command is not known here."""
+        known = self._book.get(report.command_id)
+        if known is None or any(passed.stage is report.stage for passed in known.stages):
+            return None
+        stages = tuple(sorted((*known.stages, report), key=lambda passed: (passed.at, _ORDER[passed.stage])))
+        status = CommandStatus(command=known.command, stages=stages)
+        self._book[report.command_id] = status
+        return status
+
+    def overdue_at(self, command: Telecommand) -> MissionTime | None:
+        """When silence about the command means that it was lost; None if it does not expire."""
+        if command.expires_at is None:
+            return None
+        return command.expires_at + round((self.round_trip_s + LOST_AFTER_S) * SECOND)
+
+    def give_up(self, command_id: str, now: MissionTime) -> CommandStatus | None:
+        """The status of a command whose time has passed without a word from the rover; None if there was one."""
+        known = self._book.get(command_id)
+        if known is None or any(_ORDER[passed.stage] >= _ORDER[CommandStage.RECEIVED] for passed in known.stages):
+            return None
+        why = "its time has passed without word from the rover"
+        return self.report(CommandReport(command_id=command_id, stage=CommandStage.LOST, at=now, why=why))
+
+    def find(self, command_id: str) -> CommandStatus | None:
+        """The status of that command; None for one that was not issued here."""
+        return self._book.get(command_id)
+
+    def listed(self) -> tuple[CommandStatus, ...]:
+        """The newest commands with their stages, in the order in which they were issued."""
+        return tuple(self._book.values())[-MOST_LISTED:]
+
+
+def is_over(status: CommandStatus) -> bool:
+    """Whether the command has ended."""
+    return any(passed.stage in ENDS for passed in status.stages)

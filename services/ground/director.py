@@ -1,0 +1,476 @@
+"""What the rover is to do next: rounds, budget, pipeline depth, and what becomes of plans that the Moon refutes.
+
+With pipeline = h, 1 + h rounds are planned that are not over: one being executed and h on board behind it. A round is
+planned from where the rover will be when it begins, with the places of the measurements that are still under way
+counted in, which the plan says. With h = 0 the rover waits for each round until the samples of the last are in the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import hypot, isfinite
+from typing import Any
+
+import numpy as np
+
+from he3.errors import He3Error, InvalidInput, NoRoute
+from he3.frames import FloatArray, SiteGrid, as_points
+from he3.gp import Hyperparameters
+from he3.gridposterior import GridPosterior
+from schemas.plans import MissionPlan, PlannedSample, RoundPlan
+from schemas.telemetry import EventKind, RoverEvent, SampleReport
+from schemas.topics import PLAN
+from services.ground.allowance import Budget, Committed
+from services.ground.belief import Belief, Observation, fit
+from services.ground.ledger import Ledger, RoundRecord
+from services.ground.planners import planner_named
+from services.ground.planning import PlannedRound, Planner, PlannerOptions, PlanningRequest
+from services.ground.terrain import GroundTerrain, interest_weights
+from services.node import Compute, Effect, Finish, Level, MissionTime, Note, Send
+from services.scenario import Scenario
+
+Place = tuple[float, float]
+
+MOST_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
+MOST_ROUNDS_TIMES, MOST_ROUNDS_MORE = 2, 10  # rounds in all, those included that make up for what was missed
+MOST_REJECTIONS = 10  # plans in a row that the rover may reject
+OBSTACLE_MARGIN_M = 1.5  # radius of what is closed around an obstacle that was met: it is seen from one side only
+START_TOLERANCE_M = 0.5  # how far from where it was asked to begin a planned round may begin
+_FIT, _PLAN = 1, 2  # what a seed is for
+
+
+def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) -> PlannedRound:
+    """The planner's answer, with the last `pending` of the observed places counted in first.
+
+    Pure and picklable, made to run elsewhere. The posterior variance does not depend on values, so places whose values
+    are not known yet lower it all the same.
+    """
+    if pending:
+        values = np.zeros(len(request.observed_m))
+        ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values)
+        request = replace(request, std_ppb=ahead.std_ppb)
+    function = planner_named(planner) if isinstance(planner, str) else planner
+    return function(request)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanInWork:
+    """A round that is being planned."""
+
+    job: str
+    number: int
+    start_m: Place
+    samples: int
+    samples_left: int
+    attempt: int
+    known: int
+    pending: tuple[str, ...]
+
+
+class Director:
+    """The mission's state machine. It owns belief, terrain and ledger, and changes them on events alone."""
+
+    def __init__(
+        self, scenario: Scenario, grid: SiteGrid, belief: Belief, terrain: GroundTerrain, budget: Budget,
+        planner: str | Planner | None = None,
+    ) -> None:  # fmt: skip
+        self.scenario = scenario
+        self.grid = grid
+        self.belief = belief
+        self.terrain = terrain
+        self.ledger = Ledger()
+        self.revision = 0
+        """Of the last plan sent."""
+        self.in_work: PlanInWork | None = None
+        self.fitted = 0
+        """Rounds that the hyperparameters have seen."""
+        self.fitting: str | None = None
+        self.driven_m = 0.0
+        """Odometer of the rover, as last heard [m]."""
+        self.place_m: Place = scenario.start_m
+        """Where the rover was last heard of."""
+        self.ended: Finish | None = None
+        self.detail = ""
+        """What an operator should know of how it goes."""
+        self._budget = budget
+        self._planner = planner if planner is not None else scenario.ground.planner
+        self._interest = interest_weights(
+            grid, [(region.polygon_m, region.weight) for region in scenario.ground.interest]
+        )
+        self._origin: Place | None = scenario.start_m
+        self._plans_asked = 0
+        self._attempt = 0
+        self._rejections = 0
+        self._last_sent = False
+        self._rover_done = False
+        self._exhausted = ""
+        self._failed = False
+        self._heard_at: MissionTime = -1
+        self._on_the_move: set[str] = set()
+
+    # --- what the mission is made of --------------------------------------------------------------------------------
+
+    @property
+    def samples_wanted(self) -> int:
+        """Samples of the mission that are neither measured nor planned."""
+        return max(0, self.scenario.samples - len(self.belief) - len(self.ledger.pending))
+
+    # --- events -----------------------------------------------------------------------------------------------------
+
+    def begin(self, now: MissionTime) -> list[Effect]:
+        """The mission begins."""
+        return self._advance(now)
+
+    def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> None:
+        """The rover was at that place at that time."""
+        self.driven_m = max(self.driven_m, driven_m)
+        if made_at < self._heard_at:
+            return
+        self._heard_at = made_at
+        self.place_m = place_m
+        executing = next((record for record in reversed(self.ledger.chain) if record.begun), None)
+        if executing is not None and not executing.ended:
+            executing.note_place(place_m)
+
+    def sample(self, report: SampleReport, now: MissionTime) -> list[Effect]:
+        """A measurement has arrived; one that is there already, or was never asked for, changes nothing."""
+        if report.sample_id in self.belief:
+            return []
+        known = self.ledger.of_sample(report.sample_id)
+        if known is None:
+            return [_warning(f"sample {report.sample_id}: expected one that was planned; it is left out of the map")]
+        record, index = known
+        place = (report.x_m, report.y_m)
+        try:
+            self.belief.add(
+                report.sample_id,
+                Observation((record.number, record.introduced, index), place, report.helium3_ppb),
+            )
+        except He3Error as error:
+            return [_warning(f"sample {report.sample_id} is left out of the map: {error}")]
+        record.settled.add(report.sample_id)
+        self.driven_m = max(self.driven_m, report.driven_m)
+        effects = self._begun(record)
+        record.note_place(place)
+        return [*effects, *self._advance(now)]
+
+    def event(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
+        """The rover has reported something; what was reported before changes nothing."""
+        place = (event.x_m, event.y_m)
+        if not self.grid.contains(np.array([place]))[0]:
+            return [
+                _warning(f"event {event.kind.value}: expected a place in the region, got ({place[0]:g}, {place[1]:g})")
+            ]
+        self.heard(place, event.driven_m, event.at)
+        match event.kind:
+            case EventKind.PLAN_ACCEPTED:
+                self._rejections = 0
+                return []
+            case EventKind.PLAN_REJECTED:
+                return self._plan_rejected(event, now)
+            case EventKind.MISSION_COMPLETED:
+                # Of an older plan it says nothing: a newer one is on its way, with more to do.
+                self._rover_done = self._last_sent and event.plan_revision in (0, self.revision)
+                return self._advance(now)
+            case (
+                EventKind.ROUND_STARTED
+                | EventKind.ROUND_COMPLETED
+                | EventKind.ROUND_ABORTED
+                | EventKind.BLOCKED
+                | EventKind.SAMPLE_SKIPPED
+            ):
+                return self._of_a_round(event, now)
+            case _:
+                return []
+
+    def computed(self, job: str, result: Any, error: Exception | None, now: MissionTime) -> list[Effect]:
+        """A fit or a plan that was asked for is there; one that is no longer wanted is dropped."""
+        if job == self.fitting:
+            self.fitting = None
+            self.fitted += 1
+            if isinstance(result, Hyperparameters):
+                self.belief.adopt(result)
+                return self._advance(now)
+            return [_warning(f"{job}: the hyperparameters stay as they were: {error}"), *self._advance(now)]
+        work = self.in_work
+        if work is None or job != work.job:
+            return []
+        self.in_work = None
+        if error is None:
+            try:
+                return self._plan_made(work, result, now)
+            except He3Error as invalid:
+                error = invalid
+        return self._planning_failed(work, error, now)
+
+    def keep_out(self, area_id: str, polygon_m: Sequence[Place] | None, now: MissionTime) -> list[Effect]:
+        """An area is closed or opened; rounds that lead through it and have not begun are planned anew."""
+        self.terrain.set_keep_out(area_id, polygon_m)
+        area = self.terrain.areas.get(area_id)
+        if area is None:
+            return self._advance(now)
+        refuted = next((r for r in self.ledger.not_begun if self._leads_through(r, area)), None)
+        if refuted is not None:
+            self._drop([r for r in self.ledger.not_begun if r.number >= refuted.number])
+        elif self.in_work is not None:
+            self.in_work = None  # it is being planned on terrain that no longer is
+        return self._advance(now)
+
+    def moving(self, command_id: str) -> None:
+        """The operator sends the rover elsewhere: nothing is planned until it is there."""
+        self._on_the_move.add(command_id)
+        self.in_work = None
+
+    def moved(self, command_id: str, place_m: Place | None, now: MissionTime) -> list[Effect]:
+        """It is there (or, with None, did not go); the rounds that have not begun are planned anew from there."""
+        if command_id not in self._on_the_move:
+            return []
+        self._on_the_move.discard(command_id)
+        if place_m is not None and self.ended is None:
+            self.place_m = place_m
+            self._drop(self.ledger.not_begun)
+            if not self.ledger.chain or self.ledger.chain[-1].closed or self.ledger.chain[-1].ended:
+                self._origin = place_m
+        return self._advance(now)
+
+    # --- rounds -----------------------------------------------------------------------------------------------------
+
+    def _of_a_round(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
+        record = self.ledger.version(event.round, event.plan_revision or self.revision)
+        if event.sample_id is not None and (known := self.ledger.of_sample(event.sample_id)) is not None:
+            record = known[0]
+        if record is None:
+            return [_warning(f"event {event.kind.value}: expected a round that was planned, got {event.round}")]
+        effects = self._begun(record)
+        if event.kind is EventKind.ROUND_STARTED and record.ended_early and event.at > record.ended_at:
+            record.ended = record.ended_early = False  # it was aborted, and begun again from an older plan
+        record.done.update(event.samples_done)
+        if event.kind is EventKind.SAMPLE_SKIPPED and event.sample_id is not None:
+            if event.sample_id not in record.settled:
+                record.settled.add(event.sample_id)
+                self.detail = f"sample {event.sample_id} was skipped: {event.detail or 'no reason given'}"[:400]
+        elif event.kind is EventKind.ROUND_COMPLETED and not record.ended:
+            record.ended = True
+            record.reached_m = record.length_m
+        elif event.kind in (EventKind.ROUND_ABORTED, EventKind.BLOCKED):
+            effects += self._ended_early(record, event)
+        return [*effects, *self._advance(now)]
+
+    def _begun(self, record: RoundRecord) -> list[Effect]:
+        if not self.ledger.begin(record):
+            return []
+        # The rover had begun a version that was to be replaced: what comes after it must fit its end.
+        self.in_work = None
+        self._origin = None
+        return [
+            Note(Level.INFO, f"round {record.number} of revision {record.introduced} had begun; planning on from it")
+        ]
+
+    def _ended_early(self, record: RoundRecord, event: RoverEvent) -> list[Effect]:
+        first_word = not record.ended
+        blocked = event.kind is EventKind.BLOCKED
+        if blocked:
+            obstacle = event.obstacle_m or (event.x_m, event.y_m)
+            if self.grid.contains(np.array([obstacle]))[0]:
+                self.terrain.block(obstacle, OBSTACLE_MARGIN_M if event.obstacle_m is not None else 0.0)
+        if not first_word and not blocked:
+            return []
+        record.ended = record.ended_early = True
+        record.ended_at = event.at
+        self.detail = f"round {record.number} ended early: {event.detail or event.kind.value}"[:400]
+        if self.ledger.chain and self.ledger.chain[-1].number >= record.number:
+            self._drop([r for r in self.ledger.chain if r.number > record.number and not r.begun])
+            if self.ledger.chain[-1] is record:
+                self._origin = (event.x_m, event.y_m)
+        return [Note(Level.WARNING, self.detail, {"round": record.number, "x_m": event.x_m, "y_m": event.y_m})]
+
+    def _plan_rejected(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
+        if event.plan_revision < self.revision or self.ended is not None:
+            return []  # a newer plan is on its way and is judged by itself
+        self._rejections += 1
+        self.detail = f"plan {event.plan_revision} was rejected: {event.detail or 'no reason given'}"[:400]
+        note = _warning(self.detail)
+        self._drop(self.ledger.not_begun)
+        if self._rejections > MOST_REJECTIONS:
+            self._exhausted = f"{self._rejections} plans in a row were rejected, the last: {event.detail}"[:400]
+            self._failed = True
+        elif not self.ledger.chain or self.ledger.chain[-1].ended or self.ledger.chain[-1].closed:
+            self._origin = (event.x_m, event.y_m)
+        return [note, *self._advance(now)]
+
+    def _drop(self, records: Iterable[RoundRecord]) -> None:
+        """Take back rounds that have not begun, and whatever is being planned to follow them."""
+        self.ledger.drop(list(records))
+        self.in_work = None
+        self._last_sent = False
+        self._rover_done = False
+        self._exhausted = ""
+        self._attempt = 0
+        self._origin = None if self.ledger.chain else self.place_m
+
+    def _leads_through(self, record: RoundRecord, area: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
+        path = np.array(record.plan.path_m, dtype=np.float64)
+        return bool(area[self.grid.cells_of(_densely(path, 0.5 * self.grid.resolution_m))].any())
+
+    # --- planning ---------------------------------------------------------------------------------------------------
+
+    def _advance(self, now: MissionTime) -> list[Effect]:
+        """Whatever can be begun now: the next refit, else the next plan, else the end."""
+        if self.ended is not None or self.fitting is not None:
+            return []
+        effects = self._next_fit()
+        if effects:
+            return effects
+        if self.in_work is not None or self._on_the_move:
+            return []
+        if not self._exhausted and self.samples_wanted > 0:
+            if len(self.ledger.open_rounds) > self.scenario.ground.pipeline:
+                return []
+            effects = self._next_plan(now)
+            if effects:
+                return effects
+        return self._end_if_over()
+
+    def _next_fit(self) -> list[Effect]:
+        while self.fitted < len(self.ledger.chain) and self.ledger.chain[self.fitted].closed:
+            number = self.fitted + 1
+            arrived = [p for p in self.ledger.chain[self.fitted].plan.samples if p.sample_id in self.belief]
+            request = self.belief.fit_request(number, (self.scenario.seed, _FIT, number)) if arrived else None
+            if request is not None:
+                self.fitting = f"fit:{number}"
+                return [Compute(self.fitting, fit, (request,))]
+            self.fitted += 1
+        return []
+
+    def _next_plan(self, now: MissionTime) -> list[Effect]:
+        pending = self.ledger.pending
+        open_rounds = self.ledger.open_rounds
+        metres = sum(record.to_drive_m for record in self.ledger.chain)
+        committed = Committed(metres, len(pending), len(open_rounds))
+        allowance = self._budget.left(now, self.driven_m, committed, self.samples_wanted)
+        number = self.ledger.next_number
+        most = MOST_ROUNDS_TIMES * self.scenario.rounds + MOST_ROUNDS_MORE
+        if allowance.samples < 1 or number > most:
+            self._exhausted = allowance.why or f"after {most} rounds, samples are still missing"
+            return []
+        start = self._origin or (self.ledger.chain[-1].end_m if self.ledger.chain else self.place_m)
+        samples = min(self.scenario.samples_per_round, allowance.samples)
+        self._plans_asked += 1
+        self.in_work = PlanInWork(
+            job=f"plan:{number}:{self._plans_asked}",
+            number=number,
+            start_m=start,
+            samples=samples,
+            samples_left=allowance.samples,
+            attempt=self._attempt,
+            known=len(self.belief),
+            pending=tuple(planned.sample_id for planned in pending),
+        )
+        ahead = np.array([(planned.x_m, planned.y_m) for planned in pending], dtype=np.float64).reshape(-1, 2)
+        ground = self.scenario.ground
+        seed = np.random.SeedSequence((self.scenario.seed, _PLAN, number, self.revision + 1, self._attempt))
+        request = PlanningRequest(
+            grid=self.grid,
+            traversable=self.terrain.open_from(start),
+            start_m=start,
+            observed_m=np.vstack((self.belief.places_m, ahead)),
+            std_ppb=self.belief.map.std_ppb,
+            hyperparameters=self.belief.hyperparameters,
+            samples=samples,
+            samples_left=allowance.samples,
+            budget_m=allowance.metres,
+            seed=int(seed.generate_state(1)[0]),
+            interest=self._interest,
+            options=PlannerOptions(clearance_m=ground.clearance_m, information_exponent=ground.information_exponent),
+        )
+        return [Compute(self.in_work.job, run_planner, (self._planner, request, len(ahead)), ground.planning_s)]
+
+    def _plan_made(self, work: PlanInWork, result: Any, now: MissionTime) -> list[Effect]:
+        revision = self.revision + 1
+        planned = self._checked(work, result, revision)
+        self.revision = revision
+        self.ledger.append(planned, revision)
+        self._origin = None
+        self._attempt = 0
+        self._rover_done = False
+        self._last_sent = work.samples_left <= len(planned.samples)
+        plan = MissionPlan(
+            revision=revision,
+            rounds=tuple(record.plan for record in self.ledger.not_begun),
+            last=self._last_sent,
+            samples_known=work.known,
+            samples_pending=work.pending,
+            planned_at=now,
+        )
+        return [Send(PLAN, plan), *self._advance(now)]
+
+    def _checked(self, work: PlanInWork, result: Any, revision: int) -> RoundPlan:
+        """The planner's answer as it goes up; raises InvalidInput if it is not what was asked for."""
+        if not isinstance(result, PlannedRound):
+            raise InvalidInput(f"planner: expected a planned round, got {type(result).__name__}")
+        path, places = as_points(result.path_m), as_points(result.samples_m)
+        if not (1 <= len(places) <= work.samples and 1 <= len(path) <= 4096):
+            raise InvalidInput(
+                f"planner: expected 1 to {work.samples} samples on 1 to 4096 vertices, got {len(places)} on {len(path)}"
+            )
+        if hypot(path[0, 0] - work.start_m[0], path[0, 1] - work.start_m[1]) > START_TOLERANCE_M:
+            raise InvalidInput(f"planner: expected a path from {work.start_m}, got one from {tuple(path[0])}")
+        if not self.grid.contains(np.vstack((path, places))).all():
+            raise InvalidInput("planner: expected a round within the region, got one that leaves it")
+        version = "" if self.ledger.version(work.number, revision) is None else f"v{revision}"
+        return RoundPlan(
+            round=work.number,
+            path_m=tuple(_rounded(place) for place in path),
+            samples=tuple(
+                PlannedSample(
+                    sample_id=f"r{work.number:02d}{version}s{index}",
+                    x_m=_rounded(place)[0],
+                    y_m=_rounded(place)[1],
+                    depth_m=self.scenario.sample_depth_m,
+                )
+                for index, place in enumerate(places, 1)
+            ),
+            information_nats=float(result.information_nats) if isfinite(result.information_nats) else 0.0,
+        )
+
+    def _planning_failed(self, work: PlanInWork, error: Exception, now: MissionTime) -> list[Effect]:
+        self._attempt = work.attempt + 1
+        why = f"round {work.number} could not be planned: {error}"[:400]
+        if self._attempt >= MOST_ATTEMPTS:
+            self._attempt = 0
+            self._exhausted = why
+            self._failed = not isinstance(error, NoRoute)
+        return [_warning(why), *self._advance(now)]
+
+    # --- the end ----------------------------------------------------------------------------------------------------
+
+    def _end_if_over(self) -> list[Effect]:
+        if self.ledger.open_rounds or not (self._exhausted or self._rover_done):
+            return []
+        taken, total = len(self.belief), self.scenario.samples
+        why = f"{taken} of {total} samples are in the map"
+        if taken < total:
+            why += f"; {self._exhausted or self.detail or 'the rover has completed its plan'}"
+        self.detail = why
+        self.ended = Finish(ok=not self._failed, why=why)
+        return [self.ended]
+
+
+def _rounded(place: FloatArray) -> Place:
+    """To the millimetre: below what a rover holds, and half the bytes."""
+    return round(float(place[0]), 3), round(float(place[1]), 3)
+
+
+def _densely(path_m: FloatArray, step_m: float) -> FloatArray:
+    """Places along the polyline, no further apart than the step."""
+    pieces = [path_m[:1]]
+    for a, b in pairwise(path_m):
+        count = max(1, int(np.ceil(np.hypot(*(b - a)) / step_m)))
+        pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+    return np.vstack(pieces)
+
+
+def _warning(text: str) -> Note:
+    return Note(Level.WARNING, text)

@@ -1,0 +1,328 @@
+"""The ground station as a node: telemetry in, plans and telecommands out, the live map for whoever asks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from he3.errors import He3Error, InvalidInput
+from he3.reference import Region
+from he3.trend import OrbitalTrend
+from schemas.commands import CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
+from schemas.ground import GroundStatus, KernelParameters, MissionPhase
+from schemas.maps import MapScore
+from schemas.telemetry import RoverEvent, RoverState, SampleReport
+from schemas.topics import (
+    COMMAND,
+    COMMAND_REPORT,
+    COMMAND_STATUS,
+    EVENT,
+    GROUND_STATUS,
+    ISSUE_COMMAND,
+    LIST_COMMANDS,
+    SAMPLE,
+    STATE,
+    Side,
+)
+from schemas.wire import Header
+from services.ground.allowance import Budget
+from services.ground.belief import Belief
+from services.ground.commands import ENDS, CommandBook
+from services.ground.director import Director
+from services.ground.map_service import ANSWERED, answer
+from services.ground.planning import Planner
+from services.ground.scoring import Scorer
+from services.ground.snapshot import MapSnapshot
+from services.ground.terrain import GroundTerrain
+from services.node import (
+    SECOND,
+    Answer,
+    Asked,
+    Computed,
+    Due,
+    Effect,
+    Event,
+    Interface,
+    Level,
+    MissionTime,
+    Note,
+    Received,
+    Refuse,
+    Send,
+    Show,
+    Started,
+    WakeAt,
+    seconds,
+)
+from services.regions import load_region
+from services.scenario import Scenario
+
+STATUS_TIMER = "status"
+LOST_TIMER = "lost:"
+_AWAY = frozenset({CommandKind.GO_TO, CommandKind.RETURN_TO_START})
+
+
+class GroundNode:
+    """Belief, director, commands and live map, wired to the topics."""
+
+    def __init__(self, scenario: Scenario, director: Director, scorer: Scorer | None = None) -> None:
+        self._scenario = scenario
+        self._director = director
+        self._scorer = scorer
+        light = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
+        self._commands = CommandBook(director.grid, light)
+        self._samples: list[SampleReport] = []
+        self._rover: RoverState | None = None
+        self._rover_made_at: MissionTime | None = None
+        self._heard_at: MissionTime | None = None
+        self._silent = False
+        self._begun = False
+        self._map: tuple[object, object] | None = None
+        self._revision = 0
+        self._map_time: MissionTime = scenario.start_ns
+        self._mean_std_ppb = 0.0
+        self._score: MapScore | None = None
+        self._history: tuple[MapScore, ...] = ()
+        self._fitted = 0
+        self._snapshot: MapSnapshot | None = None
+        self._published: GroundStatus | None = None
+
+    @property
+    def interface(self) -> Interface:
+        return Interface(
+            name="ground",
+            sides=(Side.EARTH,),
+            subscribes=(SAMPLE, EVENT, STATE, COMMAND_REPORT),
+            serves=(ISSUE_COMMAND, LIST_COMMANDS, *ANSWERED),
+        )
+
+    @property
+    def snapshot(self) -> MapSnapshot | None:
+        """The live map as it is now."""
+        return self._snapshot
+
+    def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
+        match event:
+            case Asked(topic, request, token) if topic in ANSWERED:
+                try:
+                    return [Answer(token, answer(topic, request, self._snapshot))]
+                except He3Error as error:
+                    return [Refuse(token, str(error))]
+            case Asked(topic, _, token) if topic is LIST_COMMANDS:
+                return [Answer(token, CommandList(commands=self._commands.listed()))]
+        effects = list(self._changed_by(event, now))
+        return [*effects, *self._shown(now), *self._told(now, anyway=event == Due(STATUS_TIMER))]
+
+    def _changed_by(self, event: Event, now: MissionTime) -> Iterable[Effect]:
+        match event:
+            case Started():
+                yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
+                if not self._begun:
+                    self._begun = True
+                    yield from self._director.begin(now)
+            case Received(_, header, SampleReport() as report):
+                self._hear(now)
+                yield from self._take(report, now)
+            case Received(_, header, RoverEvent() as happened):
+                self._hear(now)
+                yield from self._director.event(happened, now)
+            case Received(_, header, RoverState() as state):
+                self._hear(now)
+                yield from self._locate(state, header)
+            case Received(_, _, CommandReport() as report):
+                self._hear(now)
+                yield from self._command_passed(report, now)
+            case Computed(job, result, error):
+                yield from self._director.computed(job, result, error, now)
+            case Asked(topic, Telecommand() as command, token) if topic is ISSUE_COMMAND:
+                yield from self._issue(command, token, now)
+            case Due(timer) if timer == STATUS_TIMER:
+                yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
+                yield from self._listen_for_silence(now)
+            case Due(timer) if timer.startswith(LOST_TIMER):
+                status = self._commands.give_up(timer.removeprefix(LOST_TIMER), now)
+                yield from self._publish(status, now)
+            case _:
+                yield Note(Level.WARNING, f"ground: nothing to do upon {type(event).__name__}")
+
+    # --- telemetry --------------------------------------------------------------------------------------------------
+
+    def _hear(self, now: MissionTime) -> None:
+        self._heard_at = now
+        self._silent = False
+
+    def _take(self, report: SampleReport, now: MissionTime) -> Iterable[Effect]:
+        before = len(self._director.belief)
+        effects = self._director.sample(report, now)
+        if len(self._director.belief) > before:
+            self._samples.append(report)
+        return effects
+
+    def _locate(self, state: RoverState, header: Header) -> Iterable[Effect]:
+        if not self._director.grid.contains(np.array([(state.x_m, state.y_m)]))[0]:
+            return [Note(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")]
+        if self._rover_made_at is None or header.made_at >= self._rover_made_at:
+            self._rover, self._rover_made_at = state, header.made_at
+            self._director.heard((state.x_m, state.y_m), state.driven_m, header.made_at)
+        return []
+
+    def _listen_for_silence(self, now: MissionTime) -> Iterable[Effect]:
+        timeout = seconds(self._scenario.ground.rover_timeout_s)
+        if self._heard_at is not None and now - self._heard_at > timeout and not self._silent:
+            self._silent = True
+            yield Note(Level.WARNING, f"nothing heard of the rover for {(now - self._heard_at) / SECOND:.0f} s")
+
+    # --- commands ---------------------------------------------------------------------------------------------------
+
+    def _issue(self, command: Telecommand, token: int, now: MissionTime) -> Iterable[Effect]:
+        try:
+            status, new = self._commands.issue(command, now)
+        except InvalidInput as error:
+            yield Refuse(token, str(error))
+            return
+        yield Answer(token, status)
+        if not new:
+            return
+        yield Send(COMMAND, command)
+        overdue = self._commands.overdue_at(command)
+        if overdue is not None:
+            yield WakeAt(LOST_TIMER + command.command_id, overdue)
+        yield from self._publish(status, now)
+        if command.kind is CommandKind.SET_KEEP_OUT and command.area_id is not None:
+            yield from self._director.keep_out(command.area_id, command.polygon_m, now)
+
+    def _command_passed(self, report: CommandReport, now: MissionTime) -> Iterable[Effect]:
+        status = self._commands.report(report)
+        if status is None:
+            return
+        yield from self._publish(status, now)
+        command = status.command
+        if command.kind not in _AWAY:
+            return
+        if report.stage is CommandStage.STARTED and not any(passed.stage in ENDS for passed in status.stages):
+            self._director.moving(command.command_id)
+        elif report.stage is CommandStage.COMPLETED:
+            target = command.target_m if command.target_m is not None else self._scenario.start_m
+            self._director.moving(command.command_id)
+            yield from self._director.moved(command.command_id, target, now)
+        elif report.stage in ENDS:
+            yield from self._director.moved(command.command_id, self._director.place_m, now)
+
+    def _publish(self, status: CommandStatus | None, now: MissionTime) -> Iterable[Effect]:
+        if status is not None:
+            yield Send(COMMAND_STATUS, status)
+
+    # --- what operators see -----------------------------------------------------------------------------------------
+
+    def _shown(self, now: MissionTime) -> Iterable[Effect]:
+        """A new snapshot if map, track or plan have changed."""
+        director = self._director
+        current = director.belief.map
+        traversable = director.terrain.traversable
+        if self._map is None or self._map[0] is not current or self._map[1] is not traversable:
+            self._map = (current, traversable)
+            self._revision += 1
+            self._map_time = now
+            self._mean_std_ppb = float(current.std_ppb.mean(dtype=np.float64))
+            if self._scorer is not None:
+                self._score = self._scorer.score(
+                    current.mean_ppb, current.std_ppb, self._revision, len(self._samples), now
+                )
+                if director.fitted > self._fitted:
+                    self._history = (*self._history, self._score)
+            self._fitted = director.fitted
+        driven, planned = director.ledger.driven_path(), director.ledger.planned_path()
+        before = self._snapshot
+        if (
+            before is not None
+            and before.revision == self._revision
+            and before.driven_path_m == driven
+            and before.planned_path_m == planned
+        ):
+            return
+        self._snapshot = MapSnapshot(
+            grid=director.grid,
+            mean_ppb=current.mean_ppb,
+            std_ppb=current.std_ppb,
+            traversable=traversable,
+            samples=tuple(self._samples),
+            driven_path_m=driven,
+            planned_path_m=planned,
+            revision=self._revision,
+            mission_time_ns=self._map_time,
+            score=self._score,
+            score_history=self._history,
+        )
+        yield Show(self._snapshot)
+
+    def _told(self, now: MissionTime, anyway: bool) -> Iterable[Effect]:
+        """The status, if it has changed or its time has come."""
+        status = self._status(now)
+        if anyway or status != self._published:
+            self._published = status
+            yield Send(GROUND_STATUS, status)
+
+    def _status(self, now: MissionTime) -> GroundStatus:
+        director = self._director
+        hyperparameters = director.belief.hyperparameters
+        return GroundStatus(
+            phase=self._phase(),
+            planner=self._scenario.ground.planner,
+            round=director.ledger.completed,
+            rounds=self._scenario.rounds,
+            samples=len(director.belief),
+            samples_total=self._scenario.samples,
+            driven_m=director.driven_m,
+            budget_m=self._scenario.ground.budget_m,
+            plan_revision=director.revision,
+            plans_in_work=int(director.in_work is not None),
+            map_revision=self._revision,
+            mean_std_ppb=self._mean_std_ppb,
+            kernel=KernelParameters(
+                name=hyperparameters.kernel.name,
+                parameters=hyperparameters.kernel.parameters(),
+                noise_std_ppb=hyperparameters.noise_std_ppb,
+                mean_ppb=hyperparameters.mean_ppb,
+                scale_ppb=hyperparameters.scale_ppb,
+            ),
+            score=self._score,
+            rover=self._rover,
+            rover_made_at=self._rover_made_at,
+            detail=self._detail()[:500],
+        )
+
+    def _phase(self) -> MissionPhase:
+        director = self._director
+        if director.ended is not None:
+            return MissionPhase.COMPLETED if director.ended.ok else MissionPhase.FAILED
+        if self._heard_at is None:
+            return MissionPhase.WAITING
+        return MissionPhase.EXECUTING if director.ledger.open_rounds else MissionPhase.PLANNING
+
+    def _detail(self) -> str:
+        if self._silent and self._director.ended is None:
+            return f"the rover is silent; {self._director.detail}" if self._director.detail else "the rover is silent"
+        return self._director.detail
+
+
+def build_node(scenario: Scenario, region: Region | None = None, planner: Planner | None = None) -> GroundNode:
+    """The ground station of that scenario; region and planner are read and chosen from it unless they are given.
+
+    Of the region, belief and director are given what is known from orbit; the reference field goes to the scorer alone.
+    """
+    if region is None:
+        region = load_region(scenario.region, scenario.field.field_seed)
+    ground = scenario.ground
+    open_cells = region.traversable
+    if ground.max_slope_deg is not None:
+        open_cells = open_cells & (region.slope_deg <= ground.max_slope_deg)
+    terrain = GroundTerrain(region.grid, open_cells, scenario.rover.footprint_radius_m, ground.keep_outs_m)
+    trend = OrbitalTrend(region.grid, region.orbital_ppb) if ground.prior == "orbital" else None
+    belief = Belief(region.grid, ground.kernel, scenario.field.noise_std_ppb, trend)
+    if not terrain.traversable.any():
+        raise InvalidInput(f"scenario '{scenario.name}': expected open ground, got none: every cell is closed")
+    mean_slope = float(region.slope_deg[terrain.traversable].mean())
+    open_area = float(terrain.traversable.sum()) * region.grid.resolution_m**2
+    director = Director(scenario, region.grid, belief, terrain, Budget(scenario, open_area, mean_slope), planner)
+    return GroundNode(scenario, director, Scorer(region.he3_ppb) if ground.score else None)

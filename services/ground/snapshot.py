@@ -1,0 +1,38 @@
+"""The map as operators see it at one moment: immutable, so that any thread may answer from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.frames import SiteGrid
+from schemas.maps import MapScore
+from schemas.plans import Waypoint
+from schemas.telemetry import SampleReport
+from services.node import MissionTime
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapSnapshot:
+    """One revision of the map with what a picture of the mission needs. Arrays are (rows, columns), read-only."""
+
+    grid: SiteGrid
+    mean_ppb: NDArray[np.float32]
+    std_ppb: NDArray[np.float32]
+    traversable: NDArray[np.bool_]
+    """Where the rover's centre may be, as far as the ground knows."""
+    samples: tuple[SampleReport, ...]
+    """Every measurement in the map, in the order in which they arrived."""
+    driven_path_m: tuple[Waypoint, ...]
+    """The parts of planned paths that the rover is known to have driven."""
+    planned_path_m: tuple[Waypoint, ...]
+    """What is planned and not over, from where the rover is known to be."""
+    revision: int
+    """Grows by one with every change of the map; track and plan may change without."""
+    mission_time_ns: MissionTime
+    """Mission time of that revision."""
+    score: MapScore | None
+    score_history: tuple[MapScore, ...]
+    """One entry a round."""

@@ -1,0 +1,175 @@
+"""Where the rover's centre may be, as the ground knows it: the orbital terrain, less keep-outs, less what was met."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+
+BoolArray = NDArray[np.bool_]
+Place = tuple[float, float]
+
+_BOUNDARY_STEP_CELLS = 0.25  # a polygon's edge is followed in such steps, so that it misses corners of cells at most
+_SQUARE = np.ones((3, 3), dtype=np.bool_)
+
+
+class GroundTerrain:
+    """The ground's own map of where the rover may go; keep-outs and obstacles are added as they become known."""
+
+    def __init__(
+        self,
+        grid: SiteGrid,
+        open_cells: BoolArray,
+        footprint_radius_m: float = 0.0,
+        keep_outs: Iterable[Sequence[Place]] = (),
+    ) -> None:
+        if open_cells.shape != grid.shape:
+            raise InvalidInput(f"terrain: expected open cells of shape {grid.shape}, got {open_cells.shape}")
+        self.grid = grid
+        self._orbital = np.array(open_cells, dtype=np.bool_)
+        self._footprint = _footprint(footprint_radius_m / grid.resolution_m)
+        self._areas: dict[str, BoolArray] = {
+            f"scenario-{number}": touched_by(grid, polygon) for number, polygon in enumerate(keep_outs, 1)
+        }
+        self._obstacles: dict[tuple[float, float, float], BoolArray] = {}
+        self._bare: BoolArray = self._orbital
+        self._open: BoolArray = self._orbital
+        self._recompute()
+
+    @property
+    def traversable(self) -> BoolArray:
+        """(rows, columns), read-only: cells in which the rover's centre may be, its footprint allowed for."""
+        return self._open
+
+    @property
+    def areas(self) -> Mapping[str, BoolArray]:
+        """The cells of each keep-out area in force, by its id."""
+        return self._areas
+
+    def set_keep_out(self, area_id: str, polygon_m: Sequence[Place] | None) -> None:
+        """Close an area to the rover, in place of what that id meant before, or with None open it again."""
+        if polygon_m is None:
+            self._areas.pop(area_id, None)
+        else:
+            self._areas[area_id] = touched_by(self.grid, polygon_m)
+        self._recompute()
+
+    def block(self, place_m: Place, radius_m: float) -> None:
+        """Close the disc around an obstacle that was met; its own cell always."""
+        disc = within(self.grid, place_m, radius_m)
+        row, column = cell_of(self.grid, place_m)
+        disc[row, column] = True
+        self._obstacles[(*place_m, radius_m)] = disc
+        self._recompute()
+
+    def open_from(self, start_m: Place) -> BoolArray:
+        """Where the rover may go from the place where it stands, (rows, columns), read-only.
+
+        A rover that stands where its centre should not be (beside an obstacle that it met, within an area just closed)
+        is let out: what is really open, or at least not closed by the orbital terrain, is lent to it up to the nearest
+        place from which it can go on.
+        """
+        row, column = cell_of(self.grid, start_m)
+        if self._open[row, column]:
+            return self._open
+        for lent in (self._bare, self._orbital, np.ones_like(self._orbital)):
+            if not lent[row, column]:
+                continue
+            way_out = self._way_out(start_m, lent)
+            if way_out is not None:
+                way_out.setflags(write=False)
+                return way_out
+        return self._open
+
+    def _way_out(self, start_m: Place, lent: BoolArray) -> BoolArray | None:
+        """The open cells and the nearest lent ones that join the start to them; None if the lent ones lead nowhere."""
+        if not self._open.any():
+            return None
+        x, y = np.meshgrid(self.grid.x_m, self.grid.y_m)
+        away = np.hypot(x - start_m[0], y - start_m[1])
+        cell = cell_of(self.grid, start_m)
+        radius = float(away[self._open].min()) + self.grid.resolution_m
+        while radius < 2.0 * max(self.grid.width_m, self.grid.height_m):
+            joined = self._open | (lent & (away <= radius))
+            labels, _ = ndimage.label(joined)
+            if bool((self._open & (labels == labels[cell])).any()):
+                return joined
+            radius *= 1.5
+        return None
+
+    def _recompute(self) -> None:
+        bare = self._orbital.copy()
+        for closed in (*self._areas.values(), *self._obstacles.values()):
+            bare &= ~closed
+        self._bare = bare
+        self._open = ~ndimage.binary_dilation(~bare, structure=self._footprint) if self._footprint.size > 1 else bare
+        self._open.setflags(write=False)
+
+
+def cell_of(grid: SiteGrid, place_m: Place) -> tuple[int, int]:
+    """Row and column of the cell that holds the place; raises OutsideRegion."""
+    rows, columns = grid.cells_of(np.array([place_m], dtype=np.float64))
+    return int(rows[0]), int(columns[0])
+
+
+def within(grid: SiteGrid, place_m: Place, radius_m: float) -> BoolArray:
+    """(rows, columns): the cells whose centre lies within the radius [m] of the place."""
+    disc: BoolArray = np.hypot(grid.x_m[None, :] - place_m[0], grid.y_m[:, None] - place_m[1]) <= radius_m
+    return disc
+
+
+def touched_by(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
+    """(rows, columns): the cells that the polygon covers in whole or in part (even-odd rule, its edge included)."""
+    corners = np.asarray(polygon_m, dtype=np.float64)
+    covered = inside(grid, polygon_m)
+    following = np.roll(corners, -1, axis=0)
+    for (ax, ay), (bx, by) in zip(corners, following, strict=True):
+        steps = ceil(np.hypot(bx - ax, by - ay) / (grid.resolution_m * _BOUNDARY_STEP_CELLS)) + 1
+        share = np.linspace(0.0, 1.0, max(steps, 2))
+        edge = np.column_stack((ax + share * (bx - ax), ay + share * (by - ay)))
+        edge = edge[grid.contains(edge)]
+        if len(edge):
+            covered[grid.cells_of(edge)] = True
+    return covered
+
+
+def inside(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
+    """(rows, columns): the cells whose centre lies in the polygon, by the even-odd rule."""
+    x, y = grid.x_m[None, :], grid.y_m[:, None]
+    covered = np.zeros(grid.shape, dtype=np.bool_)
+    ax, ay = polygon_m[-1]
+    for bx, by in polygon_m:
+        if ay != by:
+            spans = (ay > y) != (by > y)
+            covered ^= spans & (x < ax + (y - ay) / (by - ay) * (bx - ax))
+        ax, ay = bx, by
+    return covered
+
+
+def interest_weights(grid: SiteGrid, regions: Sequence[tuple[Sequence[Place], float]]) -> NDArray[np.float32] | None:
+    """(rows, columns) weight of each cell's uncertainty: 1, or that of the last region which holds its centre.
+
+    None where no region says anything.
+    """
+    if not regions:
+        return None
+    weights = np.ones(grid.shape, dtype=np.float32)
+    for polygon, weight in regions:
+        weights[inside(grid, polygon)] = weight
+    weights.setflags(write=False)
+    return weights
+
+
+def _footprint(radius_cells: float) -> BoolArray:
+    """Which neighbours of a closed cell a rover of that radius [cells] might touch it from, wherever in them it is."""
+    reach = ceil(radius_cells)
+    gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 1.0, 0.0)
+    touching: BoolArray = np.hypot(gap[:, None], gap[None, :]) < radius_cells
+    touching[reach, reach] = True
+    return touching
