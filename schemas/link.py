@@ -212,6 +212,10 @@ class Acknowledgement(Wire):
     """One more than the highest sequence received."""
     gaps: Annotated[tuple[tuple[Count, Count], ...], Field(max_length=64)] = ()
     """First and last sequence of each run that is missing below `next_sequence`."""
+    last_sequence: Count | None = None
+    """Which message came last, as a repetition or not."""
+    last_received_at: MissionTimeNs | None = None
+    """When that was."""
 
 
 class ClockChange(Wire):

@@ -7,6 +7,8 @@ A payload that is not exactly what its topic asks for (unknown field, NaN, wrong
 from __future__ import annotations
 
 import json
+import re
+import zlib
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -36,6 +38,10 @@ class Refused(ValueError):
     """A payload that its topic does not admit; the text is one line."""
 
 
+class Damaged(Refused):
+    """A payload that is not what its sender sealed: something on the way changed it."""
+
+
 class Wire(BaseModel):
     """Root of everything that goes over the wire: frozen, no unknown fields, finite numbers, no silent conversion."""
 
@@ -54,6 +60,10 @@ class Header(Wire):
     sequence: Annotated[int, Field(ge=0)]
     """Counts the messages of one source, incarnation and topic, from 0."""
     made_at: MissionTimeNs
+    held_from: Annotated[int, Field(ge=0)] | None = None
+    """Lowest sequence of the stream that its source still holds for repeating; below it all is acknowledged."""
+    checksum: Annotated[int, Field(ge=0, lt=2**32)] | None = None
+    """CRC-32 of header (without this field) and body as they stand on the wire; None: not to be checked."""
 
 
 Body = TypeVar("Body", bound=Wire)
@@ -67,8 +77,42 @@ class Envelope(Wire, Generic[Body]):
 
 
 def encode(header: Header, body: Wire) -> bytes:
-    """The message as JSON in UTF-8."""
-    return b'{"header":' + header.model_dump_json().encode() + b',"body":' + body.model_dump_json().encode() + b"}"
+    """The message as JSON in UTF-8, sealed with its checksum."""
+    return _sealed(header, body.model_dump_json().encode())
+
+
+def restamped(payload: bytes, held_from: int) -> bytes:
+    """The same message, of our own making, with another `held_from` and so another checksum."""
+    seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
+    if seal is None or not payload.startswith(_OPENING):
+        raise Refused("expected a message that was sealed with a checksum, got one without")
+    header = Header.model_validate_json(payload[len(_OPENING) : seal.start()] + b"}")
+    return _sealed(header.model_copy(update={"held_from": held_from}), payload[seal.end() : -1])
+
+
+_OPENING = b'{"header":'
+_SEAL = re.compile(rb',"checksum":(\d{1,10})},"body":')
+_HEADER_LIMIT_BYTES = 2_000
+"""How far into a message the seal is looked for; names and numbers of a header fit many times."""
+
+
+def _sealed(header: Header, body: bytes) -> bytes:
+    unset = {"checksum"} if header.held_from is not None else {"checksum", "held_from"}
+    head = header.model_dump_json(exclude=unset).encode()
+    checksum = zlib.crc32(body, zlib.crc32(head))
+    return b'%b%b,"checksum":%d},"body":%b}' % (_OPENING, head[:-1], checksum, body)
+
+
+def _check_seal(payload: bytes, where: str) -> bool:
+    """Whether the message has a seal where `encode` puts it; raises Damaged when that is broken."""
+    seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
+    if seal is None or not payload.startswith(_OPENING):
+        return False
+    head = zlib.crc32(payload[len(_OPENING) : seal.start()] + b"}")
+    came = zlib.crc32(memoryview(payload)[seal.end() : -1], head)
+    if came != int(seal[1]):
+        raise Damaged(f"{where}: expected checksum {seal[1].decode()} as the header says, got {came}: damaged")
+    return True
 
 
 def decode(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
@@ -86,12 +130,15 @@ def decode_reply(topic: Topic, payload: bytes, mission: str) -> tuple[Header, An
 def _decode(body_type: type[Wire], payload: bytes, mission: str, where: str, limit: int) -> tuple[Header, Any]:
     if len(payload) > limit:
         raise Refused(f"{where}: expected at most {limit} bytes, got {len(payload)}")
+    sealed = _check_seal(payload, where)
     try:
         envelope = _adapter(body_type).validate_json(payload)
     except ValidationError as error:
         _refuse_other_version(payload, where)
         raise Refused(f"{where}: {one_line(error)}") from None
     header: Header = envelope.header
+    if header.checksum is not None and not sealed:
+        raise Refused(f"{where}: expected the checksum last in a header without spaces, or none, got another form")
     if header.version != SCHEMA_VERSION:
         raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {header.version}")
     if header.mission != mission:

@@ -5,7 +5,8 @@ light time after its last bit left: arrival = departure + transmission time + li
 The rules, where a choice had to be made:
 
 - Lower priority values are sent first, equal ones in the order in which they were offered; nothing is interrupted.
-- Of topics where only the newest counts, a newer letter takes the place of the older one that still waits.
+- Of topics where only the newest counts, a newer letter takes the place of the older one that still waits; and so
+  does the repetition of a message under custody, which therefore never waits twice.
 - A letter is not begun when contact would end before its last bit; a smaller one that fits goes first. One that is
   longer than any contact to come is sent in pieces, with pauses where there is no contact (only with `hold`).
 - What conditions say holds for what begins to be sent from then on; what is under way keeps its arrival.

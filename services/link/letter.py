@@ -29,7 +29,10 @@ class Letter:
     source: str
     sequence: int
     subject: tuple[str, ...]
-    """Of letters with equal subject only the newest counts; empty: each counts."""
+    """Of waiting letters with equal subject only the newest goes; empty: each goes.
+
+    States of one source are of one subject, and so are the repetitions of one message under custody.
+    """
     offered_at: MissionTime
     order: int
     """Counts the letters offered to the link."""
@@ -54,6 +57,8 @@ def sealed(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) ->
     subject: tuple[str, ...] = ()
     if readable and isinstance(topic.service, Latest):
         subject = (topic.name, str(source), *_distinct(topic.service, payload))
+    elif readable and isinstance(topic.service, Custody):
+        subject = (topic.name, str(source), str(header.get("incarnation")), str(sequence))
     return Letter(
         topic=topic,
         payload=payload,

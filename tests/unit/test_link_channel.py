@@ -316,3 +316,12 @@ def test_a_letter_is_known_by_the_outside_of_what_we_encode() -> None:
     found = sealed(TM_ACK, encode(header, ack), START, 1)
     assert (found.source, found.sequence) == ("ground", 17)
     assert found.subject == ("tc/ack", "ground", "tm/sample", "rover", "3")
+
+
+def test_the_repetition_of_a_message_under_custody_never_waits_twice() -> None:
+    payload = b'{"header":{"source":"rover","incarnation":1,"sequence":4},"body":{}}'
+    other = payload.replace(b'"incarnation":1', b'"incarnation":2')
+    link = channel(contact=LinkConditions(windows=(Window(opens_s=100, closes_s=200),)))
+    for order, copy in enumerate([payload, payload, other, payload]):
+        link.offer(sealed(SAMPLE, copy, START, order), START)
+    assert [flight.payload for flight in link.arrived(START + 300 * S)] == [payload, other]

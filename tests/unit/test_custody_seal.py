@@ -1,0 +1,60 @@
+import json
+from random import Random
+
+import pytest
+
+from schemas.plans import MissionPlan
+from schemas.telemetry import EventKind, RoverEvent
+from schemas.topics import EVENT, PLAN
+from schemas.wire import Damaged, Header, Refused, decode, encode, restamped
+from services.link.channel import damaged
+
+HEADER = Header(mission="m", source="rover", incarnation=2, sequence=5, made_at=10**18)
+BODY = RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=3, detail='a ,"checksum":1},"body": b')
+
+
+def test_a_message_is_sealed_and_comes_out_as_it_went_in() -> None:
+    header, body = decode(EVENT, encode(HEADER, BODY), "m")
+    assert body == BODY
+    assert header.checksum is not None
+    assert header.model_copy(update={"checksum": None}) == HEADER
+
+
+def test_no_damage_of_one_to_four_bytes_passes() -> None:
+    payload = encode(HEADER, BODY)
+    for seed in range(3000):
+        with pytest.raises(Refused):
+            decode(EVENT, damaged(payload, Random(seed)), "m")
+
+
+def test_damage_in_header_or_body_is_named_as_such() -> None:
+    payload = encode(HEADER, BODY)
+    for found, put in ((b'"sequence":5', b'"sequence":7'), (b'"round":3', b'"round":4')):
+        with pytest.raises(Damaged, match=r"tm/event: expected checksum \d+ as the header says, got \d+: damaged"):
+            decode(EVENT, payload.replace(found, put), "m")
+
+
+def test_a_message_without_checksum_is_not_checked() -> None:
+    plain = {"header": json.loads(HEADER.model_dump_json()), "body": json.loads(BODY.model_dump_json())}
+    assert decode(EVENT, json.dumps(plain, indent=1).encode(), "m")[1] == BODY
+
+
+def test_a_checksum_in_another_form_is_refused_rather_than_trusted() -> None:
+    spaced = json.dumps(json.loads(encode(HEADER, BODY))).encode()
+    with pytest.raises(Refused, match="expected the checksum last"):
+        decode(EVENT, spaced, "m")
+
+
+def test_restamping_changes_what_is_held_and_nothing_else() -> None:
+    again = restamped(restamped(encode(HEADER, BODY), 3), 4)
+    header, body = decode(EVENT, again, "m")
+    assert body == BODY
+    assert header.model_copy(update={"checksum": None}) == HEADER.model_copy(update={"held_from": 4})
+    with pytest.raises(Refused, match="sealed"):
+        restamped(b"{}", 1)
+
+
+def test_every_topic_refuses_too_long_a_message_before_it_reads_it() -> None:
+    with pytest.raises(Refused, match="at most 1048576 bytes"):
+        decode(PLAN, b"x" * 1_048_577, "m")
+    assert MissionPlan is PLAN.payload
