@@ -1,0 +1,187 @@
+"""A whole mission in one process, without services: the same belief and planners, sample by sample, as fast as they go.
+
+What the services add (light time, drilling, telemetry) changes when a sample is in the map, but not the map; so
+planners are compared without them. A round is planned with all earlier samples in the map and hyperparameters refitted
+to them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import NoRoute
+from he3.frames import FloatArray
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
+from he3.measurement import sample_noise
+from he3.reference import Region
+from he3.trend import OrbitalTrend
+from services.ground.belief import Belief, Observation, fit
+from services.ground.planners import planner_named
+from services.ground.planning import Planner, PlannerOptions, PlanningRequest
+from services.ground.scoring import Scorer
+from services.ground.terrain import GroundTerrain
+
+START_M = (25.0, 25.0)
+ROUNDS, SAMPLES_A_ROUND = 30, 5
+FOOTPRINT_RADIUS_M = 0.8
+_FIT, _PLAN = 1, 2  # what a seed is for
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """One mission flown: its row of figures, and what it did."""
+
+    row: Row
+    path_m: FloatArray
+    """(K, 2) all that was driven [m]."""
+    samples_m: FloatArray
+    """(n, 2) where samples were taken [m]."""
+    values_ppb: FloatArray
+    """(n,) what they said [ppb]."""
+    rmse_history: tuple[float, ...]
+    """RMSE [ppb] after each sample, under the hyperparameters of its round."""
+    metres_history: tuple[float, ...]
+    """Metres driven by the time of each sample."""
+    mean_ppb: NDArray[np.float32]
+    std_ppb: NDArray[np.float32]
+    traversable: NDArray[np.bool_]
+    ended: str = ""
+    """Why the mission ended before its last round, or nothing."""
+
+
+@dataclass(slots=True)
+class _Log:
+    path: list[FloatArray] = field(default_factory=list)
+    places: list[tuple[float, float]] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+    rmse: list[float] = field(default_factory=list)
+    metres: list[float] = field(default_factory=list)
+    driven_m: float = 0.0
+    plan_s: float = 0.0
+    ended: str = ""
+
+
+def run_mission(
+    region: Region,
+    planner: str | Planner,
+    kernel: str,
+    seed: int,
+    *,
+    rounds: int = ROUNDS,
+    samples: int = SAMPLES_A_ROUND,
+    budget_m: float = inf,
+    prior: str | None = None,
+    noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
+    start_m: tuple[float, float] = START_M,
+    interest: NDArray[np.float32] | None = None,
+    options: PlannerOptions | None = None,
+    orbital_ppb: FloatArray | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Mission:
+    """The mission that this planner flies over the region, and its row of figures.
+
+    prior: None or "orbital", a trend learned from the region's orbital map or from ``orbital_ppb`` in its place.
+    progress is called with the number of samples taken and of all. Raises InvalidInput for names that nobody has.
+    """
+    begun = time.perf_counter()
+    function = planner_named(planner) if isinstance(planner, str) else planner
+    terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
+    orbital = region.orbital_ppb if orbital_ppb is None else orbital_ppb
+    trend = OrbitalTrend(region.grid, orbital) if prior == "orbital" else None
+    belief = Belief(region.grid, kernel, noise_std_ppb, trend)
+    scorer = Scorer(region.he3_ppb)
+    log, here = _Log(), start_m
+    for number in range(1, rounds + 1):
+        left_m = budget_m - log.driven_m
+        seeds = np.random.SeedSequence((seed, _PLAN, number, 1, 0))
+        request = PlanningRequest(
+            grid=region.grid,
+            traversable=terrain.traversable,
+            start_m=here,
+            observed_m=np.array(log.places, dtype=np.float64).reshape(-1, 2),
+            std_ppb=belief.map.std_ppb,
+            hyperparameters=belief.hyperparameters,
+            samples=samples,
+            samples_left=(rounds - number + 1) * samples,
+            budget_m=left_m,
+            seed=int(seeds.generate_state(1)[0]),
+            interest=interest,
+            options=options or PlannerOptions(),
+        )
+        asked = time.perf_counter()
+        try:
+            planned = function(request)
+        except NoRoute as error:
+            log.ended = str(error)
+            break
+        finally:
+            log.plan_s += time.perf_counter() - asked
+        log.path.append(planned.path_m)
+        for k, place in enumerate(planned.samples_m):
+            at = (float(place[0]), float(place[1]))
+            row, column = region.grid.cells_of(place[None])
+            sample_id = f"r{number:03d}s{k + 1:02d}"
+            value = float(region.he3_ppb[row[0], column[0]]) + sample_noise(seed, sample_id, noise_std_ppb)
+            belief.add(sample_id, Observation((number, 1, k + 1), at, value))
+            log.places.append(at)
+            log.values.append(value)
+            log.metres.append(log.driven_m + planned.length_m * (k + 1) / len(planned.samples_m))
+            log.rmse.append(_score(scorer, belief, len(log.places))[0])
+        log.driven_m += planned.length_m
+        here = (float(planned.path_m[-1, 0]), float(planned.path_m[-1, 1]))
+        fitting = belief.fit_request(number, (seed, _FIT, number))
+        if fitting is not None:
+            belief.adopt(fit(fitting))
+        if progress is not None:
+            progress(len(log.places), rounds * samples)
+    rmse, coverage_68, coverage_95 = _score(scorer, belief, len(log.places))
+    if log.rmse:
+        log.rmse[-1] = rmse  # after the last refit
+    row_of_figures: Row = {
+        "region": region.name,
+        "planner": planner if isinstance(planner, str) else getattr(planner, "__name__", str(planner)),
+        "kernel": kernel,
+        "prior": prior,
+        "budget_m": budget_m if isfinite(budget_m) else None,
+        "seed": seed,
+        "samples": len(log.places),
+        "rmse_ppb": rmse,
+        "path_length_m": log.driven_m,
+        "coverage_68": coverage_68,
+        "coverage_95": coverage_95,
+        "plan_time_s": log.plan_s,
+        "wall_time_s": time.perf_counter() - begun,
+    }
+    path = np.vstack((np.array([start_m]), *(piece[1:] for piece in log.path)))
+    return Mission(
+        row=row_of_figures,
+        path_m=path,
+        samples_m=np.array(log.places, dtype=np.float64).reshape(-1, 2),
+        values_ppb=np.array(log.values),
+        rmse_history=tuple(log.rmse),
+        metres_history=tuple(log.metres),
+        mean_ppb=belief.map.mean_ppb,
+        std_ppb=belief.map.std_ppb,
+        traversable=terrain.traversable,
+        ended=log.ended,
+    )
+
+
+def without_arrays(mission: Mission) -> Mission:
+    """The same mission without its maps: what a worker process sends home."""
+    empty = np.zeros((0, 0), dtype=np.float32)
+    return replace(mission, mean_ppb=empty, std_ppb=empty, traversable=empty.astype(np.bool_))
+
+
+def _score(scorer: Scorer, belief: Belief, samples: int) -> tuple[float, float, float]:
+    score = scorer.score(belief.map.mean_ppb, belief.map.std_ppb, samples, samples, 0)
+    return score.rmse_ppb, score.coverage_68, score.coverage_95

@@ -1,0 +1,151 @@
+"""Short open tours: the order in which to visit places, given the distances between them.
+
+The tour begins at place 0 and ends wherever it likes. Moves are the reversal of a stretch (2-opt, Croes 1958) and the
+transfer of up to three consecutive places, either way round (Or-opt, Or 1976), always the best one of all of them, by
+whole-matrix arithmetic; short double-bridge kicks (Martin, Otto and Felten 1991) then lead out of the local optimum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray
+
+IntArray = NDArray[np.intp]
+
+LONGEST_TRANSFER = 3
+"""Places that one Or-opt move takes along; longer stretches hardly ever pay."""
+LEAST_GAIN = 1e-9
+"""A move has to shorten the tour by more than this share of it, or rounding could make the search circle."""
+
+
+def short_tour(distances: FloatArray, first_guess: IntArray | None = None, kicks: int = 0, seed: int = 0) -> IntArray:
+    """Order (n,) in which to visit n places, beginning with place 0: no single move makes it shorter.
+
+    distances: (n, n), symmetric, not negative [m]. first_guess: an order to improve; without one, the best of the
+    nearest-neighbour and the cheapest-insertion tour. kicks: how often to disturb and repair it, keeping what is
+    shorter; which places are disturbed follows from the seed.
+    """
+    d = _with_open_end(distances)
+    if len(d) <= 3:
+        return np.arange(len(d) - 1, dtype=np.intp)
+    if first_guess is None:
+        guesses = [_nearest_neighbour(distances), _cheapest_insertion(distances)]
+    else:
+        guesses = [np.asarray(first_guess, dtype=np.intp)]
+    orders = [_improved(d, np.append(guess, len(d) - 1)) for guess in guesses]
+    best = min(orders, key=lambda order: _length(d, order))
+    if kicks:
+        best = _kicked(d, best, kicks, np.random.default_rng(seed))
+    return best[:-1]
+
+
+def tour_length(distances: FloatArray, order: IntArray) -> float:
+    """Length [m] of the open tour that visits the places of ``distances`` (n, n) in this order."""
+    return _length(np.asarray(distances, dtype=np.float64), np.asarray(order, dtype=np.intp))
+
+
+def _with_open_end(distances: FloatArray) -> FloatArray:
+    """The (n + 1, n + 1) distances with one more place, no distance from anywhere: the tour's end."""
+    d = np.asarray(distances, dtype=np.float64)
+    if d.ndim != 2 or d.shape[0] != d.shape[1] or not len(d):
+        raise InvalidInput(f"expected distances of shape (n, n) with n >= 1, got {d.shape}")
+    if np.isnan(d).any() or (d < 0).any():
+        raise InvalidInput("expected distances that are numbers and not negative")
+    return np.pad(d, ((0, 1), (0, 1)))
+
+
+def _length(d: FloatArray, order: IntArray) -> float:
+    return float(d[order[:-1], order[1:]].sum())
+
+
+def _nearest_neighbour(distances: FloatArray) -> IntArray:
+    n = len(distances)
+    left = np.ones(n, dtype=bool)
+    order = np.zeros(n, dtype=np.intp)
+    left[0] = False
+    for position in range(1, n):
+        order[position] = np.argmin(np.where(left, distances[order[position - 1]], np.inf))
+        left[order[position]] = False
+    return order
+
+
+def _cheapest_insertion(distances: FloatArray) -> IntArray:
+    """Takes in the place farthest from the tour next, where it costs least: outlines first, then fills in."""
+    n = len(distances)
+    order = [0]
+    apart = np.array(distances[0], dtype=np.float64)
+    apart[0] = -np.inf
+    for _ in range(1, n):
+        place = int(np.argmax(apart))
+        at = np.array(order)
+        cost = distances[at, place].copy()
+        cost[:-1] += distances[place, at[1:]] - distances[at[:-1], at[1:]]
+        order.insert(int(np.argmin(cost)) + 1, place)
+        apart = np.minimum(apart, distances[place])
+        apart[place] = -np.inf
+    return np.array(order, dtype=np.intp)
+
+
+def _improved(d: FloatArray, order: IntArray) -> IntArray:
+    """The order after best moves until none is left; bounded, though each of them makes the tour shorter."""
+    tolerance = LEAST_GAIN * max(_length(d, order), 1.0)
+    for _ in range(20 * len(order)):
+        moved = _best_move(d[np.ix_(order, order)], tolerance)
+        if moved is None:
+            break
+        order = order[moved]
+    return order
+
+
+def _best_move(d: FloatArray, tolerance: float) -> IntArray | None:
+    """The permutation of positions that shortens most, or None; d: distances in the order of the tour."""
+    n = len(d)
+    step = d[np.arange(n - 1), np.arange(1, n)]
+    # 2-opt: leave at i, come back at j + 1, with what lies between turned round; 0 <= i < j <= n - 2.
+    gain = step[:, None] + step[None, :] - d[:-1, :-1] - d[1:, 1:]
+    np.fill_diagonal(gain, -np.inf)
+    flat = int(np.argmax(gain))
+    best, (i, j) = float(gain.flat[flat]), divmod(flat, n - 1)
+    i, j = min(i, j), max(i, j)
+    move = np.r_[0 : i + 1, j:i:-1, j + 1 : n]
+    for length in range(1, min(LONGEST_TRANSFER, n - 3) + 1):
+        # Or-opt: the stretch s .. s + length - 1 goes between p and p + 1, p outside of it.
+        s = np.arange(1, n - length)
+        e = s + length - 1
+        freed = step[s - 1] + step[e] - d[s - 1, e + 1]
+        p = np.arange(n - 1)
+        outside = (p[None, :] < s[:, None] - 1) | (p[None, :] > e[:, None])
+        for turned in (False, True):
+            head, tail = (e, s) if turned else (s, e)
+            cost = d[p[None, :], head[:, None]] + d[tail[:, None], p[None, :] + 1] - step[None, :]
+            gain = np.where(outside, freed[:, None] - cost, -np.inf)
+            flat = int(np.argmax(gain))
+            if gain.flat[flat] > best:
+                best = float(gain.flat[flat])
+                a, at = divmod(flat, n - 1)
+                stretch = np.arange(s[a], e[a] + 1)[:: -1 if turned else 1]
+                if at < s[a]:
+                    move = np.r_[0 : at + 1, stretch, at + 1 : s[a], e[a] + 1 : n]
+                else:
+                    move = np.r_[0 : s[a], e[a] + 1 : at + 1, stretch, at + 1 : n]
+    return move if best > tolerance else None
+
+
+def _kicked(d: FloatArray, order: IntArray, kicks: int, generator: np.random.Generator) -> IntArray:
+    n = len(order)
+    if n < 8:
+        return order
+    length = _length(d, order)
+    for _ in range(kicks):
+        # Three cuts close together exchange two short neighbouring stretches: a local double bridge.
+        span = min(n - 2, 30)
+        first = int(generator.integers(0, n - span))
+        a, b, c = np.sort(generator.choice(np.arange(1, span), 3, replace=False)) + first
+        other = _improved(d, np.r_[order[:a], order[b:c], order[a:b], order[c:]])
+        other_length = _length(d, other)
+        if other_length < length:
+            order, length = other, other_length
+    return order

@@ -1,0 +1,162 @@
+"""One design for all samples that are left, and the tour through it: spread out, then drawn taut together.
+
+First the places are spread over what the samples so far leave uncovered, each in the middle of its own share (a
+centroidal Voronoi tessellation: Lloyd 1982), and a short tour is laid through them. Where the budget does not reach
+that far, fewer and larger shares are toured, and the samples set along that tour. Then the places move, all at once,
+down the gradient of
+
+    V(P) + lambda L(P)
+
+the field's average posterior variance and the tour's length, lambda being the price of a metre: what thrift asks for,
+or more where the budget binds. The price that makes a step just short enough follows from the two gradients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from he3.design_of_samples import AverageVariance, FieldNodes
+from he3.frames import FloatArray
+from he3.touring import short_tour
+from services.ground.planners.tour_legs import LegTable
+
+Settle = Callable[[FloatArray], FloatArray]
+"""Places (n, 2) [m] -> the nearest ones (n, 2) where the rover can be."""
+Table = Callable[[FloatArray], LegTable]
+"""Places (n, 2) [m], each reachable -> the legs between them."""
+
+LLOYD_ITERATIONS = 12
+REORDER_EVERY = 6
+"""Steps of the places between two looks at the order in which they are visited."""
+LONGEST_STEP_M = 8.0
+"""No place moves farther at a time [m]."""
+FIRST_STEP_M = 3.0
+LAST_STEP_M = 0.4
+"""Root mean square step [m] at the beginning and at the end, where the budget does not ask for more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """What a design has to know about the ground: where it counts, where one can be, how far it is."""
+
+    nodes: FieldNodes
+    settle: Settle
+    table: Table
+    start_m: FloatArray
+    """(2,) where the tour begins [m]."""
+
+
+def first_design(site: Site, taken_m: FloatArray, samples: int, budget_m: float, first_node: int) -> FloatArray:
+    """Places (samples, 2) [m] in the order of a tour of about the budget at most, not yet drawn taut."""
+    shares = samples
+    for attempt in range(4):
+        places = site.settle(spread(site, taken_m, shares, first_node))
+        stops = np.vstack((site.start_m, places))
+        table = site.table(stops)
+        order = short_tour(table.lengths_m)
+        length = float(table.lengths_m[order[:-1], order[1:]].sum())
+        if length <= budget_m or attempt == 3 or shares == 1:
+            break
+        shares = max(1, min(shares - 1, int(shares * (budget_m / length) ** 2)))
+    route = stops[order]
+    return route[1:] if shares == samples else site.settle(along(route, samples))
+
+
+def spread(site: Site, taken_m: FloatArray, count: int, first_node: int) -> FloatArray:
+    """Places (count, 2) [m], each the centre of the cells that are nearer to it than to any other or any taken.
+
+    They begin as far as possible from those taken and from each other (Gonzalez 1985); first_node is the first of them
+    where none is taken.
+    """
+    nodes = site.nodes.places_m
+    taken = taken_m if len(taken_m) else np.zeros((0, 2))
+    places = np.empty((count, 2))
+    farthest = first_node
+    apart = np.full(len(nodes), np.inf)
+    if len(taken):
+        apart = cKDTree(taken).query(nodes)[0]
+        farthest = int(np.argmax(apart))
+    for i in range(count):
+        places[i] = nodes[farthest]
+        apart = np.minimum(apart, np.hypot(*(nodes - places[i]).T))
+        farthest = int(np.argmax(apart))
+    for _ in range(LLOYD_ITERATIONS):
+        _, owner = cKDTree(np.vstack((places, taken))).query(nodes)
+        weight = np.bincount(owner, site.nodes.weights, count + len(taken))[:count]
+        moment = [np.bincount(owner, site.nodes.weights * nodes[:, k], count + len(taken))[:count] for k in (0, 1)]
+        owns = weight > 0
+        places[owns] = np.column_stack(moment)[owns] / weight[owns, None]
+        places = site.settle(places)
+    return places
+
+
+def along(route_m: FloatArray, count: int) -> FloatArray:
+    """Places (count, 2) [m] at equal distances along the polyline, the last at its end."""
+    steps = np.hypot(*np.diff(route_m, axis=0).T)
+    at = np.concatenate(([0.0], np.cumsum(steps)))
+    wanted = at[-1] * np.arange(1, count + 1) / count
+    return np.column_stack([np.interp(wanted, at, route_m[:, k]) for k in (0, 1)])
+
+
+def drawn_taut(
+    site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float, steps: int
+) -> FloatArray:
+    """The places (n, 2) [m], in the order of their tour, after that many steps down V + lambda L.
+
+    price: the least lambda, in units of V a metre.
+    """
+    places = places_m
+    momentum = np.zeros_like(places)
+    corners = np.full(places.shape, np.nan)
+    for step in range(steps):
+        if step % REORDER_EVERY == 0:
+            order, corners = _reordered(site, places)
+            places, momentum = places[order], momentum[order]
+        _, gradient = variance.with_gradient(places)
+        momentum = gradient if step == 0 else 0.6 * momentum + 0.4 * gradient
+        pull, length = length_gradient(site.start_m, places, corners)
+        wanted = FIRST_STEP_M * (LAST_STEP_M / FIRST_STEP_M) ** (step / max(steps - 1, 1))
+        size = float(np.sqrt(np.mean(np.sum((momentum + price * pull) ** 2, axis=1))))
+        if not size > 0:
+            break
+        rate = wanted / size
+        lam = price
+        excess = length - budget_m
+        if excess > 0:
+            # A step of this rate changes the length by -rate (momentum . pull + lambda |pull|^2): take off a third.
+            squared = float((pull * pull).sum())
+            if squared > 0:
+                lam = max(price, (excess / (3.0 * rate) - float((momentum * pull).sum())) / squared)
+        move = -rate * (momentum + lam * pull)
+        move *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.hypot(*move.T), 1e-9))[:, None]
+        places = site.settle(places + move)
+    order, _ = _reordered(site, places)
+    return places[order]
+
+
+def length_gradient(start_m: FloatArray, places_m: FloatArray, corners_m: FloatArray) -> tuple[FloatArray, float]:
+    """Gradient (n, 2) of the tour's length with respect to its places, and that length [m].
+
+    corners_m (n, 2): where the leg to each place bends, NaN where it does not.
+    """
+    before = np.vstack((start_m, places_m[:-1]))
+    bent = ~np.isnan(corners_m[:, :1])
+    into = places_m - np.where(bent, corners_m, before)
+    out = np.where(bent, corners_m, places_m) - before
+    into_length, out_length = np.hypot(*into.T), np.hypot(*out.T)
+    gradient = into / np.maximum(into_length, 1e-9)[:, None]
+    gradient[:-1] -= (out / np.maximum(out_length, 1e-9)[:, None])[1:]
+    length = float(np.where(bent[:, 0], into_length + out_length, into_length).sum())
+    return gradient, length
+
+
+def _reordered(site: Site, places: FloatArray) -> tuple[np.ndarray, FloatArray]:
+    """A shorter order (n,) of the places than that they come in, if there is one, and the corners (n, 2) of its
+    legs.""" stops = np.vstack((site.start_m, places))
+    table = site.table(stops)
+    order = short_tour(table.lengths_m, np.arange(len(stops)))
+    return order[1:] - 1, table.corners_m[order[:-1], order[1:]]

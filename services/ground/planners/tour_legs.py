@@ -1,0 +1,101 @@
+"""Legs round obstacles: how far it is between places of a tour, and along which line.
+
+Between neighbours, a leg that obstacles block is bent at one corner beside its middle where that suffices, which is
+cheap enough to do for every pair of neighbours at each look at the tour. Where one corner does not suffice, the tour
+reckons with a long detour; only if it takes that leg all the same, the shortest way over the cells is found, and drawn
+taut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from he3.frames import FloatArray
+from services.ground.planners.traversability import OpenGround
+
+NEIGHBOURS = 10
+"""Places to which each place's legs are looked at; a short tour seldom goes to a farther one."""
+ASIDE = np.array([0.08, 0.16, 0.28, 0.45, 0.7])
+"""How far beside its middle a leg is bent, in shares of its length, on either side."""
+DETOUR = 2.0
+"""Length of a leg that one corner does not free, in multiples of the straight one, until somebody finds the way."""
+FAR = 1.1
+"""The same for legs to places that are no neighbours."""
+
+
+@dataclass(frozen=True, slots=True)
+class LegTable:
+    """Lengths of the legs between n places, and where they bend."""
+
+    lengths_m: FloatArray
+    """(n, n) [m]."""
+    corners_m: FloatArray
+    """(n, n, 2) [m], NaN for straight legs and for those whose way is not known."""
+    free: NDArray[np.bool_]
+    """(n, n): whether the leg, with its corner if it has one, is known to be free."""
+
+
+def leg_table(ground: OpenGround, places_m: FloatArray) -> LegTable:
+    """Legs between the places (n, 2) [m], each of them on open ground."""
+    n = len(places_m)
+    apart = np.hypot(*(places_m[:, None] - places_m[None]).transpose(2, 0, 1))
+    lengths = apart * FAR
+    corners = np.full((n, n, 2), np.nan)
+    free = np.eye(n, dtype=bool)
+    if n > 1:
+        _, near = cKDTree(places_m).query(places_m, k=min(NEIGHBOURS + 1, n))
+        first = np.repeat(np.arange(n), near.shape[1])
+        pairs = np.unique(np.sort(np.column_stack((first, near.ravel())), axis=1), axis=0)
+        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+        i, j = pairs[:, 0], pairs[:, 1]
+        length, corner, is_free = bent_legs(ground, places_m[i], places_m[j])
+        lengths[i, j] = lengths[j, i] = length
+        corners[i, j] = corners[j, i] = corner
+        free[i, j] = free[j, i] = is_free
+    return LegTable(lengths, corners, free)
+
+
+def bent_legs(ground: OpenGround, a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Lengths (k,), corners (k, 2) or NaN, and whether they are free, of legs from a (k, 2) to b (k, 2) [m]."""
+    apart = np.hypot(*(b_m - a_m).T)
+    lengths = apart.copy()
+    corners = np.full(a_m.shape, np.nan)
+    free = ground.segments_free(a_m, b_m)
+    blocked = np.flatnonzero(~free)
+    if blocked.size:
+        lengths[blocked] *= DETOUR
+        a, b = a_m[blocked], b_m[blocked]
+        across = np.column_stack((a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]))
+        shares = np.concatenate((ASIDE, -ASIDE))
+        bends = 0.5 * (a + b)[:, None] + shares[None, :, None] * across[:, None]
+        count = len(shares)
+        flat = bends.reshape(-1, 2)
+        fits = ground.is_open(flat)
+        fits[fits] = ground.segments_free(np.repeat(a, count, axis=0)[fits], flat[fits])
+        fits[fits] = ground.segments_free(flat[fits], np.repeat(b, count, axis=0)[fits])
+        bent = apart[blocked, None] * np.sqrt(1.0 + 4.0 * shares**2)
+        bent = np.where(fits.reshape(-1, count), bent, np.inf)
+        best = np.argmin(bent, axis=1)
+        rows = np.arange(len(blocked))
+        found = np.isfinite(bent[rows, best])
+        at = blocked[found]
+        lengths[at] = bent[rows, best][found]
+        corners[at] = bends[rows, best][found]
+        free[at] = True
+    return lengths, corners, free
+
+
+def leg_path(table: LegTable, places_m: FloatArray, i: int, j: int) -> FloatArray:
+    """The free leg from place i to place j as a polyline (2 or 3, 2) [m]."""
+    corner = table.corners_m[i, j]
+    ends = (places_m[i], places_m[j])
+    return np.array(ends if np.isnan(corner[0]) else (ends[0], corner, ends[1]))
+
+
+def joined(pieces: list[FloatArray]) -> FloatArray:
+    """One polyline out of consecutive ones, each beginning where the last one ends."""
+    return np.vstack([pieces[0], *(piece[1:] for piece in pieces[1:])])

@@ -1,0 +1,46 @@
+"""The shortest way between two neighbours of a tour, sought in a window round them before it is sought everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from he3.errors import NoRoute
+from he3.frames import FloatArray, SiteGrid
+from services.ground.planners.routes import Routes
+from services.ground.planners.traversability import OpenGround
+
+MARGINS = (0.75, 3.0)
+"""How far round two places the search looks, in multiples of their distance, before it looks everywhere."""
+LEAST_MARGIN_CELLS = 20.0
+
+
+def shortest_way(ground: OpenGround, begin_m: FloatArray, end_m: FloatArray) -> FloatArray:
+    """A taut free polyline (K, 2) [m] from one place (2,) to the other. Raises NoRoute if there is none.
+
+    A way found in a window is the shortest one there is if it is shorter than any that leaves the window; longer ones
+    are sought again in the next window.
+    """
+    apart = float(np.hypot(*(end_m - begin_m)))
+    ends = np.array([begin_m, end_m])
+    for share in MARGINS:
+        margin_m = max(share * apart, LEAST_MARGIN_CELLS * ground.grid.resolution_m)
+        try:
+            way = _within(ground, ends, margin_m)
+        except NoRoute:
+            continue
+        if float(np.hypot(*np.diff(way, axis=0).T).sum()) <= apart + 2.0 * margin_m:
+            return way
+    return Routes(ground).route((begin_m[0], begin_m[1]), (end_m[0], end_m[1]))
+
+
+def _within(ground: OpenGround, ends_m: FloatArray, margin_m: float) -> FloatArray:
+    grid, size = ground.grid, ground.grid.resolution_m
+    low = np.maximum(np.floor((ends_m.min(axis=0) - margin_m) / size), 0).astype(int)
+    high = np.minimum(np.ceil((ends_m.max(axis=0) + margin_m) / size), (grid.columns, grid.rows)).astype(int)
+    window = ground.open[low[1] : high[1], low[0] : high[0]]
+    corner = low * size
+    begin, end = ends_m - corner
+    way = Routes(OpenGround(SiteGrid(*window.shape, size), window)).route((begin[0], begin[1]), (end[0], end[1]))
+    way += corner
+    way[[0, -1]] = ends_m
+    return way
