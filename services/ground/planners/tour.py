@@ -190,7 +190,8 @@ def _first_round(request: PlanningRequest, pieces: list[FloatArray], budget_m: f
 
 def _within_budget(at: FloatArray, budget_m: float) -> FloatArray:
     """Distances (n,) [m] along the route: those within the budget, and for the others the middles of the longest
-    gaps.""" within = [0.0, *at[at <= budget_m].tolist(), budget_m]
+    gaps."""
+    within = [0.0, *at[at <= budget_m].tolist(), budget_m]
     for _ in range(len(at) - len(within) + 2):
         gap = int(np.argmax(np.diff(within)))
         within.insert(gap + 1, 0.5 * (within[gap] + within[gap + 1]))

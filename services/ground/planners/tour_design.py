@@ -156,7 +156,8 @@ def length_gradient(start_m: FloatArray, places_m: FloatArray, corners_m: FloatA
 
 def _reordered(site: Site, places: FloatArray) -> tuple[np.ndarray, FloatArray]:
     """A shorter order (n,) of the places than that they come in, if there is one, and the corners (n, 2) of its
-    legs.""" stops = np.vstack((site.start_m, places))
+    legs."""
+    stops = np.vstack((site.start_m, places))
     table = site.table(stops)
     order = short_tour(table.lengths_m, np.arange(len(stops)))
     return order[1:] - 1, table.corners_m[order[:-1], order[1:]]
