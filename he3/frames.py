@@ -48,12 +48,12 @@ class SiteGrid:
     @property
     def x_m(self) -> FloatArray:
         """Eastward coordinate of the cell centres, (columns,) [m]."""
-        return (np.arange(self.columns) + 0.5) * self.resolution_m
+        return (np.arange(self.columns, dtype=np.float64) + 0.5) * self.resolution_m
 
     @property
     def y_m(self) -> FloatArray:
         """Northward coordinate of the cell centres, (rows,) [m]."""
-        return (np.arange(self.rows) + 0.5) * self.resolution_m
+        return (np.arange(self.rows, dtype=np.float64) + 0.5) * self.resolution_m
 
     def points(self) -> FloatArray:
         """All cell centres as (rows * columns, 2) of (x, y) [m], in the order of ``array.ravel()``."""
