@@ -8,6 +8,7 @@ from enum import Enum, StrEnum
 from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
+from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.maps import MapLayerQuery, MapPoint, MapPointQuery, MapRaster, MapScore
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.plans import MissionPlan
@@ -60,6 +61,8 @@ class Topic:
     crosses: Crosses = Crosses.NEVER
     service: Custody | Latest | Query = Latest()
     recorded: bool = False
+    kept: bool = False
+    """Whether the last message can be asked for, on the same key, by who came too late to hear it."""
     reply: type[Wire] | None = None
     max_bytes: int = 16_384
     max_reply_bytes: int = 1_048_576
@@ -101,9 +104,9 @@ MOON_PRESENCE = Topic("moon/presence", Presence)
 EARTH_CLOCK = Topic("earth/clock", ClockState, recorded=True)
 EARTH_PRESENCE = Topic("earth/presence", Presence)
 CLOCK_SET = Topic("earth/clock/set", ClockChange, service=Query(), reply=ClockState)
-LINK_STATUS = Topic("earth/link/status", LinkStatus, recorded=True, max_bytes=262_144)
+LINK_STATUS = Topic("earth/link/status", LinkStatus, recorded=True, kept=True, max_bytes=262_144)
 LINK_SET = Topic("earth/link/set", LinkChange, service=Query(), reply=LinkStatus)
-GROUND_STATUS = Topic("earth/ground/status", GroundStatus, recorded=True, max_bytes=65_536)
+GROUND_STATUS = Topic("earth/ground/status", GroundStatus, recorded=True, kept=True, max_bytes=65_536)
 ISSUE_COMMAND = Topic("earth/ground/command", Telecommand, service=Query(), reply=CommandStatus)
 LIST_COMMANDS = Topic(
     "earth/ground/commands", NoParameters, service=Query(), reply=CommandList, max_reply_bytes=4_194_304
@@ -113,6 +116,18 @@ MAP_POINT = Topic("earth/map/point", MapPointQuery, service=Query(), reply=MapPo
 MAP_LAYER = Topic("earth/map/layer", MapLayerQuery, service=Query(), reply=MapRaster, max_reply_bytes=33_554_432)
 MAP_SCORE = Topic("earth/map/score", NoParameters, service=Query(), reply=MapScore)
 TRACK = Topic("earth/map/track", NoParameters, service=Query(), reply=MissionTrack, max_reply_bytes=33_554_432)
+
+MOON_JOIN = Topic("moon/time/join", Join, service=Query(), reply=Joined, max_bytes=65_536)
+MOON_GRANT = Topic("moon/time/grant", Grant)
+MOON_DONE = Topic("moon/time/done", StepDone)
+MOON_BUSY = Topic("moon/time/busy", StepBusy)
+MOON_POKE = Topic("moon/time/poke", Poke)
+EARTH_JOIN = Topic("earth/time/join", Join, service=Query(), reply=Joined, max_bytes=65_536)
+EARTH_GRANT = Topic("earth/time/grant", Grant)
+EARTH_DONE = Topic("earth/time/done", StepDone)
+EARTH_BUSY = Topic("earth/time/busy", StepBusy)
+EARTH_POKE = Topic("earth/time/poke", Poke)
+TIME_CONTROL = Topic("earth/time/control", TimeControl, service=Query(), reply=TimeStatus)
 
 TOPICS: tuple[Topic, ...] = (
     PLAN,
@@ -140,6 +155,17 @@ TOPICS: tuple[Topic, ...] = (
     MAP_LAYER,
     MAP_SCORE,
     TRACK,
+    MOON_JOIN,
+    MOON_GRANT,
+    MOON_DONE,
+    MOON_BUSY,
+    MOON_POKE,
+    EARTH_JOIN,
+    EARTH_GRANT,
+    EARTH_DONE,
+    EARTH_BUSY,
+    EARTH_POKE,
+    TIME_CONTROL,
 )
 
 BY_NAME: dict[str, Topic] = {topic.name: topic for topic in TOPICS}

@@ -66,8 +66,8 @@ class Question:
         self.query.reply(self.query.key_expr, payload, encoding=encoding, attachment=attachment)
         self.query.drop()  # type: ignore[no-untyped-call]
 
-    def refuse(self, why: str) -> None:
-        self.query.reply_err(error_body(why), encoding=zenoh.Encoding.APPLICATION_JSON)
+    def refuse(self, why: str, attachment: bytes | None = None) -> None:
+        self.query.reply_err(error_body(why, attachment), encoding=zenoh.Encoding.APPLICATION_JSON)
         self.query.drop()  # type: ignore[no-untyped-call]
 
 
@@ -78,6 +78,7 @@ class Bus:
         self._session = session
         self._mission = mission
         self._held: list[Any] = []
+        self._kept: dict[Topic, bytes] = {}
 
     def publish(self, topic: Topic, payload: bytes, attachment: bytes | None = None) -> None:
         self._session.put(
@@ -87,6 +88,11 @@ class Bus:
             congestion_control=zenoh.CongestionControl.BLOCK,
             attachment=attachment,
         )
+        if topic.kept:
+            first = topic not in self._kept
+            self._kept[topic] = payload
+            if first:
+                self.serve(topic, lambda question: question.reply(self._kept[topic]))
 
     def subscribe(self, topic: Topic, on_payload: OnPayload) -> None:
         def hand_over(sample: zenoh.Sample) -> None:
@@ -121,7 +127,7 @@ class Bus:
             if said == b"Timeout":
                 outcome.append((Silence.TIMEOUT, f"within {timeout_s:g} s", b""))
             else:
-                outcome.append((Silence.REFUSED, _error_text(said), b""))
+                outcome.append((Silence.REFUSED, *_refusal(said)))
 
         def on_done() -> None:
             on_end(*(outcome[0] if outcome else (Silence.NO_ROUTE, "", b"")))
@@ -217,7 +223,13 @@ class Client:
 
     def query(self, topic: Topic, request: Wire, timeout_s: float = 10.0) -> Any:
         """The body of the answer; raises PeerUnreachable when nobody answers, He3Error with a refusal's text."""
-        payload = encode(self._header(0), request)
+        return decode_reply(topic, self._ask(topic, encode(self._header(0), request), timeout_s), self._mission)[1]
+
+    def latest(self, topic: Topic, timeout_s: float = 10.0) -> tuple[Header, Any]:
+        """The last message of a topic that is kept (or a clock); raises PeerUnreachable when nobody has one."""
+        return decode(topic, self._ask(topic, b"", timeout_s), self._mission)
+
+    def _ask(self, topic: Topic, payload: bytes, timeout_s: float) -> bytes:
         ended = threading.Event()
         outcome: list[tuple[bytes | Silence, str]] = []
 
@@ -230,7 +242,7 @@ class Client:
             raise PeerUnreachable(f"{topic.key(self._mission)}: no answer within {timeout_s:g} s")
         answer, detail = outcome[0]
         if isinstance(answer, bytes):
-            return decode_reply(topic, answer, self._mission)[1]
+            return answer
         if answer is Silence.REFUSED:
             raise He3Error(detail)
         raise PeerUnreachable(f"{topic.key(self._mission)}: {answer.value}{' ' + detail if detail else ''}")
@@ -258,9 +270,10 @@ class Client:
         return Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=now)
 
 
-def error_body(why: str) -> bytes:
-    """How a refusal looks on the wire."""
-    return json.dumps({"error": why}).encode()
+def error_body(why: str, attachment: bytes | None = None) -> bytes:
+    """How a refusal looks on the wire; error replies have no attachment of their own, so it goes inside."""
+    stamp = {} if attachment is None else {"stamp": attachment.decode()}
+    return json.dumps({"error": why, **stamp}).encode()
 
 
 def _is_put(sample: Any) -> bool:
@@ -272,11 +285,13 @@ def _attachment(carrier: Any) -> bytes:
     return b"" if attachment is None else bytes(attachment.to_bytes())
 
 
-def _error_text(said: bytes) -> str:
+def _refusal(said: bytes) -> tuple[str, bytes]:
+    """What a refusal says, and the stamp in it."""
     try:
-        return str(json.loads(said)["error"])
-    except (ValueError, TypeError, KeyError):
-        return said.decode(errors="replace")[:200]
+        body = json.loads(said)
+        return str(body["error"]), str(body.get("stamp", "")).encode()
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return said.decode(errors="replace")[:200], b""
 
 
 def _first_line(error: Exception) -> str:

@@ -6,16 +6,18 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from he3.errors import He3Error
-from schemas.ground import GroundStatus
+from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import LinkStatus
 from schemas.topics import GROUND_STATUS, LINK_STATUS, SAMPLE, Side, Topic
 from schemas.wire import Wire, decode
 from services.host import Trace
-from services.node import SECOND, Finish, MissionTime, Node
+from services.node import SECOND, MissionTime, Node
 from services.recorder.node import Sink
 from services.scenario import Scenario
 from services.seat import Executor
 from services.simulation import Simulation
+
+ENDED = frozenset({MissionPhase.COMPLETED, MissionPhase.FAILED})
 
 RECORDING_FLUSH_S = 3600.0
 """Mission time between flushes of an in-process recording: nobody else depends on it while it runs."""
@@ -66,12 +68,12 @@ class InProcessMission:
         return (self.simulation.now - self.scenario.start_ns) / SECOND
 
     @property
-    def end(self) -> Finish | None:
-        """How the mission ended; None while it goes on."""
-        return self.simulation.finished.get("ground")
+    def end(self) -> MissionPhase | None:
+        """How the mission ended: completed or failed; None while it goes on."""
+        return None if self.status is None or self.status.phase not in ENDED else self.status.phase
 
-    def run(self, watch: Callable[[], None] = lambda: None, until_s: float | None = None) -> Finish:
-        """How the mission ended, after running it to its end; `watch` is called after every instant.
+    def run(self, watch: Callable[[], None] = lambda: None, until_s: float | None = None) -> MissionPhase:
+        """How the mission ended, after running it until the ground says so; `watch` is called after every instant.
 
         Raises He3Error when the mission stands still, or is not over `until_s` seconds after its beginning.
         """

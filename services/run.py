@@ -9,11 +9,9 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
-import signal
-import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
@@ -28,10 +26,11 @@ from services.clock import mission_time, wall_time
 from services.host import Action, Host, Publish, PutQuestion, Reply, ReplyError
 from services.log import Log
 from services.node import Finish, MissionTime, Node, Note, Show, Silence
-from services.options import Options, parse_options
+from services.options import Options
 from services.presence import Heartbeat
 from services.questions import SnapshotServer, SnapshotService, request_of
 from services.seat import Executor, InlineExecutor, Kind, Seat
+from services.stamp import read_stamp
 from services.trace import EventLog
 
 CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
@@ -54,6 +53,8 @@ class Service:
     executor: Callable[[], OwnedExecutor] | None = None
     answers: SnapshotService | None = None
     """Which questions are answered from snapshots, and how."""
+    onlooker: bool = False
+    """It only listens: virtual time never waits for it."""
 
 
 class Stop:
@@ -66,21 +67,6 @@ class Stop:
     def __call__(self, *_: Any) -> None:
         self.event.set()
         self.inbox.put(lambda: None)
-
-
-def run_service(service: Service, arguments: Sequence[str] | None = None, process: type[Process] | None = None) -> int:
-    """Run the service until it is told to stop; the process's exit code. One line on standard error if it cannot."""
-    stop = Stop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    # A thread that computes hands over after 0.5 ms, so that a question waits no longer for it than for the network.
-    sys.setswitchinterval(0.0005)
-    try:
-        options = parse_options(service.name, sys.argv[1:] if arguments is None else arguments)
-        return (process or Process)(service, options, stop).run()
-    except He3Error as error:
-        sys.stderr.write(f"he3 {service.name}: {error}\n")
-        return 2
 
 
 class Process:
@@ -114,10 +100,10 @@ class Process:
             node = self._service.build(self.options)
             self._events = EventLog(self.options.events) if self.options.events else None
             host = Host(node, self.mission, self._events)
-            self._seat = Seat(host, _Waking(executor, self.stop.inbox))
+            self.seat = Seat(host, _Waking(executor, self.stop.inbox))
             if not self._connect(host):
                 return 0
-            self._heartbeat = Heartbeat(host, self._publish_quietly)
+            self.heartbeat = Heartbeat(host, self._publish_quietly)
             self._loop()
             return 0
         finally:
@@ -163,10 +149,10 @@ class Process:
         """Ask the time keeper until it answers; a subscription brings every later change. False when told to stop."""
         side, bus = next(iter(self.buses.items()))
         topic = CLOCKS[side]
-        bus.subscribe(topic, lambda payload, _attachment: self.later(partial(self._set_clock, side, payload)))
+        bus.subscribe(topic, lambda payload, _attachment: self.later(partial(self.set_clock, side, payload)))
         told = False
         while self.clock is None and not self.stop.event.is_set():
-            bus.ask(topic, b"", 2.0, lambda answer, *_: self.later(partial(self._set_clock, side, answer)))
+            bus.ask(topic, b"", 2.0, lambda answer, *_: self.later(partial(self.set_clock, side, answer)))
             try:
                 self.stop.inbox.get(timeout=IDLE_S)()
             except queue.Empty:
@@ -179,19 +165,19 @@ class Process:
 
     def _loop(self) -> None:
         now = self._now()
-        self._seat.put((Kind.MESSAGE, "", 0), partial(self._seat.host.start, 1))
+        self.seat.put((Kind.MESSAGE, "", 0), partial(self.seat.host.start, 1))
         self._run_seat(now)
         while not self.stop.event.is_set():
             self._run_due()
             with contextlib.suppress(queue.Empty):
                 self.stop.inbox.get(timeout=self._patience_s())()
             self._drain()
-            self._heartbeat.beat(time.monotonic(), self._last)
+            self.heartbeat.beat(time.monotonic(), self._last)
 
     def _drain(self) -> None:
         """Take in everything that waits, timers first: what is due is handled at the time it was due."""
         while not self.stop.event.is_set():
-            if self._seat.waiting:
+            if self.seat.waiting:
                 self._run_seat(self._now())
             try:
                 take_in = self.stop.inbox.get_nowait()
@@ -202,18 +188,18 @@ class Process:
 
     def _run_due(self) -> None:
         while not self.stop.event.is_set():
-            wake = self._seat.next_wake(wait=False)
+            wake = self.seat.next_wake(wait=False)
             if wake is None or wake > self._now():
                 return
             self._run_seat(max(wake, self._last))
 
     def _run_seat(self, now: MissionTime) -> None:
         self._last = max(self._last, now)
-        for action in self._seat.run(self._last, wait=False):
+        for action in self.seat.run(self._last, wait=False):
             self._perform(action)
 
     def _patience_s(self) -> float:
-        wake = self._seat.next_wake(wait=False)
+        wake = self.seat.next_wake(wait=False)
         if wake is None or self.clock is None:
             return IDLE_S
         at = wall_time(self.clock, wake)
@@ -242,14 +228,20 @@ class Process:
     def later(self, take_in: Callable[[], None]) -> None:
         self.stop.inbox.put(take_in)
 
-    def _came(self, topic: Topic, payload: bytes, _attachment: bytes) -> None:
-        self.later(partial(self._put, Kind.MESSAGE, partial(self._seat.host.deliver, topic, payload)))
+    def _came(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
+        self.later(partial(self._take_message, partial(self.seat.host.deliver, topic, payload), attachment))
+
+    def _take_message(self, handle: Callable[[MissionTime], list[Action]], attachment: bytes) -> None:
+        stamp = read_stamp(attachment)
+        if stamp is not None:  # an onlooker's time in lockstep is that of what it sees
+            self._last = max(self._last, stamp.at)
+        self._put(Kind.MESSAGE, handle)
 
     def _asked(self, topic: Topic, question: Question) -> None:
         self.later(partial(self._take_question, topic, question))
 
     def _answer_came(self, question: str, answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
-        host = self._seat.host
+        host = self.seat.host
         if isinstance(answer, bytes):
             self.later(partial(self._put, Kind.QUESTION, partial(host.answered, question, answer)))
         else:
@@ -259,14 +251,14 @@ class Process:
 
     def _put(self, kind: Kind, handle: Callable[[MissionTime], list[Action]]) -> None:
         self._counter += 1
-        self._seat.put((kind, "", self._counter), handle)
+        self.seat.put((kind, "", self._counter), handle)
 
     def _take_question(self, topic: Topic, question: Question) -> None:
         self._counter += 1
         token = self._counter
         self._tokens[token] = question
         payload = question.payload
-        host = self._seat.host
+        host = self.seat.host
         if payload is not None:
             self._put(Kind.QUESTION, partial(host.ask, topic, payload, token))
             return
@@ -277,7 +269,7 @@ class Process:
             return
         self._put(Kind.QUESTION, partial(host.ask_checked, topic, request, token))
 
-    def _set_clock(self, side: Side, payload: bytes | Silence) -> None:
+    def set_clock(self, side: Side, payload: bytes | Silence) -> None:
         if isinstance(payload, Silence):
             return
         try:

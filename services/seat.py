@@ -88,9 +88,9 @@ class Seat:
         """Names of the computations under way."""
         return sorted(job for _, job, _ in self._running)
 
-    def futures(self) -> list[Future[Any]]:
-        """The computations under way, for a driver that must notice their end."""
-        return [future for _, _, future in self._running]
+    def due_computations(self, now: MissionTime) -> list[Future[Any]]:
+        """The computations whose end is due by `now`, ended or not."""
+        return [future for ends, _, future in self._running if ends <= now]
 
     def run(self, now: MissionTime, wait: bool = True) -> list[Action]:
         """Handle everything that is there or due by `now`; returns the actions that concern others, in order.

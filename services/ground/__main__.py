@@ -8,7 +8,8 @@ from services.ground.planner_process import PlannerProcess
 from services.node import Node
 from services.options import Options
 from services.questions import SnapshotService
-from services.run import Service, run_service
+from services.run import Service
+from services.serve import serve
 
 
 def build(options: Options) -> Node:
@@ -17,4 +18,4 @@ def build(options: Options) -> Node:
 
 if __name__ == "__main__":
     service = Service("ground", build, executor=PlannerProcess, answers=SnapshotService(MAP_TOPICS, answer))
-    sys.exit(run_service(service))
+    sys.exit(serve(service))

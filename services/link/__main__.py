@@ -2,11 +2,13 @@
 
 import sys
 
+from services.link.lockstep import LockstepLinkProcess
 from services.link.node import build_node
 from services.link.process import LinkProcess
 from services.node import Node
 from services.options import Options
-from services.run import Service, run_service
+from services.run import Service
+from services.serve import serve
 
 
 def build(options: Options) -> Node:
@@ -14,4 +16,4 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
-    sys.exit(run_service(Service("link", build), process=LinkProcess))
+    sys.exit(serve(Service("link", build), on_wall_clock=LinkProcess, in_lockstep=LockstepLinkProcess))

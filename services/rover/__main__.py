@@ -5,7 +5,8 @@ import sys
 from services.node import Node
 from services.options import Options
 from services.rover.node import build_node
-from services.run import Service, run_service
+from services.run import Service
+from services.serve import serve
 
 
 def build(options: Options) -> Node:
@@ -13,4 +14,4 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
-    sys.exit(run_service(Service("rover", build)))
+    sys.exit(serve(Service("rover", build)))

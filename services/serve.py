@@ -1,0 +1,33 @@
+"""The entry of every service's process: options read once, the right kind of process made, errors said in one line."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Sequence
+
+from he3.errors import He3Error
+from services.lockstep import LockstepProcess
+from services.options import parse_options
+from services.run import Process, Service, Stop
+
+
+def serve(
+    service: Service,
+    arguments: Sequence[str] | None = None,
+    on_wall_clock: type[Process] = Process,
+    in_lockstep: type[Process] = LockstepProcess,
+) -> int:
+    """Run the service until it is told to stop; the process's exit code. One line on standard error if it cannot."""
+    stop = Stop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    # A thread that computes hands over after 0.5 ms, so that a question waits no longer for it than for the network.
+    sys.setswitchinterval(0.0005)
+    try:
+        options = parse_options(service.name, sys.argv[1:] if arguments is None else arguments)
+        process = in_lockstep if options.lockstep and not service.onlooker else on_wall_clock
+        return process(service, options, stop).run()
+    except He3Error as error:
+        sys.stderr.write(f"he3 {service.name}: {error}\n")
+        return 2
