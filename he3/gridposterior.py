@@ -9,18 +9,22 @@ with b its whitened residual: the Cholesky factor extended by one row, seen from
 V once; nothing is refitted and nothing approximated. The small factor, l, d and b, and the sums of mean and variance,
 are in float64; only V and the new row are float32. At 1,000 samples their error is below 1e-4 of the prior
 variance, and below 1e-5 of the mean (tests/unit/test_gridposterior.py).
+
+A trend's columns H are kept apart: their prior variance is large, and what float32 rounds off is a part of it. With
+R = H - V' (L^-1 H) on the cells, updated like the mean, and the coefficients' posterior covariance S, the trend adds
+R b to the mean and R S R' to the variance (Rasmussen & Williams 2006, eqs. 2.41 and 2.42).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import blas
+from scipy.linalg import blas, solve_triangular
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid, as_points
@@ -60,18 +64,18 @@ class GridPosterior:
         self._cells = grid.rows * grid.columns
         self._blocks: list[Float32Array] = []
         self._tail_is_shared = False
-        variance = np.full(self._cells, hyperparameters.kernel.prior_variance, dtype=np.float64)
-        self._trend: Float32Array | None = None
+        self._variance: FloatArray = np.full(self._cells, hyperparameters.kernel.prior_variance, dtype=np.float64)
+        self._mean: FloatArray = np.zeros(self._cells)
         self._prior_mean: FloatArray | float = hyperparameters.mean_ppb
+        self._without_trend = self._process
+        self._trend: _TrendOnCells | None = None
         if hyperparameters.trend is not None:
             points = grid.points()
             basis = hyperparameters.trend_basis(points)
             assert basis is not None
-            variance += (basis * basis).sum(axis=1)
-            self._trend = np.ascontiguousarray(basis.T, dtype=np.float32)
+            self._without_trend = GaussianProcess(replace(hyperparameters, trend=None))
             self._prior_mean = hyperparameters.prior_mean_ppb(points)
-        self._variance: FloatArray = variance
-        self._mean: FloatArray = np.zeros(self._cells)
+            self._trend = _TrendOnCells(basis.T.copy(), np.empty((0, basis.shape[1])))
         self._snapshot: MapSnapshot | None = None
 
     @classmethod
@@ -86,8 +90,7 @@ class GridPosterior:
     ) -> GridPosterior:
         """The posterior given observations (n,) [ppb] at places (n, 2) [m], all at once."""
         posterior = cls(grid, hyperparameters, threads=threads)
-        posterior._process = posterior._process.condition(xy_m, values_ppb)
-        posterior._check_size(len(posterior._process))
+        posterior._take(*posterior._conditioned(np.asarray(xy_m, dtype=np.float64), values_ppb))
         posterior._fill()
         return posterior
 
@@ -106,12 +109,11 @@ class GridPosterior:
 
     def add(self, xy_m: ArrayLike, value_ppb: float) -> None:
         """Take in one observation [ppb] at the place (2,) [m]."""
-        place = _one_place(xy_m)
-        self._append(self._process.condition(place, [value_ppb]))
+        self._append(*self._conditioned(_one_place(xy_m), [value_ppb]))
 
     def add_place(self, xy_m: ArrayLike) -> None:
         """Take in that the place (2,) [m] will be sampled: the variance falls, the mean stays."""
-        self._append(self._process.condition_on_places(_one_place(xy_m)))
+        self._append(*self._conditioned(_one_place(xy_m), None))
 
     def at(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (k,) and standard deviation (k,) [ppb] at arbitrary places (k, 2) [m], exact."""
@@ -131,14 +133,18 @@ class GridPosterior:
         """The map as it is now, for other threads: its arrays never change."""
         if self._snapshot is None:
             scale = self.hyperparameters.scale_ppb
-            mean = (self._mean * scale + self._prior_mean).astype(np.float32).reshape(self.grid.shape)
-            std = np.maximum(self._variance, 0.0)
-            np.sqrt(std, out=std)
-            std *= scale
-            spread = std.astype(np.float32).reshape(self.grid.shape)
-            mean.setflags(write=False)
-            spread.setflags(write=False)
-            self._snapshot = MapSnapshot(len(self), mean, spread)
+            mean, variance = self._mean, self._variance
+            if self._trend is not None:
+                by_trend, of_trend = self._trend.contribution(self._without_trend.whitened)
+                mean, variance = mean + by_trend, variance + of_trend
+            std = np.sqrt(np.maximum(variance, 0.0))
+            maps = [
+                values.astype(np.float32).reshape(self.grid.shape)
+                for values in (mean * scale + self._prior_mean, std * scale)
+            ]
+            for values in maps:
+                values.setflags(write=False)
+            self._snapshot = MapSnapshot(len(self), *maps)
         return self._snapshot
 
     def fork(self) -> GridPosterior:
@@ -148,22 +154,41 @@ class GridPosterior:
         copy._blocks = list(self._blocks)
         copy._variance = self._variance.copy()
         copy._mean = self._mean.copy()
+        copy._trend = self._trend and replace(self._trend, residual=self._trend.residual.copy())
         copy._tail_is_shared = self._tail_is_shared = True
         return copy
 
-    def _check_size(self, samples: int) -> None:
-        if samples > MOST_SAMPLES:
-            raise InvalidInput(f"expected at most {MOST_SAMPLES} samples on a grid, got {samples}")
+    def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike | None) -> tuple[GaussianProcess, GaussianProcess]:
+        """The process with more samples, with and without the trend; values that are None are as expected."""
+        if len(self) + len(xy) > MOST_SAMPLES:
+            raise InvalidInput(f"expected at most {MOST_SAMPLES} samples on a grid, got {len(self) + len(xy)}")
+        if values_ppb is None:
+            process = self._process.condition_on_places(xy)
+        else:
+            process = self._process.condition(xy, values_ppb)
+        trend = self.hyperparameters.trend
+        if trend is None:
+            return process, process
+        values = self._process.predict(xy)[0] if values_ppb is None else np.asarray(values_ppb, dtype=np.float64)
+        return process, self._without_trend.condition(xy, values - trend.at(xy))
 
-    def _append(self, process: GaussianProcess) -> None:
-        n = len(self._process)
-        self._check_size(n + 1)
+    def _take(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
+        first = len(self)
+        self._process, self._without_trend = process, without_trend
+        self._snapshot = None
+        if self._trend is not None:
+            basis = self.hyperparameters.trend_basis(process.places_m[first:])
+            assert basis is not None
+            self._trend = self._trend.extended(without_trend.factor[first:], basis)
+
+    def _append(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
+        n = len(self)
         row = self._row_of(n)
-        place = process.places_m[n:]
-        filled = [(process.factor[n, start : start + len(block)], block) for start, block in self._filled(n)]
-        ties = [(tie.astype(np.float32), block) for tie, block in filled]
-        inverse_pivot = np.float32(1.0 / process.factor[n, n])
-        residual = np.float32(process.whitened[n])
+        self._take(process, without_trend)
+        place, factor = process.places_m[n:], without_trend.factor
+        ties = [(factor[n, start : start + len(block)].astype(np.float32), block) for start, block in self._filled(n)]
+        inverse_pivot = np.float32(1.0 / factor[n, n])
+        residual = np.float32(without_trend.whitened[n])
 
         def extend(rows: slice) -> None:
             cells = self._cells_of(rows)
@@ -175,10 +200,10 @@ class GridPosterior:
             if residual != 0.0:
                 self._mean[cells] += part * residual
             self._variance[cells] -= part * part
+            if self._trend is not None:
+                self._trend.subtract(n, part[None, :], cells)
 
         self._in_bands(extend, _CELLS_TO_APPEND)
-        self._process = process
-        self._snapshot = None
 
     def _in_bands(self, work: Callable[[slice], None], cells: int) -> None:
         """Do the work for every row of the grid, given as slices of about that many cells."""
@@ -225,14 +250,10 @@ class GridPosterior:
         else:
             r2 = np.add(dy2[:, :, None], dx2[:, None, :])
             kernel.fill(r2, shaped)
-        if self._trend is not None:
-            basis = self.hyperparameters.trend_basis(places)
-            assert basis is not None
-            out += basis.astype(np.float32) @ self._trend[:, self._cells_of(rows)]
 
     def _fill(self) -> None:
         """Write all of V by block forward substitution."""
-        process = self._process
+        process = self._without_trend
         n = len(process)
         self._blocks = [np.empty((ROWS_A_BLOCK, self._cells), dtype=np.float32) for _ in range(0, n, ROWS_A_BLOCK)]
         factor = process.factor.astype(np.float32)
@@ -252,8 +273,38 @@ class GridPosterior:
                 block[:, cells] = solved
                 self._mean[cells] += whitened[start:stop] @ solved
                 self._variance[cells] -= np.einsum("ij,ij->j", solved, solved)
+                if self._trend is not None:
+                    self._trend.subtract(start, solved, cells)
 
         self._in_bands(substitute, _CELLS_TO_BUILD)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TrendOnCells:
+    """What is left of the trend's columns: on the cells, residual (p, cells), and whitened at the samples (n, p)."""
+
+    residual: FloatArray
+    whitened: FloatArray
+
+    def extended(self, factor_rows: FloatArray, basis: FloatArray) -> _TrendOnCells:
+        """With the columns (k, p) at k more samples, whose rows of the Cholesky factor are (k, n + k)."""
+        known = len(self.whitened)
+        rest = basis - factor_rows[:, :known] @ self.whitened
+        return replace(
+            self, whitened=np.vstack((self.whitened, solve_triangular(factor_rows[:, known:], rest, lower=True)))
+        )
+
+    def subtract(self, start: int, rows_of_v: Float32Array, cells: slice) -> None:
+        """Take from the cells what k samples from number ``start`` on explain; rows_of_v is (k, cells)."""
+        self.residual[:, cells] -= self.whitened[start : start + len(rows_of_v)].T.astype(np.float32) @ rows_of_v
+
+    def contribution(self, whitened_values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What the trend adds to mean and variance, each (cells,)."""
+        count = len(self.residual)
+        covariance = np.linalg.inv(self.whitened.T @ self.whitened + np.eye(count))
+        coefficients = covariance @ (self.whitened.T @ whitened_values)
+        spread = np.linalg.cholesky(covariance).T @ self.residual
+        return coefficients @ self.residual, np.einsum("ij,ij->j", spread, spread)
 
 
 @cache

@@ -24,14 +24,14 @@ from he3.frames import FloatArray, SiteGrid, as_points
 class OrbitalTrend:
     """The orbital map over the site [ppb], as ``[row, column]`` at cell centres, and how far it may be off.
 
-    The defaults are weak: a map that is a third too steep and several ppb too high is well within them. Raises
+    The defaults are weak: a map that is a third too steep and several ppb too high is within them. Raises
     InvalidInput for a map of another shape than the grid, or one with a value that is not finite.
     """
 
     grid: SiteGrid
     orbital_ppb: NDArray[np.floating]
     gain_std: float = 0.5  # 1, weak: half of everything the map shows may be wrong
-    offset_std_ppb: float = 5.0  # ppb, weak: more than half of the site means that are known
+    offset_std_ppb: float = 2.0  # ppb, weak: about the mean misfit of the samples, which a fit takes out first
     _mean_ppb: float = field(init=False)
 
     def __post_init__(self) -> None:

@@ -1,0 +1,131 @@
+"""Hyperparameters are found by maximum likelihood, within bounds, and never get worse."""
+
+import numpy as np
+import pytest
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray
+from he3.hyperparameters import (
+    FEWEST_SAMPLES,
+    Hyperparameters,
+    fit_hyperparameters,
+    information_criterion,
+    parameter_bounds,
+)
+from he3.kernels import KERNEL_NAMES, KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential
+from he3.likelihood import log_marginal_likelihood
+
+
+def drawn_from(kernel: Kernel, count: int, seed: int, noise: float = 0.1) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0, 500, (count, 2))
+    factor = np.linalg.cholesky(kernel.covariance(places, places) + 1e-9 * np.eye(count))
+    return places, 8.0 + factor @ rng.normal(size=count) + noise * rng.normal(size=count)
+
+
+def likelihood_of(fitted: Hyperparameters, places: FloatArray, values: FloatArray) -> float:
+    z = fitted.standardise(places, values)
+    value, _ = log_marginal_likelihood(fitted.kernel, fitted.noise_variance, places, z)
+    return value - len(z) * float(np.log(fitted.scale_ppb))
+
+
+@pytest.mark.parametrize("name", list(KERNELS))
+def test_the_fit_is_a_maximum_within_bounds_and_at_least_as_likely_as_the_truth(name: str) -> None:
+    truth = SmoothPlusRough(1.0, 120.0, 0.3, 25.0) if name == "smooth+rough" else KERNELS[name](1.2, 50.0)
+    places, values = drawn_from(truth, 120, seed=11)
+    fitted = fit_hyperparameters(places, values, name, rng=np.random.default_rng(0))
+    assert fitted.log_likelihood == pytest.approx(likelihood_of(fitted, places, values), rel=1e-9)
+    z = fitted.standardise(places, values)
+    value, gradient = log_marginal_likelihood(fitted.kernel, fitted.noise_variance, places, z)
+    in_units = {k: v / fitted.scale_ppb**2 if k.endswith("variance") else v for k, v in truth.parameters().items()}
+    of_truth, _ = log_marginal_likelihood(type(truth)(**in_units), fitted.noise_variance, places, z)
+    assert value >= of_truth
+    for parameter, slope, (low, high) in zip(
+        fitted.kernel.parameters().values(), gradient, parameter_bounds(fitted.kernel), strict=False
+    ):
+        assert low * (1 - 1e-9) <= parameter <= high * (1 + 1e-9)
+        inside = low * 1.001 < parameter < high * 0.999
+        assert not inside or abs(slope) < 0.02
+
+
+def test_the_length_scale_of_a_long_enough_record_is_recovered() -> None:
+    places, values = drawn_from(SquaredExponential(1.0, 45.0), 300, seed=3)
+    fitted = fit_hyperparameters(places, values, "se", rng=np.random.default_rng(1))
+    assert fitted.kernel.parameters()["length_scale_m"] == pytest.approx(45.0, rel=0.1)
+
+
+@pytest.mark.parametrize("name", KERNEL_NAMES)
+def test_a_refit_is_never_less_likely_than_the_hyperparameters_before_it(name: str) -> None:
+    places, values = drawn_from(Matern12(1.0, 30.0), 60, seed=21)
+    previous = None
+    for count in range(5, 61, 5):
+        fitted = fit_hyperparameters(
+            places[:count], values[:count], name, rng=np.random.default_rng(count), previous=previous
+        )
+        if previous is not None and previous.kernel.name == fitted.kernel.name:
+            ratio = (previous.scale_ppb / fitted.scale_ppb) ** 2
+            bounds = parameter_bounds(previous.kernel)
+            before = type(previous.kernel)(
+                **{
+                    key: float(np.clip(value * ratio if key.endswith("variance") else value, low, high))
+                    for (key, value), (low, high) in zip(previous.kernel.parameters().items(), bounds, strict=True)
+                }
+            )
+            z = fitted.standardise(places[:count], values[:count])
+            then, _ = log_marginal_likelihood(before, fitted.noise_variance, places[:count], z)
+            now, _ = log_marginal_likelihood(fitted.kernel, fitted.noise_variance, places[:count], z)
+            assert now >= then - 1e-9
+        previous = fitted
+
+
+def test_auto_takes_the_kernel_with_the_best_evidence() -> None:
+    for truth, smooth in ((SquaredExponential(1.0, 60.0), True), (Matern12(1.0, 60.0), False)):
+        places, values = drawn_from(truth, 150, seed=8, noise=0.05)
+        chosen = fit_hyperparameters(places, values, "auto", rng=np.random.default_rng(2), noise_std_ppb=0.05)
+        assert (chosen.kernel.name == "se") is smooth
+        for name in KERNELS:
+            other = fit_hyperparameters(places, values, name, rng=np.random.default_rng(2), noise_std_ppb=0.05)
+            assert information_criterion(chosen, 150) >= information_criterion(other, 150) - 0.5
+
+
+def test_the_same_seed_gives_the_same_hyperparameters_to_the_bit() -> None:
+    places, values = drawn_from(Matern12(), 40, seed=5)
+    first, second = (fit_hyperparameters(places, values, "auto", rng=np.random.default_rng(9)) for _ in range(2))
+    assert first == second
+
+
+def test_noise_is_learned_only_when_bounds_are_given_and_stays_in_them() -> None:
+    places, values = drawn_from(SquaredExponential(1.0, 80.0), 200, seed=6, noise=0.3)
+    rng = np.random.default_rng(0)
+    assert fit_hyperparameters(places, values, "se", rng=rng).noise_std_ppb == 0.1
+    learned = fit_hyperparameters(places, values, "se", rng=rng, noise_bounds_ppb=(0.02, 1.0))
+    assert learned.noise_std_ppb == pytest.approx(0.3, rel=0.2)
+    capped = fit_hyperparameters(places, values, "se", rng=rng, noise_bounds_ppb=(0.02, 0.2))
+    assert capped.noise_std_ppb == pytest.approx(0.2, rel=1e-6)
+
+
+@pytest.mark.parametrize("count", range(FEWEST_SAMPLES))
+@pytest.mark.parametrize("name", ["se", "auto"])
+def test_a_handful_of_samples_keeps_the_kernel_and_still_standardises(count: int, name: str) -> None:
+    places, values = drawn_from(Matern12(), 10, seed=5)
+    fitted = fit_hyperparameters(places[:count], values[:count], name, rng=np.random.default_rng(9))
+    assert fitted.kernel.name == "se"
+    assert fitted.kernel.parameters()["length_scale_m"] == pytest.approx(60.0)
+    assert np.isfinite([fitted.mean_ppb, fitted.scale_ppb]).all()
+
+
+def test_equal_values_do_not_divide_by_zero() -> None:
+    places = np.random.default_rng(0).uniform(0, 500, (20, 2))
+    fitted = fit_hyperparameters(places, np.full(20, 7.0), "se", rng=np.random.default_rng(0))
+    assert fitted.mean_ppb == pytest.approx(7.0)
+    assert fitted.scale_ppb > 0
+
+
+def test_values_that_do_not_match_the_places_or_are_not_finite_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(InvalidInput, match="expected 2 finite values"):
+        fit_hyperparameters(np.zeros((2, 2)), np.zeros(3), "se", rng=rng)
+    with pytest.raises(InvalidInput, match="expected 2 finite values"):
+        fit_hyperparameters(np.zeros((2, 2)), np.array([1.0, np.nan]), "se", rng=rng)
+    with pytest.raises(InvalidInput, match="expected noise bounds"):
+        fit_hyperparameters(np.eye(2), np.zeros(2), "se", rng=rng, noise_bounds_ppb=(0.2, 0.1))
