@@ -119,6 +119,8 @@ class Ledger:
     def __init__(self) -> None:
         self.chain: list[RoundRecord] = []
         self._versions: list[RoundRecord] = []
+        self._paths_of: object = None
+        self._paths: tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]] = ((), ())
         self._of_sample: dict[str, tuple[RoundRecord, int]] = {}
 
     def append(self, plan: RoundPlan, revision: int) -> RoundRecord:
@@ -157,13 +159,19 @@ class Ledger:
         """Rounds that are over, as far as the ground knows, each with all of its samples here."""
         return sum(record.begun and record.closed for record in self.chain)
 
-    def driven_path(self) -> tuple[Waypoint, ...]:
-        """Where the rover is known to have driven, joined over the rounds."""
-        return tuple(vertex for record in self.chain if record.begun for vertex in record.driven())
+    def paths(self) -> tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]]:
+        """Where the rover is known to have driven, joined over the rounds, and what is planned beyond that.
 
-    def planned_path(self) -> tuple[Waypoint, ...]:
-        """What is planned and not yet driven."""
-        return tuple(vertex for record in self.chain if not record.ended for vertex in record.ahead())
+        The same objects as before as long as neither has changed.
+        """
+        key = tuple((record.introduced, record.begun, record.ended, record.reached_m) for record in self.chain)
+        if key != self._paths_of:
+            self._paths_of = key
+            self._paths = (
+                tuple(vertex for record in self.chain if record.begun for vertex in record.driven()),
+                tuple(vertex for record in self.chain if not record.ended for vertex in record.ahead()),
+            )
+        return self._paths
 
     def of_sample(self, sample_id: str) -> tuple[RoundRecord, int] | None:
         """The version of the round that the sample belongs to, and its index in it; None for one never asked for."""

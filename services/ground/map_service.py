@@ -13,14 +13,14 @@ from schemas.topics import MAP_LAYER, MAP_POINT, MAP_SCORE, TRACK, Topic
 from schemas.wire import Wire
 from services.ground.snapshot import MapSnapshot
 
-ANSWERED: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK)
+MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK)
 """The topics that are answered from a snapshot, by whichever thread holds one."""
 
 _UNITS = {MapLayer.MEAN: "ppb", MapLayer.STD: "ppb", MapLayer.TRAVERSABLE: "1"}
 
 
 def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
-    """The reply to a request of one of the topics in `ANSWERED`.
+    """The reply to a request of one of the topics in `MAP_TOPICS`.
 
     Raises InvalidInput, or OutsideRegion for a place that the region does not contain, each with one line.
     """
@@ -34,7 +34,7 @@ def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
         return score(snapshot)
     if topic is TRACK:
         return track(snapshot)
-    raise InvalidInput(f"map: expected a query of {', '.join(known.name for known in ANSWERED)}, got {topic.name}")
+    raise InvalidInput(f"map: expected a query of {', '.join(known.name for known in MAP_TOPICS)}, got {topic.name}")
 
 
 def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:

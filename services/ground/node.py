@@ -30,7 +30,7 @@ from services.ground.allowance import Budget
 from services.ground.belief import Belief
 from services.ground.commands import ENDS, CommandBook
 from services.ground.director import Director
-from services.ground.map_service import ANSWERED, answer
+from services.ground.map_service import MAP_TOPICS, answer
 from services.ground.planning import Planner
 from services.ground.scoring import Scorer
 from services.ground.snapshot import MapSnapshot
@@ -94,7 +94,7 @@ class GroundNode:
             name="ground",
             sides=(Side.EARTH,),
             subscribes=(SAMPLE, EVENT, STATE, COMMAND_REPORT),
-            serves=(ISSUE_COMMAND, LIST_COMMANDS, *ANSWERED),
+            serves=(ISSUE_COMMAND, LIST_COMMANDS, *MAP_TOPICS),
         )
 
     @property
@@ -104,7 +104,7 @@ class GroundNode:
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         match event:
-            case Asked(topic, request, token) if topic in ANSWERED:
+            case Asked(topic, request, token) if topic in MAP_TOPICS:
                 try:
                     return [Answer(token, answer(topic, request, self._snapshot))]
                 except He3Error as error:
@@ -232,13 +232,13 @@ class GroundNode:
                 if director.fitted > self._fitted:
                     self._history = (*self._history, self._score)
             self._fitted = director.fitted
-        driven, planned = director.ledger.driven_path(), director.ledger.planned_path()
+        driven, planned = director.ledger.paths()
         before = self._snapshot
         if (
             before is not None
             and before.revision == self._revision
-            and before.driven_path_m == driven
-            and before.planned_path_m == planned
+            and before.driven_path_m is driven
+            and before.planned_path_m is planned
         ):
             return
         self._snapshot = MapSnapshot(
