@@ -1,0 +1,82 @@
+"""The Moon itself: answers the rover's instruments from the reference field and the true terrain.
+
+It keeps nothing between questions: every answer is a function of the question, the region and the seed, so that a
+field that was killed and started again answers as before.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from he3.errors import OutsideRegion
+from he3.measurement import sample_noise
+from he3.reference import Region
+from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
+from schemas.topics import MEASURE, TERRAIN, Side
+from services.field.hazards import covered, hazard_places
+from services.node import Answer, Asked, Effect, Event, Interface, MissionTime, Refuse
+from services.regions import load_region
+from services.scenario import FieldConfig, Scenario
+
+
+class FieldNode:
+    """Serves measurements with sensor noise, and terrain with the hazards that no map shows."""
+
+    def __init__(self, region: Region, config: FieldConfig, seed: int, start_m: tuple[float, float]) -> None:
+        self._region = region
+        self._config = config
+        self._seed = seed
+        self.hazards_m = hazard_places(region.grid, config.hidden_hazards, config.hazard_radius_m, seed, start_m)
+        """Centres (x, y) [m] of the hidden hazards; for tests and pictures, never for the ground."""
+        self._traversable = region.traversable & ~covered(region.grid, self.hazards_m, config.hazard_radius_m)
+
+    @property
+    def interface(self) -> Interface:
+        return Interface(name="field", sides=(Side.MOON,), serves=(MEASURE, TERRAIN), custody=False)
+
+    def handle(self, event: Event, now: MissionTime) -> list[Effect]:
+        """One answer or refusal for a question; nothing for anything else. The time makes no difference."""
+        if not isinstance(event, Asked):
+            return []
+        if event.topic == MEASURE:
+            return [self._measured(event.token, event.request)]
+        if event.topic == TERRAIN:
+            return [Answer(event.token, self._terrain(event.request))]
+        return [
+            Refuse(event.token, f"expected a question for {MEASURE.name} or {TERRAIN.name}, got {event.topic.name}")
+        ]
+
+    def _measured(self, token: int, request: MeasurementRequest) -> Effect:
+        try:
+            rows, columns = self._region.grid.cells_of(np.array([[request.x_m, request.y_m]]))
+        except OutsideRegion as error:
+            return Refuse(token, f"sample {request.sample_id}: {error}")
+        noise = sample_noise(self._seed, request.sample_id, self._config.noise_std_ppb)
+        return Answer(
+            token,
+            MeasurementReply(
+                sample_id=request.sample_id,
+                x_m=request.x_m,
+                y_m=request.y_m,
+                helium3_ppb=float(self._region.he3_ppb[rows[0], columns[0]]) + noise,
+                noise_std_ppb=self._config.noise_std_ppb,
+            ),
+        )
+
+    def _terrain(self, request: TerrainRequest) -> TerrainReply:
+        """The cells' own values; for a place outside the region those of the nearest cell, and closed to the rover."""
+        grid, points = self._region.grid, np.array(request.points_m)
+        columns = np.clip(points[:, 0] // grid.resolution_m, 0, grid.columns - 1).astype(np.intp)
+        rows = np.clip(points[:, 1] // grid.resolution_m, 0, grid.rows - 1).astype(np.intp)
+        return TerrainReply(
+            elevation_m=tuple(self._region.elevation_m[rows, columns].tolist()),
+            slope_deg=tuple(self._region.slope_deg[rows, columns].tolist()),
+            traversable=tuple((self._traversable[rows, columns] & grid.contains(points)).tolist()),
+        )
+
+
+def build_node(scenario: Scenario, region: Region | None = None) -> FieldNode:
+    """The Moon of that scenario; a region already loaded may be handed in."""
+    if region is None:
+        region = load_region(scenario.region, scenario.field.field_seed)
+    return FieldNode(region, scenario.field, scenario.seed, scenario.start_m)

@@ -1,0 +1,31 @@
+"""One hole: drilled in bites, its cuttings analysed, its number asked for until it comes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+from schemas.plans import PlannedSample
+
+_ROUNDING_M: Final = 1e-9  # a last bite shallower than this is rounding, not drilling
+
+
+def bites_m(depth_m: float, bite_m: float) -> tuple[float, ...]:
+    """Depth [m] of each bite that a hole takes: full ones, and what is left."""
+    count = max(1, math.ceil((depth_m - _ROUNDING_M) / bite_m))
+    return (*(bite_m,) * (count - 1), depth_m - bite_m * (count - 1))
+
+
+@dataclass(slots=True)
+class Hole:
+    """How far the work at one planned sample has come."""
+
+    sample: PlannedSample
+    bites_left_m: list[float] = field(default_factory=list)
+    analysed: bool = False
+
+    @classmethod
+    def begun(cls, sample: PlannedSample, bite_m: float) -> Hole:
+        """A hole of the sample's depth with nothing drilled yet."""
+        return cls(sample, list(bites_m(sample.depth_m, bite_m)))

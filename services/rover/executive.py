@@ -1,0 +1,508 @@
+"""The rover's executive: takes one step after the other, and at each safe point what was commanded.
+
+A step is a look, a piece of way, a bite, an analysis or a question to the instrument. Between steps the rover is at a
+safe point: there telecommands are carried out, energy is counted, and the next step is chosen. What it turns to is
+the table's in ``phases``; this is what it does then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from functools import partial
+from typing import Final
+
+from he3.frames import SiteGrid
+from schemas.commands import CommandReport, CommandStage
+from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
+from schemas.plans import MissionPlan
+from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
+from schemas.topics import COMMAND_REPORT, EVENT, MEASURE, SAMPLE, TERRAIN, Topic
+from services.node import Ask, Effect, Finish, Level, MissionTime, Note, Send, Silence, WakeAt, seconds
+from services.rover.admission import Situation, admitted
+from services.rover.commands import CommandTable
+from services.rover.drill import Hole
+from services.rover.energy import full_battery
+from services.rover.phases import INTERRUPTIBLE, MODES, STANDING, Phase, Trigger, after
+from services.rover.rounds import Job
+from services.rover.segments import Area, Point
+from services.rover.traverse import Look, Piece, corridor, drive, forbidden
+from services.rover.vehicle import Vehicle
+from services.scenario import RoverConfig
+
+MAX_DETAIL: Final = 500  # characters, as the message admits
+
+STEP: Final = "step"
+RETRY: Final = "retry"
+CHARGED: Final = "charged"
+WATCHDOG: Final = "watchdog"
+
+_ROUNDING_WH: Final = 1e-6  # the battery is charged to a level at a whole nanosecond
+
+
+class Hold(Enum):
+    """Why the rover stands still although it may have something to do."""
+
+    PAUSE = "pause"
+    ENERGY = "low energy"
+    COMMAND = "told to be safe"
+    TERRAIN = "terrain contradicts the plan"
+    SILENCE = "no word from the ground"
+    SPENT = "a step needs more energy than there will be"
+
+
+ENDED_BY_PLAN: Final = frozenset({Hold.TERRAIN, Hold.SILENCE, Hold.SPENT})
+"""Safe modes that a newer plan ends; what an operator ordered, only an operator ends."""
+
+_HOLD_TRIGGERS: Final = {Hold.PAUSE: Trigger.PAUSE, Hold.ENERGY: Trigger.RUN_LOW}
+
+
+@dataclass(frozen=True, slots=True)
+class _Ahead:
+    """A piece that waits for its look to be answered."""
+
+    piece: Piece
+    look: Look
+
+
+class Executive:
+    """What the rover is doing and why. Each method takes the time, and leaves its effects in ``out``."""
+
+    def __init__(self, config: RoverConfig, site: SiteGrid, start_m: Point, start: MissionTime) -> None:
+        self.config = config
+        self.site = site
+        self.vehicle = Vehicle(start_m, full_battery(config, start))
+        self.commands = CommandTable()
+        self.areas: dict[str, Area] = {}
+        self.phase = Phase.IDLE
+        self.hold: Hold | None = None
+        self.job: Job | None = None
+        self.out: list[Effect] = []
+        self.at_safe_point: Callable[[MissionTime], None] = lambda now: None
+        """Carries out what was commanded; whoever takes the telecommands puts it here."""
+        self._corridor = corridor(config, site)
+        self._queue: deque[Job] = deque()
+        self._plan: MissionPlan | None = None
+        self._round = 0
+        self._aborted = False
+        self._busy = False
+        self._finished = 0
+        self._measured: set[str] = set()
+        self._questions = 0
+        self._question = ""
+        self._ahead: _Ahead | None = None
+        self._silent: set[str] = set()
+
+    # --- what it tells ------------------------------------------------------------------------------------------
+
+    @property
+    def mode(self) -> RoverMode:
+        """The mode as it is reported."""
+        return MODES[self.phase]
+
+    def state(self, now: MissionTime, queue_depth: int) -> RoverState:
+        """The rover's state as it is reported."""
+        return self.vehicle.state(
+            now,
+            mode=self.mode,
+            round_=self._round,
+            plan_revision=self._plan.revision if self._plan else 0,
+            rounds_on_board=len(self._queue),
+            samples_done=len(self._measured),
+            queue_depth=queue_depth,
+        )
+
+    def report(self, report: CommandReport) -> None:
+        """Tells the ground of a telecommand's stage."""
+        self.out.append(Send(COMMAND_REPORT, report))
+
+    def tell(
+        self,
+        kind: EventKind,
+        now: MissionTime,
+        detail: str = "",
+        *,
+        round_: int | None = None,
+        revision: int | None = None,
+        sample_id: str | None = None,
+        obstacle_m: Point | None = None,
+        samples_done: tuple[str, ...] = (),
+    ) -> None:
+        """Tells the ground of an event."""
+        x, y = self.vehicle.place_m(now)
+        self.out.append(
+            Send(
+                EVENT,
+                RoverEvent(
+                    kind=kind,
+                    at=now,
+                    x_m=x,
+                    y_m=y,
+                    round=self._round if round_ is None else round_,
+                    plan_revision=(self._plan.revision if self._plan else 0) if revision is None else revision,
+                    sample_id=sample_id,
+                    driven_m=self.vehicle.driven_m(now),
+                    obstacle_m=obstacle_m,
+                    samples_done=samples_done,
+                    detail=detail[:MAX_DETAIL],
+                ),
+            )
+        )
+
+    # --- plans --------------------------------------------------------------------------------------------------
+
+    def take_plan(self, plan: MissionPlan, now: MissionTime) -> None:
+        """Accepts the plan in place of all rounds that have not begun, or rejects it and changes nothing."""
+        if plan == self._plan:
+            self.out.append(Note(Level.DEBUG, "plan received again", {"revision": plan.revision}))
+            return
+        jobs = admitted(plan, self._situation())
+        if isinstance(jobs, str):
+            self.tell(EventKind.PLAN_REJECTED, now, jobs, round_=plan.rounds[0].round, revision=plan.revision)
+            return
+        self._plan = plan
+        self._queue = deque(jobs)
+        numbers = f"{jobs[0].round} to {jobs[-1].round}" if len(jobs) > 1 else f"{jobs[0].round}"
+        self.tell(EventKind.PLAN_ACCEPTED, now, f"round {numbers}", round_=jobs[0].round)
+        if self.hold in ENDED_BY_PLAN:
+            self.release(now, f"plan {plan.revision}")
+        if self.phase in STANDING:
+            self.proceed(now)
+
+    def _situation(self) -> Situation:
+        job = self.job
+        under_way = [leg.sample.sample_id for leg in job.legs if leg.sample] if job else []
+        return Situation(
+            accepted=self._plan,
+            begun=self._round,
+            replannable=self._aborted,
+            place_m=(job.ends_m if job else None) or self.vehicle.standing_m,
+            measured=self._measured.union(under_way),
+            site=self.site,
+            areas=self.areas,
+            margin_m=self.config.footprint_radius_m,
+        )
+
+    # --- going on -----------------------------------------------------------------------------------------------
+
+    @property
+    def interruptible(self) -> bool:
+        """Whether the rover need not finish a step before it turns to something else."""
+        return self.phase in INTERRUPTIBLE
+
+    def proceed(self, now: MissionTime) -> None:
+        """At a safe point: carries out what was commanded, then takes the next step unless something holds it."""
+        self._stop_waiting()
+        self.at_safe_point(now)
+        if self.hold is None:
+            self._next_step(now)
+
+    def _stop_waiting(self) -> None:
+        if self._question:
+            self._question, self._ahead = "", None
+            self.out.append(WakeAt(RETRY, None))
+
+    def _next_step(self, now: MissionTime) -> None:
+        while True:
+            if self.job is None:
+                if not self._queue:
+                    self._park(now)
+                    return
+                self._begin_round(now)
+            elif self.job.hole is not None:
+                self._work_on(self.job.hole, now)
+                return
+            elif self._next_piece(self.job, now):
+                return
+
+    def _next_piece(self, job: Job, now: MissionTime) -> bool:
+        """Looks along the next piece of the leg, if there is one; else turns to what is at the leg's end."""
+        leg = job.legs[job.leg]
+        piece = self._corridor.cut(self.vehicle.standing_m, leg.way_m, job.vertex)
+        if piece.length_m > 0:
+            self._look(job, piece, now)
+            return True
+        job.vertex += piece.vertices
+        if job.vertex < len(leg.way_m):
+            return False
+        if leg.sample is not None:
+            job.hole = Hole.begun(leg.sample, self.config.bite_m)
+        else:
+            self._next_leg(job, now)
+        return False
+
+    def _next_leg(self, job: Job, now: MissionTime) -> None:
+        job.hole, job.vertex = None, 0
+        job.leg += 1
+        if job.leg == len(job.legs):
+            self.job = None
+            if job.command_id is not None:
+                self.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.COMPLETED, now))
+            else:
+                self.tell(EventKind.ROUND_COMPLETED, now, revision=job.revision, samples_done=tuple(job.measured))
+
+    def _begin_round(self, now: MissionTime) -> None:
+        job = self._queue.popleft()
+        self._round, self._aborted = job.round, False
+        self.start(job)
+        self.tell(EventKind.ROUND_STARTED, now, revision=job.revision)
+
+    def start(self, job: Job) -> None:
+        """Makes the job what the rover is about; it may leave the closed areas that it stands in."""
+        here, margin = self.vehicle.standing_m, self.config.footprint_radius_m
+        job.leaving = {name for name, area in self.areas.items() if area.is_near(here, here, margin)}
+        self.job, self._busy = job, True
+
+    def abandon(self, now: MissionTime, why: str) -> None:
+        """Gives up what the rover is about, and the rounds on board: they begin where it now will not be."""
+        job, self.job = self.job, None
+        self._queue.clear()
+        if job is None:
+            return
+        if job.command_id is not None:
+            self.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.FAILED, now, why))
+        else:
+            self._aborted = True
+            self.tell(EventKind.ROUND_ABORTED, now, why, revision=job.revision, samples_done=tuple(job.measured))
+
+    def _park(self, now: MissionTime) -> None:
+        if self.phase in (Phase.IDLE, Phase.PARKED) and not self._busy:
+            return
+        self._enter(Trigger.NOTHING_LEFT, now)
+        self._busy = False
+        self.watch(now)
+        plan = self._plan
+        complete = plan is not None and plan.last and self._round == plan.rounds[-1].round and not self._aborted
+        if plan is None or not complete or self._finished == plan.revision:
+            self.tell(EventKind.PARKED, now)
+            return
+        self._finished = plan.revision
+        self.tell(EventKind.MISSION_COMPLETED, now)
+        self.out.append(Finish(True, f"{self._round} rounds and {len(self._measured)} samples are done"))
+
+    def _enter(self, trigger: Trigger, now: MissionTime, load_w: float = 0.0) -> None:
+        self.phase = after(self.phase, trigger)
+        self.vehicle.work(load_w, now)
+
+    # --- holds --------------------------------------------------------------------------------------------------
+
+    def hold_for(self, hold: Hold, now: MissionTime, why: str) -> None:
+        """Stands still for that reason from now on; the job is kept."""
+        safe_before = self.hold is not None and self.hold is not Hold.PAUSE
+        if self.hold is Hold.ENERGY:
+            self.out.append(WakeAt(CHARGED, None))
+        self.hold = hold
+        self._enter(_HOLD_TRIGGERS.get(hold, Trigger.DANGER), now)
+        if hold is Hold.PAUSE:
+            if safe_before:
+                self.tell(EventKind.SAFE_MODE_LEFT, now, why)
+            self.tell(EventKind.PAUSED, now, why)
+        else:
+            self.tell(EventKind.SAFE_MODE_ENTERED, now, f"{hold.value}: {why}" if why else hold.value)
+
+    def release(self, now: MissionTime, why: str) -> None:
+        """Ends what holds the rover; the next step is taken by ``proceed``."""
+        if self.hold is None:
+            return
+        if self.hold is Hold.ENERGY:
+            self.out.append(WakeAt(CHARGED, None))
+        kind = EventKind.RESUMED if self.hold is Hold.PAUSE else EventKind.SAFE_MODE_LEFT
+        self.hold = None
+        self.tell(kind, now, why)
+
+    def _can_afford(self, load_w: float, duration_s: float, now: MissionTime) -> bool:
+        """Whether the step leaves the reserve untouched; if not, the rover holds to charge."""
+        battery, config = self.vehicle.battery, self.config
+        need = battery.need_wh(load_w, duration_s)
+        floor = config.reserve * config.capacity_wh
+        charge = battery.charge_at(now)
+        if charge - need >= floor - _ROUNDING_WH:
+            return True
+        level = max(config.resume_charge * config.capacity_wh, floor + need)
+        self.vehicle.rest(now)
+        ready = self.vehicle.battery.reaches(level, now)
+        why = f"{charge:.1f} Wh left, the next step takes {need:.1f} Wh, {floor:.1f} Wh are in reserve"
+        self.tell(EventKind.LOW_ENERGY, now, why)
+        if level > config.capacity_wh or ready is None:
+            self.hold_for(Hold.SPENT, now, why)
+        else:
+            self.hold_for(Hold.ENERGY, now, f"until {level:.1f} Wh")
+            self.out.append(WakeAt(CHARGED, ready))
+        return False
+
+    def charged(self, now: MissionTime) -> None:
+        """The battery holds enough again: goes on where it stopped."""
+        if self.hold is Hold.ENERGY:
+            self.tell(EventKind.CHARGED, now, f"{self.vehicle.battery.charge_at(now):.1f} Wh")
+            self.release(now, "charged")
+            self.proceed(now)
+
+    def watch(self, now: MissionTime) -> None:
+        """Waits for a word from the ground, if the rover has nothing else to do."""
+        if self.config.watchdog_s is not None and self.phase in (Phase.IDLE, Phase.PARKED):
+            self.out.append(WakeAt(WATCHDOG, now + seconds(self.config.watchdog_s)))
+
+    def unheard(self, now: MissionTime) -> None:
+        """Nothing has been heard of the ground for too long."""
+        if self.phase in (Phase.IDLE, Phase.PARKED):
+            self.hold_for(Hold.SILENCE, now, f"for {self.config.watchdog_s:g} s")
+
+    # --- driving ------------------------------------------------------------------------------------------------
+
+    def _look(self, job: Job, piece: Piece, now: MissionTime) -> None:
+        if self.areas:
+            closed = self._closed(job, piece)
+            if closed is not None:
+                self._blocked(job, now, f"the way enters keep-out {closed}")
+                return
+        look = self._corridor.look(piece)
+        self._ahead = _Ahead(piece, look)
+        self._enter(Trigger.LOOK, now)
+        self._ask(TERRAIN, TerrainRequest(points_m=look.points_m))
+
+    def _closed(self, job: Job, piece: Piece) -> str | None:
+        margin, here = self.config.footprint_radius_m, piece.points_m[0]
+        job.leaving = {
+            name for name in job.leaving if name in self.areas and self.areas[name].is_near(here, here, margin)
+        }
+        for name, area in self.areas.items():
+            legs = zip(piece.points_m, piece.points_m[1:], strict=False)
+            if name not in job.leaving and any(area.is_near(a, b, margin) for a, b in legs):
+                return name
+        return None
+
+    def seen(self, question: str, seen: TerrainReply, now: MissionTime) -> None:
+        """The terrain ahead is known: drives, or stops before what it may not cross."""
+        job, ahead = self.job, self._ahead
+        if question != self._question or ahead is None or job is None:
+            return
+        if len(seen.traversable) != len(ahead.look.points_m):
+            self._unclear(
+                TERRAIN, now, f"{len(ahead.look.points_m)} places asked for, {len(seen.traversable)} answered"
+            )
+            return
+        self._heard(TERRAIN)
+        obstacles = forbidden(ahead.look, seen, self.config, self.vehicle.standing_m)
+        if obstacles:
+            x, y = nearest = min(obstacles, key=partial(math.dist, self.vehicle.standing_m))
+            self._blocked(job, now, f"closed terrain ahead, nearest at ({x:.2f}, {y:.2f})", nearest)
+            return
+        under_way = drive(ahead.piece, ahead.look, seen, self.config, now)
+        if not self._can_afford(under_way.load_w, under_way.duration_s, now):
+            return
+        job.vertex += ahead.piece.vertices
+        self._ahead = None
+        self.phase = after(self.phase, Trigger.WAY_CLEAR)
+        self.vehicle.set_off(under_way, now)
+        self.out.append(WakeAt(STEP, now + seconds(under_way.duration_s)))
+
+    def _blocked(self, job: Job, now: MissionTime, why: str, obstacle_m: Point | None = None) -> None:
+        self._question, self._ahead = "", None
+        self.tell(
+            EventKind.BLOCKED,
+            now,
+            why,
+            round_=job.round,
+            revision=job.revision,
+            obstacle_m=obstacle_m,
+            samples_done=tuple(job.measured),
+        )
+        self.abandon(now, why)
+        self.hold_for(Hold.TERRAIN, now, why)
+
+    # --- drilling and analysing ---------------------------------------------------------------------------------
+
+    def _work_on(self, hole: Hole, now: MissionTime) -> None:
+        config = self.config
+        if hole.bites_left_m:
+            self._work(Trigger.DRILL, config.drill_w, hole.bites_left_m[0] * config.drill_s_per_m, now)
+        elif not hole.analysed:
+            self._work(Trigger.HOLE_DONE, config.analysis_w, config.analysis_s, now)
+        else:
+            self._enter(Trigger.ANALYSED, now)
+            x, y = self.vehicle.standing_m
+            sample = hole.sample
+            self._ask(MEASURE, MeasurementRequest(sample_id=sample.sample_id, x_m=x, y_m=y, depth_m=sample.depth_m))
+
+    def _work(self, trigger: Trigger, load_w: float, duration_s: float, now: MissionTime) -> None:
+        if self._can_afford(load_w, duration_s, now):
+            self._enter(trigger, now, load_w)
+            self.out.append(WakeAt(STEP, now + seconds(duration_s)))
+
+    def step_over(self, now: MissionTime) -> None:
+        """The piece, the bite or the analysis under way is done."""
+        hole = self.job.hole if self.job else None
+        if self.phase is Phase.DRIVING:
+            self.vehicle.arrive(now)
+        elif self.phase is Phase.DRILLING and hole is not None:
+            self.vehicle.drilled_m += hole.bites_left_m.pop(0)
+        elif self.phase is Phase.ANALYSING and hole is not None:
+            hole.analysed = True
+        else:
+            self.out.append(Note(Level.WARNING, "step ended that is not under way", {"phase": self.phase.value}))
+            return
+        self.proceed(now)
+
+    def measured(self, question: str, reply: MeasurementReply, now: MissionTime) -> None:
+        """The sample's number is known: reports it, and goes on."""
+        job = self.job
+        if question != self._question or job is None or job.hole is None:
+            return
+        self._heard(MEASURE)
+        sample = job.hole.sample
+        x, y = self.vehicle.standing_m
+        self._measured.add(sample.sample_id)
+        job.measured.append(sample.sample_id)
+        report = SampleReport(
+            sample_id=sample.sample_id,
+            round=job.round,
+            plan_revision=job.revision,
+            x_m=x,
+            y_m=y,
+            depth_m=sample.depth_m,
+            helium3_ppb=reply.helium3_ppb,
+            noise_std_ppb=reply.noise_std_ppb,
+            measured_at=now,
+            driven_m=self.vehicle.driven_m(now),
+        )
+        self.out.append(Send(SAMPLE, report))
+        self._next_leg(job, now)
+        self.proceed(now)
+
+    # --- instruments --------------------------------------------------------------------------------------------
+
+    def _ask(self, topic: Topic, request: TerrainRequest | MeasurementRequest) -> None:
+        self._questions += 1
+        self._question = f"{topic.name.rsplit('/', 1)[-1]}-{self._questions}"
+        self.out.append(Ask(topic, request, self._question))
+
+    def unanswered(self, topic: Topic, question: str, why: Silence, detail: str, now: MissionTime) -> None:
+        """An instrument does not answer: asks again later; a sample that it refuses is given up."""
+        if question != self._question:
+            return
+        job = self.job
+        if topic == MEASURE and why is Silence.REFUSED and job is not None and job.hole is not None:
+            self._heard(MEASURE)
+            self.tell(EventKind.SAMPLE_SKIPPED, now, detail, revision=job.revision, sample_id=job.hole.sample.sample_id)
+            self._next_leg(job, now)
+            self.proceed(now)
+            return
+        self._unclear(topic, now, f"{why.value}: {detail}" if detail else why.value)
+
+    def _unclear(self, topic: Topic, now: MissionTime, why: str) -> None:
+        if topic.name not in self._silent:
+            self._silent.add(topic.name)
+            self.tell(EventKind.INSTRUMENT_SILENT, now, f"{topic.name}: {why}")
+        self.out.append(WakeAt(RETRY, now + seconds(self.config.instrument_retry_s)))
+
+    def _heard(self, topic: Topic) -> None:
+        self._question = ""
+        self._silent.discard(topic.name)
+
+    def retry(self, now: MissionTime) -> None:
+        """Time to ask the silent instrument again."""
+        if self._question:
+            self.proceed(now)

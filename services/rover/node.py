@@ -1,0 +1,115 @@
+"""The rover as a node: hears plans, telecommands and instruments, and tells samples, events and its state."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from he3 import constants
+from he3.frames import SiteGrid
+from schemas.telemetry import RoverMode
+from schemas.topics import COMMAND, MEASURE, PLAN, STATE, TERRAIN, Side
+from services.node import (
+    Answered,
+    Due,
+    Effect,
+    Event,
+    Interface,
+    MissionTime,
+    Received,
+    Send,
+    Started,
+    Unanswered,
+    WakeAt,
+    seconds,
+)
+from services.regions import EMBEDDED, load_region
+from services.rover import orders
+from services.rover.executive import CHARGED, RETRY, STEP, WATCHDOG, Executive
+from services.scenario import RoverConfig, Scenario
+
+TELL_STATE: Final = "state"
+
+
+class RoverNode:
+    """Executes plans on the Moon, on its own as long as it has rounds on board."""
+
+    def __init__(self, config: RoverConfig, site: SiteGrid, start_m: tuple[float, float], start: MissionTime) -> None:
+        self.queue_depth = 0
+        """Messages that wait for the ground's acknowledgement: whoever keeps them says how many."""
+        self._config = config
+        self._executive = Executive(config, site, start_m, start)
+        self._executive.at_safe_point = lambda now: orders.carry_out_waiting(self._executive, now)
+        self._told: RoverMode | None = None
+        self._awake = False
+
+    @property
+    def interface(self) -> Interface:
+        return Interface(name="rover", sides=(Side.MOON,), subscribes=(PLAN, COMMAND))
+
+    def handle(self, event: Event, now: MissionTime) -> list[Effect]:
+        """What the rover does upon the event; its state follows whenever its mode has changed."""
+        executive = self._executive
+        executive.out = []
+        match event:
+            case Received():
+                self._receive(event, now)
+            case Answered():
+                if event.topic == TERRAIN:
+                    executive.seen(event.question, event.reply, now)
+                elif event.topic == MEASURE:
+                    executive.measured(event.question, event.reply, now)
+            case Unanswered():
+                executive.unanswered(event.topic, event.question, event.why, event.detail, now)
+            case Due():
+                self._wake(event.timer, now)
+            case Started():
+                self._start(now)
+        if self._told is not executive.mode:
+            self._tell_state(now)
+        return executive.out
+
+    def _start(self, now: MissionTime) -> None:
+        """Tells its state; timers and questions of an earlier start still stand."""
+        self._tell_state(now)
+        if not self._awake:
+            self._awake = True
+            self._executive.out.append(WakeAt(TELL_STATE, now + seconds(self._config.state_period_s)))
+            self._executive.watch(now)
+
+    def _receive(self, event: Received, now: MissionTime) -> None:
+        self._executive.watch(now)
+        if event.topic == PLAN:
+            self._executive.take_plan(event.body, now)
+        elif event.topic == COMMAND:
+            orders.take(self._executive, event.body, event.header, now)
+
+    def _wake(self, timer: str, now: MissionTime) -> None:
+        if timer == STEP:
+            self._executive.step_over(now)
+        elif timer == TELL_STATE:
+            self._tell_state(now)
+            self._executive.out.append(WakeAt(TELL_STATE, now + seconds(self._config.state_period_s)))
+        elif timer == RETRY:
+            self._executive.retry(now)
+        elif timer == CHARGED:
+            self._executive.charged(now)
+        elif timer == WATCHDOG:
+            self._executive.unheard(now)
+
+    def _tell_state(self, now: MissionTime) -> None:
+        self._told = self._executive.mode
+        self._executive.out.append(Send(STATE, self._executive.state(now, self.queue_depth)))
+
+
+def build_node(scenario: Scenario, site: SiteGrid | None = None) -> RoverNode:
+    """The rover of that scenario; the extent of its site may be handed in, else it is the region's."""
+    if site is None:
+        site = _site_of(scenario)
+    return RoverNode(scenario.rover, site, scenario.start_m, scenario.start_ns)
+
+
+def _site_of(scenario: Scenario) -> SiteGrid:
+    # Its extent is all that a rover knows of the region beforehand; the rest it sees.
+    if scenario.region in EMBEDDED:
+        return SiteGrid(constants.SITE_CELLS, constants.SITE_CELLS, constants.SITE_RESOLUTION_M)
+    return load_region(scenario.region).grid

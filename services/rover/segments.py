@@ -1,0 +1,85 @@
+"""Plane geometry of ways and areas: segments, polygons, and how near they come to one another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Point = tuple[float, float]
+
+
+def inside(polygon_m: Sequence[Point], place_m: Point) -> bool:
+    """Whether the place lies in the polygon, by the even-odd rule."""
+    x, y = place_m
+    within = False
+    ax, ay = polygon_m[-1]
+    for bx, by in polygon_m:
+        if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
+            within = not within
+        ax, ay = bx, by
+    return within
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A closed polygon and the box around it."""
+
+    polygon_m: tuple[Point, ...]
+    south_west_m: Point
+    north_east_m: Point
+
+    @classmethod
+    def within(cls, polygon_m: Sequence[Point]) -> Area:
+        """The area of a polygon of at least three corners."""
+        xs, ys = [x for x, _ in polygon_m], [y for _, y in polygon_m]
+        return cls(tuple(polygon_m), (min(xs), min(ys)), (max(xs), max(ys)))
+
+    def is_near(self, a: Point, b: Point, margin_m: float) -> bool:
+        """Whether the segment from a to b touches the area, or comes nearer to it than the margin [m]."""
+        (west, south), (east, north) = self.south_west_m, self.north_east_m
+        if (
+            max(a[0], b[0]) < west - margin_m
+            or min(a[0], b[0]) > east + margin_m
+            or max(a[1], b[1]) < south - margin_m
+            or min(a[1], b[1]) > north + margin_m
+        ):
+            return False
+        if inside(self.polygon_m, a) or inside(self.polygon_m, b):
+            return True
+        c = self.polygon_m[-1]
+        for d in self.polygon_m:
+            if _cross(a, b, c, d) or _squared_gap(a, b, c, d) < margin_m * margin_m:
+                return True
+            c = d
+        return False
+
+
+def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether the segments ab and cd have a point in common, other than by lying along one line."""
+    return (_side(a, b, c) * _side(a, b, d) <= 0) and (_side(c, d, a) * _side(c, d, b) < 0)
+
+
+def _side(a: Point, b: Point, p: Point) -> float:
+    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+
+
+def _squared_gap(a: Point, b: Point, c: Point, d: Point) -> float:
+    """Squared distance [m^2] of two segments that do not cross: it is attained at one of the four ends."""
+    return min(
+        squared_distance(a, c, d), squared_distance(b, c, d), squared_distance(c, a, b), squared_distance(d, a, b)
+    )
+
+
+def squared_distance(p: Point, a: Point, b: Point) -> float:
+    """Squared distance [m^2] of a place from the segment from a to b."""
+    share = nearest_share(p, a, b)
+    return (a[0] + share * (b[0] - a[0]) - p[0]) ** 2 + (a[1] + share * (b[1] - a[1]) - p[1]) ** 2
+
+
+def nearest_share(p: Point, a: Point, b: Point) -> float:
+    """How far along the segment from a (0) to b (1) the point nearest to the place is."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    squared = dx * dx + dy * dy
+    if squared == 0:
+        return 0.0
+    return min(1.0, max(0.0, ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / squared))
