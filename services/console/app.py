@@ -34,7 +34,7 @@ def _common(
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
 ) -> None:
     if version:
-        from services.console.reporting import software_version
+        from services.presence import software_version
 
         typer.echo(f"he3-seeker {software_version()}")
         raise typer.Exit

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from he3.errors import He3Error
+from schemas.ground import MissionPhase
 from services.console.outputs import Outputs, recording_file, write_outcome
 from services.console.progress import Moment, Progress, moment_of
 from services.console.reporting import Run, gather
@@ -36,8 +37,8 @@ def run_in_process(scenario: Scenario, where: Outputs, progress: Progress) -> tu
         mission = InProcessMission(scenario, planners, sink)
         stack.enter_context(progress)
         end = mission.run(lambda: progress.show(lambda: _moment(mission)))
-        if mission.status is None or not end.ok:
-            raise He3Error(f"the mission failed: {end.why}")
+        if mission.status is None or end is not MissionPhase.COMPLETED:
+            raise He3Error(f"the mission failed {mission.mission_time_s:.0f} s after its beginning: {mission.why()}")
         run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
         outcome = gather(mission.ask, scenario, mission.status, run)
     return outcome.report, write_outcome(outcome, region, where)

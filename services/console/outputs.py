@@ -60,14 +60,23 @@ def _check_writable(flag: str, path: Path) -> None:
         raise InvalidInput(f"{flag} {path}: expected a place to write to, got no permission at {place}")
 
 
+def make_folder(folder: Path) -> Path:
+    """The folder, made if need be; raises He3Error when that cannot be done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise He3Error(f"{folder}: cannot make the folder: {error.strerror}") from None
+    return folder
+
+
 @contextmanager
 def recording_file(where: Outputs) -> Iterator[IO[bytes] | None]:
     """The open file of the recording, its folder made; None when no recording is wanted."""
     if where.recording is None:
         yield None
         return
+    make_folder(where.recording.parent)
     try:
-        where.recording.parent.mkdir(parents=True, exist_ok=True)
         stream = where.recording.open("wb")
     except OSError as error:
         raise He3Error(f"{where.recording}: cannot write the recording: {error.strerror}") from None

@@ -6,7 +6,6 @@ import base64
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,11 @@ from schemas.report import MessageCounts, MissionReport, ReportSample
 from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK, Topic
 from schemas.wire import Wire
 from services.node import SECOND
+from services.presence import software_version
 from services.scenario import Scenario
 
 Ask = Callable[[Topic, Wire], Any]
 """Puts a question to the running mission; raises He3Error with the refusal."""
-
-DISTRIBUTION = "he3-seeker"
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,11 +144,3 @@ def write_report(report: MissionReport, path: Path) -> None:
         path.write_text(report.model_dump_json(indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise He3Error(f"{path}: cannot write the report: {error.strerror}") from None
-
-
-def software_version() -> str:
-    """The version of this software, as installed."""
-    try:
-        return metadata.version(DISTRIBUTION)
-    except metadata.PackageNotFoundError:
-        return "unknown"

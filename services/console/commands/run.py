@@ -45,12 +45,13 @@ def run(
     """Run a whole mission and report on it."""
     from services.console.outputs import outputs
     from services.console.progress import progress_for
-    from services.console.scenarios import load
+    from services.console.scenarios import choose
     from services.console.summary import summary_lines
 
     if in_process and rate is not None:
         raise InvalidInput("--rate: expected it without --in-process, which runs in virtual time")
-    mission = load(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    mission = chosen.scenario
     where = outputs(out, report)
     progress = progress_for(
         f"{mission.name} · {mission.region} · {mission.ground.planner} · seed {mission.seed}",
@@ -64,7 +65,7 @@ def run(
     else:
         from services.console.separate import run_separate
 
-        done, files = run_separate(mission, where, progress)
+        done, files = run_separate(chosen, where, progress)
     if json:
         typer.echo(done.model_dump_json(indent=2))
     else:

@@ -1,0 +1,158 @@
+"""Starts a mission's services as processes of their own, watches them, and ends them all, whatever happens."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from he3.errors import He3Error
+from services.console.interruption import uninterrupted
+
+SERVICES: tuple[str, ...] = ("link", "field", "rover", "ground", "recorder")
+"""In the order in which they are started; the link first, as it owns both routers."""
+
+STOP_WITHIN_S = 1.5
+"""How long a service may take to end before it is killed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Where the two routers listen."""
+
+    moon: str
+    earth: str
+
+
+def free_endpoints() -> Endpoints:
+    """Two endpoints on loopback that nobody listened on a moment ago."""
+    with socket.socket() as moon, socket.socket() as earth:
+        for each in (moon, earth):
+            each.bind(("127.0.0.1", 0))
+        ports = moon.getsockname()[1], earth.getsockname()[1]
+    return Endpoints(*(f"tcp/127.0.0.1:{port}" for port in ports))
+
+
+class Launcher:
+    """The processes of one mission. Use it in a `with` statement: they are all gone when it ends."""
+
+    def __init__(
+        self,
+        scenario: Path,
+        endpoints: Endpoints,
+        flags: Sequence[str] = (),
+        *,
+        recording: Path | None = None,
+        logs: Path | None = None,
+        service_flags: dict[str, Sequence[str]] | None = None,
+    ) -> None:
+        """logs: folder for a log file a service; None: their log lines go to standard error."""
+        self._scenario = scenario
+        self._endpoints = endpoints
+        self._flags = tuple(flags)
+        self._recording = recording
+        self._logs = logs
+        self._service_flags = service_flags or {}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    @property
+    def own_pid(self) -> int:
+        """Process id of whoever started the services."""
+        return os.getpid()
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process id of each service that was started."""
+        return {name: process.pid for name, process in self._processes.items()}
+
+    def __enter__(self) -> Self:
+        names = [name for name in SERVICES if name != "recorder" or self._recording is not None]
+        try:
+            for name in names:
+                self.start(name, [each for each in names if each != "link"])
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def start(self, name: str, wait_for: Iterable[str] = ()) -> None:
+        """Start one service; the link holds mission time until those that it waits for are there."""
+        command = [sys.executable, "-m", f"services.{name}", str(self._scenario), *self._flags]
+        command += ["--moon", self._endpoints.moon, "--earth", self._endpoints.earth]
+        if name == "link" and wait_for:
+            command += ["--wait-for", ",".join(wait_for)]
+        if name == "recorder" and self._recording is not None:
+            command += ["--out", str(self._recording)]
+        command += self._service_flags.get(name, ())
+        log = None if self._logs is None else (self._logs / f"{name}.log").open("ab")
+        try:
+            # A group of its own: Ctrl-C is for this process to judge, and to pass on in order.
+            self._processes[name] = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stderr=log, stdout=log, process_group=0, env=_environment()
+            )
+        except OSError as error:
+            raise He3Error(f"cannot start the {name} service: {error.strerror}") from None
+        finally:
+            if log is not None:
+                log.close()
+
+    def check(self) -> None:
+        """Raise He3Error, in one line, when a service has ended by itself."""
+        for name, process in self._processes.items():
+            code = process.poll()
+            if code is not None:
+                raise He3Error(f"the {name} service ended by itself, {_in_words(code)}{self._last_words(name)}")
+
+    def stop(self) -> None:
+        """End all services: politely, then not."""
+        with uninterrupted():
+            self._stop()
+
+    def _stop(self) -> None:
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.terminate()
+        deadline = time.monotonic() + STOP_WITHIN_S
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+        for process in self._processes.values():
+            process.wait()
+
+    def _last_words(self, name: str) -> str:
+        if self._logs is None:
+            return ""
+        try:
+            lines = (self._logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
+        except OSError:
+            return ""
+        return f": {lines[-1]}" if lines else ""
+
+
+def _in_words(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"killed by signal {-code}"
+
+
+def _environment() -> dict[str, str]:
+    # Five processes share the machine: threads of linear algebra in each would only get into each other's way.
+    return {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **os.environ}

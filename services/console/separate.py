@@ -1,0 +1,82 @@
+"""A whole mission in separate processes over Zenoh: started, watched to its end, reported, ended."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from he3.errors import He3Error
+from schemas.ground import GroundStatus, MissionPhase
+from services.console.joining import Watcher, join_when_up
+from services.console.launcher import Endpoints, Launcher, free_endpoints
+from services.console.outputs import Outputs, make_folder, write_outcome
+from services.console.progress import Progress
+from services.console.reporting import Outcome, Run, gather
+from services.console.runfile import RunningMission, announced
+from services.regions import load_region
+
+if TYPE_CHECKING:
+    from schemas.report import MissionReport
+    from services.console.scenarios import Chosen
+
+LOOK_EVERY_S = 0.1
+"""How long the end of a service or of the mission may go unnoticed."""
+
+
+def run_separate(chosen: Chosen, where: Outputs, progress: Progress) -> tuple[MissionReport, list[Path]]:
+    """The report of the mission, run to its end in separate processes, and the files written.
+
+    Raises InvalidInput before anything is started, He3Error when a service dies or the mission fails.
+    """
+    scenario = chosen.scenario
+    region = load_region(scenario.region, scenario.field.field_seed)
+    began = time.monotonic()
+    with services_of(chosen, where, free_endpoints()) as (launcher, endpoints):  # noqa: SIM117 - two things end apart
+        with join_when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
+            watcher = Watcher(client, scenario.start_ns)
+            watcher.catch_up()
+            status = _watched_to_its_end(watcher, launcher, progress)
+            wall_time_s = time.monotonic() - began
+            if status.phase is not MissionPhase.COMPLETED:
+                raise He3Error(f"the mission failed {watcher.status_time_s:.0f} s after its beginning: {status.detail}")
+            run = Run("zenoh", scenario.rate, region.provenance, watcher.status_time_s, wall_time_s)
+            outcome: Outcome = gather(client.query, scenario, status, run)
+    return outcome.report, write_outcome(outcome, region, where)
+
+
+@contextmanager
+def services_of(chosen: Chosen, where: Outputs, endpoints: Endpoints) -> Iterator[tuple[Launcher, Endpoints]]:
+    """All services of the scenario, running and announced on this machine; all gone afterwards.
+
+    Their logs go beside the other files, or into a temporary folder that an error's line has quoted from.
+    """
+    with ExitStack() as stack:
+        if where.folder is None:
+            logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="he3-logs-")))
+        else:
+            logs = make_folder(where.folder / "logs")
+            for old in logs.glob("*.log"):
+                old.unlink()
+        launcher = stack.enter_context(
+            Launcher(chosen.path, endpoints, chosen.flags, recording=where.recording, logs=logs)
+        )
+        running = RunningMission(
+            chosen.scenario.name, str(chosen.path), endpoints.moon, endpoints.earth, launcher.own_pid, launcher.pids
+        )
+        stack.enter_context(announced(running))
+        yield launcher, endpoints
+
+
+def _watched_to_its_end(watcher: Watcher, launcher: Launcher, progress: Progress) -> GroundStatus:
+    while True:
+        status = watcher.status
+        if status is not None and status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED):
+            return status
+        launcher.check()
+        progress.show(watcher.moment)
+        watcher.changed.wait(LOOK_EVERY_S)
+        watcher.changed.clear()
