@@ -20,7 +20,7 @@ from he3.frames import FloatArray, SiteGrid, as_points
 from he3.gp import Hyperparameters
 from he3.gridposterior import GridPosterior
 from schemas.plans import MissionPlan, PlannedSample, RoundPlan
-from schemas.telemetry import EventKind, RoverEvent, SampleReport
+from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
 from schemas.topics import PLAN
 from services.ground.allowance import Budget, Committed
 from services.ground.belief import Belief, Observation, fit
@@ -38,6 +38,7 @@ MOST_ROUNDS_TIMES, MOST_ROUNDS_MORE = 2, 10  # rounds in all, those included tha
 MOST_REJECTIONS = 10  # plans in a row that the rover may reject
 OBSTACLE_MARGIN_M = 1.5  # radius of what is closed around an obstacle that was met: it is seen from one side only
 START_TOLERANCE_M = 0.5  # how far from where it was asked to begin a planned round may begin
+_NOTHING_TO_DO = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 _FIT, _PLAN = 1, 2  # what a seed is for
 
 
@@ -123,6 +124,19 @@ class Director:
         """The mission begins."""
         return self._advance(now)
 
+    def state(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> list[Effect]:
+        """The rover has told how it is. Should it have dropped what is on board, that is planned anew."""
+        newest = made_at >= self._heard_at
+        self.heard((state.x_m, state.y_m), state.driven_m, made_at)
+        waiting = self.ledger.not_begun
+        idle = state.mode in _NOTHING_TO_DO and state.rounds_on_board == 0 and state.plan_revision == self.revision
+        if not (newest and idle and waiting and state.round < waiting[0].number) or self.ended is not None:
+            return []
+        self._drop(waiting)
+        self._origin = self.place_m
+        note = Note(Level.INFO, f"the rover has dropped round {waiting[0].number} and later ones; planning them anew")
+        return [note, *self._advance(now)]
+
     def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> None:
         """The rover was at that place at that time."""
         self.driven_m = max(self.driven_m, driven_m)
@@ -174,6 +188,15 @@ class Director:
                 # Of an older plan it says nothing: a newer one is on its way, with more to do.
                 self._rover_done = self._last_sent and event.plan_revision in (0, self.revision)
                 return self._advance(now)
+            case EventKind.BLOCKED if event.round == 0:  # on an errand of the operator's
+                self._close_off(event)
+                return self._advance(now)
+            case EventKind.SAFE_MODE_ENTERED | EventKind.LOW_ENERGY | EventKind.INSTRUMENT_SILENT:
+                self.detail = f"{event.kind.value.replace('_', ' ')}: {event.detail}"[:400]
+                return []
+            case EventKind.SAFE_MODE_LEFT | EventKind.CHARGED | EventKind.RESUMED:
+                self.detail = ""
+                return []
             case (
                 EventKind.ROUND_STARTED
                 | EventKind.ROUND_COMPLETED
@@ -272,9 +295,7 @@ class Director:
         first_word = not record.ended
         blocked = event.kind is EventKind.BLOCKED
         if blocked:
-            obstacle = event.obstacle_m or (event.x_m, event.y_m)
-            if self.grid.contains(np.array([obstacle]))[0]:
-                self.terrain.block(obstacle, OBSTACLE_MARGIN_M if event.obstacle_m is not None else 0.0)
+            self._close_off(event)
         if not first_word and not blocked:
             return []
         record.ended = record.ended_early = True
@@ -285,6 +306,11 @@ class Director:
             if self.ledger.chain[-1] is record:
                 self._origin = (event.x_m, event.y_m)
         return [Note(Level.WARNING, self.detail, {"round": record.number, "x_m": event.x_m, "y_m": event.y_m})]
+
+    def _close_off(self, event: RoverEvent) -> None:
+        """What the rover met is closed on the ground's map too. A keep-out that it met is known here already."""
+        if event.obstacle_m is not None and self.grid.contains(np.array([event.obstacle_m]))[0]:
+            self.terrain.block(event.obstacle_m, OBSTACLE_MARGIN_M)
 
     def _plan_rejected(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
         if event.plan_revision < self.revision or self.ended is not None:

@@ -129,7 +129,7 @@ class GroundNode:
                 yield from self._director.event(happened, now)
             case Received(_, header, RoverState() as state):
                 self._hear(now)
-                yield from self._locate(state, header)
+                yield from self._locate(state, header, now)
             case Received(_, _, CommandReport() as report):
                 self._hear(now)
                 yield from self._command_passed(report, now)
@@ -159,13 +159,12 @@ class GroundNode:
             self._samples.append(report)
         return effects
 
-    def _locate(self, state: RoverState, header: Header) -> Iterable[Effect]:
+    def _locate(self, state: RoverState, header: Header, now: MissionTime) -> Iterable[Effect]:
         if not self._director.grid.contains(np.array([(state.x_m, state.y_m)]))[0]:
             return [Note(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")]
         if self._rover_made_at is None or header.made_at >= self._rover_made_at:
             self._rover, self._rover_made_at = state, header.made_at
-            self._director.heard((state.x_m, state.y_m), state.driven_m, header.made_at)
-        return []
+        return self._director.state(state, header.made_at, now)
 
     def _listen_for_silence(self, now: MissionTime) -> Iterable[Effect]:
         timeout = seconds(self._scenario.ground.rover_timeout_s)
