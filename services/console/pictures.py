@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -216,7 +217,7 @@ def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
         axis.spines[["top", "right"]].set_visible(False)
         axis.legend(loc="upper right")
         figure.suptitle(title, fontsize=11.5, fontweight="bold", x=0.015, ha="left")
-        figure.supxlabel(note, fontsize=7.5, color=QUIET, x=0.015, ha="left")
+        figure.supxlabel(fill(note, 118), fontsize=7.5, color=QUIET, x=0.015, ha="left")
     return figure
 
 
