@@ -15,7 +15,8 @@ class Join(Wire):
     """A process takes part: what it hears and serves, so that every message can be accounted for."""
 
     name: Identifier
-    incarnation: Annotated[int, Field(ge=1)]
+    process: Text
+    """Tells one start of it from another, so that a join asked twice is taken once."""
     hears: tuple[tuple[Text, Text], ...]
     """(topic, side) of every message that reaches it."""
     serves: tuple[Text, ...]

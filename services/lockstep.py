@@ -7,6 +7,7 @@ the simulation driver would. So a mission in separate processes is, event for ev
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import time
 from collections import Counter
@@ -63,6 +64,7 @@ class LockstepProcess(Process):
     """A process whose clock is granted, step by step."""
 
     _step = 0
+    _identity = f"{os.getpid()}.{time.time_ns()}"
 
     def learn_time(self) -> bool:
         """Join, and learn where virtual time stands; False when told to stop first."""
@@ -108,7 +110,7 @@ class LockstepProcess(Process):
         ]
         return Join(
             name=interface.name,
-            incarnation=max(1, host.incarnation),
+            process=self._identity,
             hears=tuple(heard),
             serves=tuple(topic.name for topic in interface.serves),
             next_wake=self.seat.next_wake(),

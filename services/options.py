@@ -35,6 +35,8 @@ class Options:
     journal: Path | None
     """Folder of the journals; None: nothing survives a restart."""
     lockstep: bool
+    stop_when: str | None
+    """The link in lockstep: once this service has nothing left to do, mission time stands."""
     events: Path | None
     """File that gets a line for each event handled."""
 
@@ -68,6 +70,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     parser.add_argument("--out", type=Path, metavar="FILE", help="recorder: file to write (default: mission.mcap)")
     parser.add_argument("--journal", type=Path, metavar="FOLDER", help="keep a journal there, and go on from it")
     parser.add_argument("--lockstep", action="store_true", help="virtual time, granted by the link")
+    parser.add_argument("--stop-when", metavar="NAME", help="link in lockstep: stop time when this one is finished")
     parser.add_argument("--events", type=Path, metavar="FILE", help="write a line for each event handled")
     given = parser.parse_args(arguments)
     path = find_scenario(given.scenario)
@@ -86,6 +89,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         out=given.out,
         journal=given.journal,
         lockstep=given.lockstep,
+        stop_when=given.stop_when,
         events=given.events,
     )
 

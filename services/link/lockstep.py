@@ -127,6 +127,10 @@ class LockstepLinkProcess(LockstepProcess):
         doing = [f"{name} (computing {', '.join(self._computing[name])})" for name in late if name in self._computing]
         return ", ".join([*(name for name in late if name not in self._computing), *doing])
 
+    def _is_over(self) -> bool:
+        member = self.keeper.members.get(self.options.stop_when or "")
+        return member is not None and member.finished is not None
+
     def _take_one(self, patience_s: float) -> None:
         with contextlib.suppress(queue.Empty):
             self.stop.inbox.get(timeout=patience_s)()
@@ -138,6 +142,8 @@ class LockstepLinkProcess(LockstepProcess):
         moves = instant > self.keeper.now
         if not moves:
             return 0.0  # what happens now happens, paused or not: otherwise no command would ever be answered
+        if self._is_over():
+            return SHOW_TIME_EVERY_S
         if self._until is not None and instant > self._until:
             self._paused, self._until = True, None
         if self._steps_left is not None and self._steps_left <= 0:

@@ -16,6 +16,7 @@ from services.node import MissionTime
 
 @dataclass(slots=True)
 class _Member:
+    process: str
     hears: frozenset[tuple[str, str]]
     serves: frozenset[str]
     next_wake: MissionTime | None
@@ -38,7 +39,12 @@ class TimeKeeper:
 
     def join(self, joining: Join) -> None:
         """Take a process in, or take it in again after a restart; it acts in the next step."""
-        self.members[joining.name] = _Member(frozenset(joining.hears), frozenset(joining.serves), joining.next_wake)
+        member = self.members.get(joining.name)
+        if member is not None and member.process == joining.process:
+            return
+        self.members[joining.name] = _Member(
+            joining.process, frozenset(joining.hears), frozenset(joining.serves), joining.next_wake
+        )
         self.outstanding.discard(joining.name)
 
     def leave(self, name: str) -> None:

@@ -1,0 +1,501 @@
+"""The sender's half of custody: keeps each message until it is acknowledged, and sends it again when it must.
+
+How it decides, per stream (topic and incarnation of its source):
+
+- Messages go out in order of priority and offering, so many at a time as the window allows; those of an earlier
+  incarnation of the source come first, so that the receiver sees one order across restarts.
+- A message is found missing when one of its stream that was sent after it has come and it has not: then it is sent
+  again at once. The last ones have no such witness, so the one longest under way is sent again when its time is up:
+  one round trip, what queues ahead of it at the known rate, and a margin; twice as long each time in vain.
+- After several such repetitions without any word from the other side, timers are suspended and one message is tried
+  now and then. Any word resumes them at once. Nothing is ever given up.
+- The receiver may forget what it holds out of turn when it restarts, so that is kept here too until acknowledged.
+
+Times are integer nanoseconds of mission time. Rebuilt from a journal with `restore`, then `resume`.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right, insort
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from he3.errors import InvalidInput
+from schemas.link import Acknowledgement
+from schemas.topics import Custody, Topic
+from schemas.wire import Header, restamped
+from services.custody import CustodyConfig, OutboxFull, RoundTrip, Signal, State, bits_time, following, under_custody
+from services.node import MissionTime, seconds
+
+REMEMBERED_SENDINGS = 8
+MAX_DOUBLINGS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Transmit:
+    """Put these bytes under the topic's key now."""
+
+    topic: Topic
+    payload: bytes
+    repetition: bool
+    """Whether it was sent before in this life of the process."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutboxCounts:
+    """What became of the messages since the start."""
+
+    offered: int
+    sent: int
+    repeated: int
+    acknowledged: int
+    kept: int
+    suspensions: int
+
+
+@dataclass(slots=True, eq=False)
+class _Kept:
+    """A message and where it stands."""
+
+    topic: Topic
+    incarnation: int
+    sequence: int
+    payload: bytes
+    priority: int
+    order: int
+    state: State = State.WAITING
+    held_from: int | None = None
+    """As the payload says."""
+    sendings: list[tuple[int, MissionTime]] = field(default_factory=list)
+    """Number and time of the latest sendings."""
+    queued: bool = False
+    restored: bool = False
+    last_bit_at: MissionTime = 0
+    """When its latest sending should have left at the known rate."""
+
+    @property
+    def turn(self) -> tuple[int, int]:
+        return self.priority, self.order
+
+    @property
+    def last_sending(self) -> int:
+        return self.sendings[-1][0] if self.sendings else 0
+
+
+@dataclass(slots=True, eq=False)
+class _Stream:
+    """The messages of one topic and incarnation that are not yet acknowledged."""
+
+    kept: dict[int, _Kept] = field(default_factory=dict)
+    """By sequence, rising."""
+    sent: dict[int, _Kept] = field(default_factory=dict)
+    """Those under way, in the order of sending."""
+    held: dict[int, _Kept] = field(default_factory=dict)
+    """Those that the receiver has out of turn."""
+    in_turn: bool = True
+    """False while an earlier incarnation of the topic has messages left, or what was restored is not yet sorted out."""
+    doublings: int = 0
+    in_vain: int = 0
+    """Repetitions since the other side was last heard."""
+    waits_since: MissionTime = 0
+    newest_ack: tuple[int, int] = (-1, -1)
+
+    @property
+    def oldest_sent(self) -> _Kept | None:
+        """The message whose time is up first."""
+        return next(iter(self.sent.values()), None) or next(iter(self.held.values()), None)
+
+
+class Outbox:
+    """Messages of one source under custody, on their way to the other side."""
+
+    def __init__(self, source: str, config: CustodyConfig | None = None) -> None:
+        self._source = source
+        self._config = config or CustodyConfig()
+        self._streams: dict[tuple[str, int], _Stream] = {}
+        self._new: list[_Kept] = []  # waiting for their first sending, by turn
+        self._again: list[_Kept] = []  # waiting for a repetition, by turn
+        self._round_trip = RoundTrip(seconds(self._config.round_trip_s), seconds(self._config.margin_s))
+        self._order = 0
+        self._sendings = 0
+        self._bytes = 0
+        self._under_way = 0
+        self._under_way_bytes = 0
+        self._clear_at: MissionTime = 0
+        self._disturbed_at: MissionTime = -1
+        self._probe_at: MissionTime | None = None  # not None: suspended
+        self._offered = self._repeated = self._acknowledged = self._suspensions = 0
+
+    # --- what its owner asks ------------------------------------------------------------------------------------
+
+    @property
+    def depth(self) -> int:
+        """Messages that are not yet acknowledged."""
+        return sum(len(stream.kept) for stream in self._streams.values())
+
+    @property
+    def suspended(self) -> bool:
+        """Whether timers stand still because the other side has not been heard for long."""
+        return self._probe_at is not None
+
+    @property
+    def round_trip(self) -> MissionTime:
+        """From sending to acknowledgement as measured [ns]."""
+        return self._round_trip.mean
+
+    @property
+    def counts(self) -> OutboxCounts:
+        return OutboxCounts(
+            offered=self._offered,
+            sent=self._sendings,
+            repeated=self._repeated,
+            acknowledged=self._acknowledged,
+            kept=self.depth,
+            suspensions=self._suspensions,
+        )
+
+    def held_from(self, topic: Topic, incarnation: int, sequence: int) -> int:
+        """What a new message with that sequence should say in its header: the lowest sequence still kept here."""
+        stream = self._streams.get((topic.name, incarnation))
+        return next(iter(stream.kept), sequence) if stream is not None else sequence
+
+    def next_due(self) -> MissionTime | None:
+        """When `due` wants to be called next; None: not before something else happens."""
+        if self._probe_at is not None:
+            return self._probe_at if self.depth else None
+        times = [deadline for stream in self._streams.values() if (deadline := self._deadline(stream)) is not None]
+        return min(times, default=None)
+
+    # --- what happens to it -------------------------------------------------------------------------------------
+
+    def restore(self, topic: Topic, header: Header, payload: bytes) -> None:
+        """Keeps a message of an earlier life again; in their old order, before anything is offered."""
+        stream = self._stream(topic.name, header.incarnation)
+        stream.in_turn = False
+        self._keep(stream, topic, header, payload).restored = True
+
+    def resume(self, now: MissionTime) -> list[Transmit]:
+        """What to send at the start, after everything was restored.
+
+        One message a topic: its acknowledgement tells which of the others the receiver has.
+        """
+        begun = set()
+        for (name, _), stream in sorted(self._streams.items(), key=lambda item: item[0]):
+            if name not in begun and stream.kept:
+                begun.add(name)
+                self._queues(next(iter(stream.kept.values())))
+        return self._sends(now)
+
+    def offer(self, topic: Topic, header: Header, payload: bytes, now: MissionTime) -> list[Transmit]:
+        """Keeps a new message; raises OutboxFull when there is no room, InvalidInput when it is not ours to keep."""
+        config = self._config
+        if self.depth >= config.max_messages or self._bytes + len(payload) > config.max_bytes:
+            raise OutboxFull(
+                f"{topic.name}: expected at most {config.max_messages} messages and {config.max_bytes} bytes that await "
+                f"acknowledgement, got {self.depth} and {self._bytes} before one of {len(payload)} bytes"
+            )
+        self._keep(self._stream(topic.name, header.incarnation), topic, header, payload)
+        self._offered += 1
+        return self._sends(now)
+
+    def heard(self, now: MissionTime) -> list[Transmit]:
+        """Any message came from the other side: there is contact."""
+        self._notes_contact(now)
+        return self._sends(now)
+
+    def acknowledged(self, ack: Acknowledgement, header: Header, now: MissionTime) -> list[Transmit]:
+        """An acknowledgement came; one for others, or older than one before it, shows only that there is contact."""
+        stream = self._streams.get((ack.stream, ack.incarnation)) if ack.source == self._source else None
+        number = (header.incarnation, header.sequence)
+        if stream is None or number <= stream.newest_ack:
+            return self.heard(now)
+        stream.newest_ack = number
+        witness = self._witness(stream, ack)
+        self._learns_round_trip(stream, ack, now)
+        progress = self._settles(stream, ack)
+        self._finds_missing(stream, ack, witness)
+        if progress:
+            stream.waits_since = now
+            stream.doublings = max(0, stream.doublings - 1)
+        self._comes_into_turn(ack.stream, stream if stream.kept else None)
+        self._notes_contact(now)
+        return self._sends(now)
+
+    def due(self, now: MissionTime) -> list[Transmit]:
+        """The time that `next_due` told has come."""
+        if self._probe_at is not None:
+            if self._probe_at <= now:
+                self._probe_at = now + self._probe_pause()
+                stream = min(
+                    (stream for stream in self._streams.values() if stream.oldest_sent),
+                    key=lambda stream: next(iter(stream.kept.values())).turn,
+                    default=None,
+                )
+                if stream is not None:
+                    self._tries_oldest(stream, now)
+            return self._sends(now)
+        for stream in list(self._streams.values()):
+            deadline = self._deadline(stream)
+            if deadline is not None and deadline <= now:
+                self._tries_oldest(stream, now)
+                self._disturbed_at = now
+                stream.doublings = min(MAX_DOUBLINGS, stream.doublings + 1)
+                stream.in_vain += 1
+                if stream.in_vain > self._config.silent_repetitions:
+                    self._suspends(now)
+                    break
+        return self._sends(now)
+
+    # --- keeping ------------------------------------------------------------------------------------------------
+
+    def _keep(self, stream: _Stream, topic: Topic, header: Header, payload: bytes) -> _Kept:
+        if not under_custody(topic) or not isinstance(topic.service, Custody):
+            raise InvalidInput(f"expected a topic under custody, got {topic.name}")
+        if header.source != self._source:
+            raise InvalidInput(f"{topic.name}: expected messages of '{self._source}', got one of '{header.source}'")
+        last = next(reversed(stream.kept), -1)
+        if header.sequence <= last:
+            raise InvalidInput(f"{topic.name}: expected a sequence above {last}, got {header.sequence}")
+        self._order += 1
+        kept = _Kept(
+            topic=topic,
+            incarnation=header.incarnation,
+            sequence=header.sequence,
+            payload=payload,
+            priority=topic.service.priority,
+            order=self._order,
+            held_from=header.held_from,
+        )
+        stream.kept[header.sequence] = kept
+        self._bytes += len(payload)
+        if stream.in_turn:
+            self._queues(kept)
+        return kept
+
+    def _stream(self, name: str, incarnation: int) -> _Stream:
+        stream = self._streams.get((name, incarnation))
+        if stream is None:
+            others = [key for key in self._streams if key[0] == name]
+            for key in others:
+                if not self._streams[key].kept:
+                    del self._streams[key]
+            earlier = any(key in self._streams for key in others)
+            stream = self._streams[name, incarnation] = _Stream(in_turn=not earlier)
+        return stream
+
+    def _comes_into_turn(self, name: str, stream: _Stream | None) -> None:
+        """Queues all of a restored stream that was heard of, or of the next incarnation after one that has ended."""
+        if stream is None:
+            left = [(key, found) for key, found in sorted(self._streams.items()) if key[0] == name and found.kept]
+            stream = left[0][1] if left else None
+        if stream is not None and not stream.in_turn:
+            stream.in_turn = True
+            for kept in stream.kept.values():
+                if kept.state is State.WAITING and not kept.queued:
+                    self._queues(kept)
+
+    def _moves(self, kept: _Kept, signal: Signal) -> None:
+        kept.state = following(kept.state, signal)
+
+    def _queues(self, kept: _Kept) -> None:
+        kept.queued = True
+        insort(self._again if kept.sendings else self._new, kept, key=_turn)
+
+    def _leaves_queue(self, kept: _Kept) -> None:
+        if kept.queued:
+            kept.queued = False
+            queue = self._again if kept.sendings else self._new
+            del queue[bisect_left(queue, kept.turn, key=_turn)]
+
+    def _goes_under_way(self, among: dict[int, _Kept], kept: _Kept) -> None:
+        among[kept.sequence] = kept
+        self._under_way += 1
+        self._under_way_bytes += len(kept.payload)
+
+    def _comes_off_the_way(self, stream: _Stream, kept: _Kept) -> None:
+        if stream.sent.pop(kept.sequence, None) or stream.held.pop(kept.sequence, None):
+            self._under_way -= 1
+            self._under_way_bytes -= len(kept.payload)
+
+    def _returns_to_queue(self, stream: _Stream, kept: _Kept, signal: Signal) -> None:
+        self._moves(kept, signal)
+        self._comes_off_the_way(stream, kept)
+        self._queues(kept)
+
+    # --- sending ------------------------------------------------------------------------------------------------
+
+    def _sends(self, now: MissionTime) -> list[Transmit]:
+        """Sends what waits: repetitions at once, the rest in turn, as far as the window allows."""
+        transmits = []
+        while self._again or (self._new and self._window_admits(self._new[0])):
+            kept = (self._again or self._new)[0]
+            self._leaves_queue(kept)
+            transmits.append(self._transmits(kept, now))
+        return transmits
+
+    def _window_admits(self, kept: _Kept) -> bool:
+        config = self._config
+        return self._under_way == 0 or (
+            self._under_way < config.window_messages
+            and self._under_way_bytes + len(kept.payload) <= config.window_bytes
+        )
+
+    def _transmits(self, kept: _Kept, now: MissionTime) -> Transmit:
+        stream = self._streams[kept.topic.name, kept.incarnation]
+        repetition = bool(kept.sendings)
+        if repetition or kept.restored:
+            self._restamps(kept, stream)
+        if stream.oldest_sent is None:
+            stream.waits_since = now
+        self._sendings += 1
+        self._repeated += repetition
+        kept.sendings = [*kept.sendings[1 - REMEMBERED_SENDINGS :], (self._sendings, now)]
+        self._clear_at = max(now, self._clear_at) + bits_time(len(kept.payload), self._config.rate_bit_s)
+        kept.last_bit_at = self._clear_at
+        self._moves(kept, Signal.TRANSMITTED)
+        self._goes_under_way(stream.sent, kept)
+        if self.suspended:
+            self._moves(kept, Signal.SILENCE)
+        return Transmit(kept.topic, kept.payload, repetition)
+
+    def _restamps(self, kept: _Kept, stream: _Stream) -> None:
+        """A receiver that forgot everything learns from a repetition that what came before was acknowledged."""
+        held_from = next(iter(stream.kept))
+        if held_from > (kept.held_from or 0):
+            longer = len(kept.payload)
+            kept.payload = restamped(kept.payload, held_from)
+            kept.held_from = held_from
+            self._bytes += len(kept.payload) - longer
+
+    def _tries_oldest(self, stream: _Stream, now: MissionTime) -> None:
+        """Puts the message that is longest under way back in the queue."""
+        kept = stream.oldest_sent
+        stream.waits_since = now
+        if kept is not None:
+            self._returns_to_queue(stream, kept, Signal.TIMED_OUT)
+
+    # --- time ---------------------------------------------------------------------------------------------------
+
+    def _deadline(self, stream: _Stream) -> MissionTime | None:
+        """When the time of the stream's oldest message under way is up."""
+        kept = stream.oldest_sent
+        if kept is None:
+            return None
+        wait = (self._round_trip.wait + self._queued_before(kept)) << stream.doublings
+        most = max(seconds(self._config.max_wait_s), 2 * self._round_trip.wait + self._queued_before(kept))
+        return max(stream.waits_since, kept.sendings[-1][1]) + min(wait, most)
+
+    def _queued_before(self, kept: _Kept) -> MissionTime:
+        """How long the message may have waited for others, and taken itself, at the known rate."""
+        if self._config.rate_bit_s is None:
+            return 0
+        ahead = sum(
+            len(other.payload)
+            for stream in self._streams.values()
+            for other in stream.sent.values()
+            if other.priority < kept.priority
+            or (other.priority == kept.priority and other.last_sending <= kept.last_sending)
+        )
+        return bits_time(ahead, self._config.rate_bit_s)
+
+    def _probe_pause(self) -> MissionTime:
+        return max(seconds(self._config.probe_s), 2 * self._round_trip.mean)
+
+    def _suspends(self, now: MissionTime) -> None:
+        self._suspensions += 1
+        self._disturbed_at = now
+        self._probe_at = now + self._probe_pause()
+        for stream in self._streams.values():
+            for kept in stream.sent.values():
+                self._moves(kept, Signal.SILENCE)
+
+    def _notes_contact(self, now: MissionTime) -> None:
+        for stream in self._streams.values():
+            stream.in_vain = 0
+        if self._probe_at is None:
+            return
+        self._probe_at = None
+        self._disturbed_at = now
+        for stream in self._streams.values():
+            stream.doublings = 0
+            stream.waits_since = now
+            for kept in stream.sent.values():
+                if kept.state is State.SUSPENDED:
+                    self._moves(kept, Signal.HEARD)
+            if not next((kept.queued for kept in stream.kept.values()), False):
+                self._tries_oldest(stream, now)
+
+    # --- acknowledgements ---------------------------------------------------------------------------------------
+
+    def _witness(self, stream: _Stream, ack: Acknowledgement) -> int:
+        """Number of the latest sending that is known to have come, as far as this acknowledgement shows; 0: none."""
+        witness = 0
+        for sequence, kept in stream.kept.items():
+            if sequence >= ack.next_sequence:
+                break
+            if kept.state is State.SENT and len(kept.sendings) == 1 and not _missing(ack, sequence):
+                witness = max(witness, kept.last_sending)
+        last = stream.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
+        if last is not None and ack.last_received_at is not None:
+            came = [number for number, at in last.sendings if at <= ack.last_received_at]
+            witness = max(witness, *came, 0)
+        return witness
+
+    def _learns_round_trip(self, stream: _Stream, ack: Acknowledgement, now: MissionTime) -> None:
+        """Measures by a message sent once, with no repetition of any since: then it is clear what was acknowledged."""
+        kept = stream.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
+        if kept is None or kept.state is not State.SENT or len(kept.sendings) != 1:
+            return
+        if kept.sendings[0][1] > self._disturbed_at:
+            self._round_trip.measured(max(0, now - kept.last_bit_at))
+            stream.doublings = 0
+
+    def _settles(self, stream: _Stream, ack: Acknowledgement) -> bool:
+        """Lets go of what is acknowledged and notes what is held; True when anything was new."""
+        complete = ack.gaps[0][0] if ack.gaps else ack.next_sequence
+        progress = False
+        for sequence in list(_below(stream.kept, ack.next_sequence)):
+            kept = stream.kept[sequence]
+            if sequence >= complete and (kept.state is State.HELD or _missing(ack, sequence)):
+                continue
+            progress = True
+            self._leaves_queue(kept)
+            self._comes_off_the_way(stream, kept)
+            if sequence < complete:
+                self._moves(kept, Signal.ACKNOWLEDGED)
+                del stream.kept[sequence]
+                self._bytes -= len(kept.payload)
+                self._acknowledged += 1
+            else:
+                self._moves(kept, Signal.OUT_OF_TURN)
+                self._goes_under_way(stream.held, kept)
+        return progress
+
+    def _finds_missing(self, stream: _Stream, ack: Acknowledgement, witness: int) -> None:
+        """Puts back in the queue what a later sending has overtaken, and what the receiver no longer holds."""
+        for kept in [*stream.sent.values()]:
+            missing = kept.sequence >= ack.next_sequence or _missing(ack, kept.sequence)
+            if missing and kept.last_sending < witness:
+                if kept.state is State.SUSPENDED:
+                    self._moves(kept, Signal.HEARD)
+                self._returns_to_queue(stream, kept, Signal.MISSED)
+        for kept in [*stream.held.values()]:
+            if kept.sequence >= ack.next_sequence or _missing(ack, kept.sequence):
+                self._returns_to_queue(stream, kept, Signal.MISSED)
+
+
+def _turn(kept: _Kept) -> tuple[int, int]:
+    return kept.turn
+
+
+def _missing(ack: Acknowledgement, sequence: int) -> bool:
+    """Whether the receiver says that it does not have that sequence, below the highest that it has."""
+    index = bisect_right(ack.gaps, sequence, key=lambda gap: gap[0]) - 1
+    return index >= 0 and ack.gaps[index][0] <= sequence <= ack.gaps[index][1]
+
+
+def _below(kept: dict[int, _Kept], limit: int) -> Iterator[int]:
+    for sequence in kept:
+        if sequence >= limit:
+            return
+        yield sequence
