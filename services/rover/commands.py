@@ -53,8 +53,9 @@ class CommandTable:
             raise IllegalStage(f"rover: command {command.command_id} is {before or 'new'} and cannot be {stage} next")
         report = CommandReport(command_id=command.command_id, stage=stage, at=now, why=why[:MAX_WHY])
         self._known[command.command_id] = (command, report)
-        while len(self._known) > MAX_REMEMBERED:
-            self._known.popitem(last=False)
+        if len(self._known) > MAX_REMEMBERED:
+            ended = (key for key, (_, last) in self._known.items() if last.stage not in STAGES)
+            self._known.pop(next(ended, command.command_id))
         return report
 
     def find(self, command_id: str) -> Telecommand:

@@ -8,7 +8,6 @@ the table's in ``phases``; this is what it does then.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -16,27 +15,26 @@ from functools import partial
 from typing import Final
 
 from he3.frames import SiteGrid
-from schemas.commands import CommandReport, CommandStage
+from schemas.commands import CommandStage
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.plans import MissionPlan
-from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
-from schemas.topics import COMMAND_REPORT, EVENT, MEASURE, SAMPLE, TERRAIN, Topic
-from services.node import Ask, Effect, Finish, Level, MissionTime, Note, Send, Silence, WakeAt, seconds
-from services.rover.admission import Situation, admitted
+from schemas.telemetry import EventKind, RoverMode, RoverState, SampleReport
+from schemas.topics import MEASURE, SAMPLE, TERRAIN, Topic
+from services.node import Effect, Finish, Level, MissionTime, Note, Send, Silence, WakeAt, seconds
 from services.rover.commands import CommandTable
 from services.rover.drill import Hole
 from services.rover.energy import full_battery
+from services.rover.instruments import Instruments
 from services.rover.phases import INTERRUPTIBLE, MODES, STANDING, Phase, Trigger, after
+from services.rover.programme import Programme
 from services.rover.rounds import Job
 from services.rover.segments import Area, Point
 from services.rover.traverse import Look, Piece, corridor, drive, forbidden
 from services.rover.vehicle import Vehicle
+from services.rover.voice import Voice
 from services.scenario import RoverConfig
 
-MAX_DETAIL: Final = 500  # characters, as the message admits
-
 STEP: Final = "step"
-RETRY: Final = "retry"
 CHARGED: Final = "charged"
 WATCHDOG: Final = "watchdog"
 
@@ -84,17 +82,11 @@ class Executive:
         self.at_safe_point: Callable[[MissionTime], None] = lambda now: None
         """Carries out what was commanded; whoever takes the telecommands puts it here."""
         self._corridor = corridor(config, site)
-        self._queue: deque[Job] = deque()
-        self._plan: MissionPlan | None = None
-        self._round = 0
-        self._aborted = False
-        self._busy = False
-        self._finished = 0
-        self._measured: set[str] = set()
-        self._questions = 0
-        self._question = ""
+        self._programme = Programme()
+        self.voice = Voice(self.vehicle, self._programme, self.out)
+        self._instruments = Instruments(config.instrument_retry_s)
         self._ahead: _Ahead | None = None
-        self._silent: set[str] = set()
+        self._busy = False
 
     # --- what it tells ------------------------------------------------------------------------------------------
 
@@ -108,83 +100,33 @@ class Executive:
         return self.vehicle.state(
             now,
             mode=self.mode,
-            round_=self._round,
-            plan_revision=self._plan.revision if self._plan else 0,
-            rounds_on_board=len(self._queue),
-            samples_done=len(self._measured),
+            round_=self._programme.round,
+            plan_revision=self._programme.revision,
+            rounds_on_board=len(self._programme.on_board),
+            samples_done=len(self._programme.measured),
             queue_depth=queue_depth,
-        )
-
-    def report(self, report: CommandReport) -> None:
-        """Tells the ground of a telecommand's stage."""
-        self.out.append(Send(COMMAND_REPORT, report))
-
-    def tell(
-        self,
-        kind: EventKind,
-        now: MissionTime,
-        detail: str = "",
-        *,
-        round_: int | None = None,
-        revision: int | None = None,
-        sample_id: str | None = None,
-        obstacle_m: Point | None = None,
-        samples_done: tuple[str, ...] = (),
-    ) -> None:
-        """Tells the ground of an event."""
-        x, y = self.vehicle.place_m(now)
-        self.out.append(
-            Send(
-                EVENT,
-                RoverEvent(
-                    kind=kind,
-                    at=now,
-                    x_m=x,
-                    y_m=y,
-                    round=self._round if round_ is None else round_,
-                    plan_revision=(self._plan.revision if self._plan else 0) if revision is None else revision,
-                    sample_id=sample_id,
-                    driven_m=self.vehicle.driven_m(now),
-                    obstacle_m=obstacle_m,
-                    samples_done=samples_done,
-                    detail=detail[:MAX_DETAIL],
-                ),
-            )
         )
 
     # --- plans --------------------------------------------------------------------------------------------------
 
     def take_plan(self, plan: MissionPlan, now: MissionTime) -> None:
         """Accepts the plan in place of all rounds that have not begun, or rejects it and changes nothing."""
-        if plan == self._plan:
+        programme = self._programme
+        if plan == programme.plan:
             self.out.append(Note(Level.DEBUG, "plan received again", {"revision": plan.revision}))
             return
-        jobs = admitted(plan, self._situation())
-        if isinstance(jobs, str):
-            self.tell(EventKind.PLAN_REJECTED, now, jobs, round_=plan.rounds[0].round, revision=plan.revision)
+        place = (self.job.ends_m if self.job else None) or self.vehicle.standing_m
+        margin = self.config.footprint_radius_m
+        why = programme.take(plan, self.job, place, site=self.site, areas=self.areas, margin_m=margin)
+        if why is not None:
+            self.voice.tell(EventKind.PLAN_REJECTED, now, why, round_=plan.rounds[0].round, revision=plan.revision)
             return
-        self._plan = plan
-        self._queue = deque(jobs)
-        numbers = f"{jobs[0].round} to {jobs[-1].round}" if len(jobs) > 1 else f"{jobs[0].round}"
-        self.tell(EventKind.PLAN_ACCEPTED, now, f"round {numbers}", round_=jobs[0].round)
+        first, last = programme.on_board[0].round, programme.on_board[-1].round
+        self.voice.tell(EventKind.PLAN_ACCEPTED, now, f"rounds {first} to {last}", round_=first)
         if self.hold in ENDED_BY_PLAN:
             self.release(now, f"plan {plan.revision}")
         if self.phase in STANDING:
             self.proceed(now)
-
-    def _situation(self) -> Situation:
-        job = self.job
-        under_way = [leg.sample.sample_id for leg in job.legs if leg.sample] if job else []
-        return Situation(
-            accepted=self._plan,
-            begun=self._round,
-            replannable=self._aborted,
-            place_m=(job.ends_m if job else None) or self.vehicle.standing_m,
-            measured=self._measured.union(under_way),
-            site=self.site,
-            areas=self.areas,
-            margin_m=self.config.footprint_radius_m,
-        )
 
     # --- going on -----------------------------------------------------------------------------------------------
 
@@ -195,20 +137,15 @@ class Executive:
 
     def proceed(self, now: MissionTime) -> None:
         """At a safe point: carries out what was commanded, then takes the next step unless something holds it."""
-        self._stop_waiting()
+        self.out += self._instruments.withdraw()
         self.at_safe_point(now)
         if self.hold is None:
             self._next_step(now)
 
-    def _stop_waiting(self) -> None:
-        if self._question:
-            self._question, self._ahead = "", None
-            self.out.append(WakeAt(RETRY, None))
-
     def _next_step(self, now: MissionTime) -> None:
         while True:
             if self.job is None:
-                if not self._queue:
+                if not self._programme.on_board:
                     self._park(now)
                     return
                 self._begin_round(now)
@@ -240,15 +177,14 @@ class Executive:
         if job.leg == len(job.legs):
             self.job = None
             if job.command_id is not None:
-                self.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.COMPLETED, now))
+                self.voice.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.COMPLETED, now))
             else:
-                self.tell(EventKind.ROUND_COMPLETED, now, revision=job.revision, samples_done=tuple(job.measured))
+                self.voice.tell_of_job(EventKind.ROUND_COMPLETED, job, now)
 
     def _begin_round(self, now: MissionTime) -> None:
-        job = self._queue.popleft()
-        self._round, self._aborted = job.round, False
+        job = self._programme.next_round()
         self.start(job)
-        self.tell(EventKind.ROUND_STARTED, now, revision=job.revision)
+        self.voice.tell_of_job(EventKind.ROUND_STARTED, job, now)
 
     def start(self, job: Job) -> None:
         """Makes the job what the rover is about; it may leave the closed areas that it stands in."""
@@ -259,14 +195,13 @@ class Executive:
     def abandon(self, now: MissionTime, why: str) -> None:
         """Gives up what the rover is about, and the rounds on board: they begin where it now will not be."""
         job, self.job = self.job, None
-        self._queue.clear()
-        if job is None:
-            return
-        if job.command_id is not None:
-            self.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.FAILED, now, why))
-        else:
-            self._aborted = True
-            self.tell(EventKind.ROUND_ABORTED, now, why, revision=job.revision, samples_done=tuple(job.measured))
+        dropped = self._programme.abort(job)
+        if job is not None and job.round:
+            self.voice.tell_of_job(EventKind.ROUND_ABORTED, job, now, why)
+        elif dropped:  # no round tells of it, so the plan must
+            self.voice.tell(EventKind.PLAN_REJECTED, now, f"the rover will not be where its rounds begin: {why}")
+        if job is not None and job.command_id is not None:
+            self.voice.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.FAILED, now, why))
 
     def _park(self, now: MissionTime) -> None:
         if self.phase in (Phase.IDLE, Phase.PARKED) and not self._busy:
@@ -274,14 +209,12 @@ class Executive:
         self._enter(Trigger.NOTHING_LEFT, now)
         self._busy = False
         self.watch(now)
-        plan = self._plan
-        complete = plan is not None and plan.last and self._round == plan.rounds[-1].round and not self._aborted
-        if plan is None or not complete or self._finished == plan.revision:
-            self.tell(EventKind.PARKED, now)
+        if not self._programme.completes():
+            self.voice.tell(EventKind.PARKED, now)
             return
-        self._finished = plan.revision
-        self.tell(EventKind.MISSION_COMPLETED, now)
-        self.out.append(Finish(True, f"{self._round} rounds and {len(self._measured)} samples are done"))
+        self.voice.tell(EventKind.MISSION_COMPLETED, now)
+        done = f"{self._programme.round} rounds and {len(self._programme.measured)} samples are done"
+        self.out.append(Finish(True, done))
 
     def _enter(self, trigger: Trigger, now: MissionTime, load_w: float = 0.0) -> None:
         self.phase = after(self.phase, trigger)
@@ -298,10 +231,10 @@ class Executive:
         self._enter(_HOLD_TRIGGERS.get(hold, Trigger.DANGER), now)
         if hold is Hold.PAUSE:
             if safe_before:
-                self.tell(EventKind.SAFE_MODE_LEFT, now, why)
-            self.tell(EventKind.PAUSED, now, why)
+                self.voice.tell(EventKind.SAFE_MODE_LEFT, now, why)
+            self.voice.tell(EventKind.PAUSED, now, why)
         else:
-            self.tell(EventKind.SAFE_MODE_ENTERED, now, f"{hold.value}: {why}" if why else hold.value)
+            self.voice.tell(EventKind.SAFE_MODE_ENTERED, now, f"{hold.value}: {why}" if why else hold.value)
 
     def release(self, now: MissionTime, why: str) -> None:
         """Ends what holds the rover; the next step is taken by ``proceed``."""
@@ -311,7 +244,7 @@ class Executive:
             self.out.append(WakeAt(CHARGED, None))
         kind = EventKind.RESUMED if self.hold is Hold.PAUSE else EventKind.SAFE_MODE_LEFT
         self.hold = None
-        self.tell(kind, now, why)
+        self.voice.tell(kind, now, why)
 
     def _can_afford(self, load_w: float, duration_s: float, now: MissionTime) -> bool:
         """Whether the step leaves the reserve untouched; if not, the rover holds to charge."""
@@ -325,7 +258,7 @@ class Executive:
         self.vehicle.rest(now)
         ready = self.vehicle.battery.reaches(level, now)
         why = f"{charge:.1f} Wh left, the next step takes {need:.1f} Wh, {floor:.1f} Wh are in reserve"
-        self.tell(EventKind.LOW_ENERGY, now, why)
+        self.voice.tell(EventKind.LOW_ENERGY, now, why)
         if level > config.capacity_wh or ready is None:
             self.hold_for(Hold.SPENT, now, why)
         else:
@@ -336,7 +269,7 @@ class Executive:
     def charged(self, now: MissionTime) -> None:
         """The battery holds enough again: goes on where it stopped."""
         if self.hold is Hold.ENERGY:
-            self.tell(EventKind.CHARGED, now, f"{self.vehicle.battery.charge_at(now):.1f} Wh")
+            self.voice.tell(EventKind.CHARGED, now, f"{self.vehicle.battery.charge_at(now):.1f} Wh")
             self.release(now, "charged")
             self.proceed(now)
 
@@ -361,7 +294,7 @@ class Executive:
         look = self._corridor.look(piece)
         self._ahead = _Ahead(piece, look)
         self._enter(Trigger.LOOK, now)
-        self._ask(TERRAIN, TerrainRequest(points_m=look.points_m))
+        self._put(TERRAIN, TerrainRequest(points_m=look.points_m))
 
     def _closed(self, job: Job, piece: Piece) -> str | None:
         margin, here = self.config.footprint_radius_m, piece.points_m[0]
@@ -377,14 +310,14 @@ class Executive:
     def seen(self, question: str, seen: TerrainReply, now: MissionTime) -> None:
         """The terrain ahead is known: drives, or stops before what it may not cross."""
         job, ahead = self.job, self._ahead
-        if question != self._question or ahead is None or job is None:
+        if not self._instruments.expects(question) or ahead is None or job is None:
             return
         if len(seen.traversable) != len(ahead.look.points_m):
             self._unclear(
                 TERRAIN, now, f"{len(ahead.look.points_m)} places asked for, {len(seen.traversable)} answered"
             )
             return
-        self._heard(TERRAIN)
+        self._instruments.answered(TERRAIN)
         obstacles = forbidden(ahead.look, seen, self.config, self.vehicle.standing_m)
         if obstacles:
             x, y = nearest = min(obstacles, key=partial(math.dist, self.vehicle.standing_m))
@@ -400,16 +333,8 @@ class Executive:
         self.out.append(WakeAt(STEP, now + seconds(under_way.duration_s)))
 
     def _blocked(self, job: Job, now: MissionTime, why: str, obstacle_m: Point | None = None) -> None:
-        self._question, self._ahead = "", None
-        self.tell(
-            EventKind.BLOCKED,
-            now,
-            why,
-            round_=job.round,
-            revision=job.revision,
-            obstacle_m=obstacle_m,
-            samples_done=tuple(job.measured),
-        )
+        self._ahead = None
+        self.voice.tell_of_job(EventKind.BLOCKED, job, now, why, obstacle_m)
         self.abandon(now, why)
         self.hold_for(Hold.TERRAIN, now, why)
 
@@ -425,7 +350,7 @@ class Executive:
             self._enter(Trigger.ANALYSED, now)
             x, y = self.vehicle.standing_m
             sample = hole.sample
-            self._ask(MEASURE, MeasurementRequest(sample_id=sample.sample_id, x_m=x, y_m=y, depth_m=sample.depth_m))
+            self._put(MEASURE, MeasurementRequest(sample_id=sample.sample_id, x_m=x, y_m=y, depth_m=sample.depth_m))
 
     def _work(self, trigger: Trigger, load_w: float, duration_s: float, now: MissionTime) -> None:
         if self._can_afford(load_w, duration_s, now):
@@ -449,12 +374,15 @@ class Executive:
     def measured(self, question: str, reply: MeasurementReply, now: MissionTime) -> None:
         """The sample's number is known: reports it, and goes on."""
         job = self.job
-        if question != self._question or job is None or job.hole is None:
+        if not self._instruments.expects(question) or job is None or job.hole is None:
             return
-        self._heard(MEASURE)
         sample = job.hole.sample
+        if reply.sample_id != sample.sample_id:
+            self._unclear(MEASURE, now, f"{sample.sample_id} asked for, {reply.sample_id} answered")
+            return
+        self._instruments.answered(MEASURE)
         x, y = self.vehicle.standing_m
-        self._measured.add(sample.sample_id)
+        self._programme.measured.add(sample.sample_id)
         job.measured.append(sample.sample_id)
         report = SampleReport(
             sample_id=sample.sample_id,
@@ -474,35 +402,31 @@ class Executive:
 
     # --- instruments --------------------------------------------------------------------------------------------
 
-    def _ask(self, topic: Topic, request: TerrainRequest | MeasurementRequest) -> None:
-        self._questions += 1
-        self._question = f"{topic.name.rsplit('/', 1)[-1]}-{self._questions}"
-        self.out.append(Ask(topic, request, self._question))
+    def _put(self, topic: Topic, request: TerrainRequest | MeasurementRequest) -> None:
+        self.out.append(self._instruments.ask(topic, request))
 
     def unanswered(self, topic: Topic, question: str, why: Silence, detail: str, now: MissionTime) -> None:
         """An instrument does not answer: asks again later; a sample that it refuses is given up."""
-        if question != self._question:
+        if not self._instruments.expects(question):
             return
         job = self.job
         if topic == MEASURE and why is Silence.REFUSED and job is not None and job.hole is not None:
-            self._heard(MEASURE)
-            self.tell(EventKind.SAMPLE_SKIPPED, now, detail, revision=job.revision, sample_id=job.hole.sample.sample_id)
+            self._instruments.answered(MEASURE)
+            self.voice.tell(
+                EventKind.SAMPLE_SKIPPED, now, detail, revision=job.revision, sample_id=job.hole.sample.sample_id
+            )
             self._next_leg(job, now)
             self.proceed(now)
             return
         self._unclear(topic, now, f"{why.value}: {detail}" if detail else why.value)
 
     def _unclear(self, topic: Topic, now: MissionTime, why: str) -> None:
-        if topic.name not in self._silent:
-            self._silent.add(topic.name)
-            self.tell(EventKind.INSTRUMENT_SILENT, now, f"{topic.name}: {why}")
-        self.out.append(WakeAt(RETRY, now + seconds(self.config.instrument_retry_s)))
-
-    def _heard(self, topic: Topic) -> None:
-        self._question = ""
-        self._silent.discard(topic.name)
+        first, wait = self._instruments.failed(topic, now)
+        if first:
+            self.voice.tell(EventKind.INSTRUMENT_SILENT, now, f"{topic.name}: {why}")
+        self.out.append(wait)
 
     def retry(self, now: MissionTime) -> None:
         """Time to ask the silent instrument again."""
-        if self._question:
+        if self._instruments.waiting:
             self.proceed(now)

@@ -24,7 +24,8 @@ from services.node import (
 )
 from services.regions import EMBEDDED, load_region
 from services.rover import orders
-from services.rover.executive import CHARGED, RETRY, STEP, WATCHDOG, Executive
+from services.rover.executive import CHARGED, STEP, WATCHDOG, Executive
+from services.rover.instruments import RETRY
 from services.scenario import RoverConfig, Scenario
 
 TELL_STATE: Final = "state"
@@ -49,7 +50,7 @@ class RoverNode:
     def handle(self, event: Event, now: MissionTime) -> list[Effect]:
         """What the rover does upon the event; its state follows whenever its mode has changed."""
         executive = self._executive
-        executive.out = []
+        executive.out.clear()
         match event:
             case Received():
                 self._receive(event, now)
@@ -66,7 +67,7 @@ class RoverNode:
                 self._start(now)
         if self._told is not executive.mode:
             self._tell_state(now)
-        return executive.out
+        return executive.out.copy()
 
     def _start(self, now: MissionTime) -> None:
         """Tells its state; timers and questions of an earlier start still stand."""

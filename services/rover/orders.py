@@ -32,7 +32,7 @@ def take(executive: Executive, command: Telecommand, header: Header, now: Missio
                 Note(Level.WARNING, "another command under a known id is ignored", {"command_id": command.command_id})
             )
         else:
-            executive.report(earlier)
+            executive.voice.report(earlier)
         return
     _pass(executive, command, CommandStage.RECEIVED, now)
     if is_past(command, now):
@@ -73,7 +73,7 @@ def _start(executive: Executive, command: Telecommand, now: MissionTime) -> None
 
 
 def _pass(executive: Executive, command: Telecommand, stage: CommandStage, now: MissionTime, why: str = "") -> None:
-    executive.report(executive.commands.passed(command, stage, now, why))
+    executive.voice.report(executive.commands.passed(command, stage, now, why))
 
 
 def _refusal(executive: Executive, command: Telecommand) -> str | None:
