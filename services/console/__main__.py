@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get(TRACEBACK):
             raise
         return _say(f"defect: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)", FAILED)
+    if result == INTERRUPTED:  # typer has seen it first
+        return _say("interrupted", INTERRUPTED)
     return result if isinstance(result, int) else 0
 
 

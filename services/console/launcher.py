@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -101,7 +103,13 @@ class Launcher:
         try:
             # A group of its own: Ctrl-C is for this process to judge, and to pass on in order.
             self._processes[name] = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stderr=log, stdout=log, process_group=0, env=_environment()
+                command,
+                stdin=subprocess.DEVNULL,
+                stderr=log,
+                stdout=log,
+                process_group=0,
+                env=_environment(),
+                preexec_fn=_END_WITH_PARENT,
             )
         except OSError as error:
             raise He3Error(f"cannot start the {name} service: {error.strerror}") from None
@@ -135,13 +143,25 @@ class Launcher:
             process.wait()
 
     def _last_words(self, name: str) -> str:
-        if self._logs is None:
+        if self._logs is None or self._processes[name].returncode < 0:
             return ""
         try:
             lines = (self._logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
         except OSError:
             return ""
         return f": {lines[-1]}" if lines else ""
+
+
+def _ending_with_parent() -> Callable[[], None] | None:
+    """What makes the kernel end a child when this process is killed; None where it cannot (elsewhere than Linux)."""
+    if sys.platform != "linux":
+        return None
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+    return partial(prctl, _PR_SET_PDEATHSIG, int(signal.SIGTERM))
+
+
+_PR_SET_PDEATHSIG = 1
+_END_WITH_PARENT = _ending_with_parent()
 
 
 def _in_words(code: int) -> str:
