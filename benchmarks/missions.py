@@ -68,6 +68,7 @@ class _Log:
     driven_m: float = 0.0
     plan_s: float = 0.0
     ended: str = ""
+    outlook: FloatArray | None = None
 
 
 def run_mission(
@@ -116,6 +117,7 @@ def run_mission(
             seed=int(seeds.generate_state(1)[0]),
             interest=interest,
             options=options or PlannerOptions(),
+            outlook_m=log.outlook,
         )
         asked = time.perf_counter()
         try:
@@ -137,6 +139,7 @@ def run_mission(
             log.metres.append(log.driven_m + planned.length_m * (k + 1) / len(planned.samples_m))
             log.rmse.append(_score(scorer, belief, len(log.places))[0])
         log.driven_m += planned.length_m
+        log.outlook = planned.outlook_m
         here = (float(planned.path_m[-1, 0]), float(planned.path_m[-1, 1]))
         fitting = belief.fit_request(number, (seed, _FIT, number))
         if fitting is not None:

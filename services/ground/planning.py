@@ -56,6 +56,9 @@ class PlanningRequest:
     interest: NDArray[np.float32] | None = None
     """(rows, columns) weight >= 0 of each cell's uncertainty; None is 1 everywhere."""
     options: PlannerOptions = field(default_factory=PlannerOptions)
+    outlook_m: FloatArray | None = None
+    """(k, 2) where the last plan expected to sample after its own round, in that order [m]; None if it did not say.
+    A planner may begin from it, so that plans agree with one another; it need not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +71,8 @@ class PlannedRound:
     """(samples, 2) places [m] on the path, in the order in which they are reached."""
     information_nats: float
     """Mutual information between the round's measurements and the field, given what is known."""
+    outlook_m: FloatArray | None = None
+    """(k, 2) where the planner expects to sample after this round, in that order [m]; None if it looks no further."""
 
     @property
     def length_m(self) -> float:
@@ -93,4 +98,6 @@ def checked(request: PlanningRequest) -> PlanningRequest:
     as_points(np.array([request.start_m]))
     if request.observed_m.size:
         as_points(request.observed_m)
+    if request.outlook_m is not None and request.outlook_m.size:
+        as_points(request.outlook_m)
     return request

@@ -13,9 +13,10 @@ only its own spot or all of the site, are brought to the nearest that do.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from math import sqrt
+from math import inf, isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,18 +28,25 @@ from he3.frames import FloatArray, SiteGrid, path_length
 from he3.kernels import Kernel, kernel_from
 from he3.touring import short_tour
 from services.ground.planners.rounds import arc_lengths, cut, planned
-from services.ground.planners.tour_design import Site, drawn_taut, first_design
+from services.ground.planners.tour_design import Site, drawn_taut, first_design, worth
 from services.ground.planners.tour_legs import joined, leg_path, leg_table
 from services.ground.planners.tour_ways import shortest_way
 from services.ground.planners.traversability import OpenGround
 from services.ground.planning import PlannedRound, PlanningRequest, checked
 
-THRIFT = 0.15
-"""Per cent of variance that one per cent of the tour has to be worth: about where the tour is 8 % shorter than one
-through the middle of equal shares, for half a per cent of RMSE."""
-STEPS = 30
-KICKS = 10
-SETTINGS = ("thrift", "steps", "kicks")
+THRIFT = 0.03
+"""Per cent of variance that one per cent of the tour has to be worth, whatever the budget."""
+LEG_CONSTANT = 0.7124 * 1.28
+"""Metres a sample that a mission without a budget may drive, in units of sqrt(area / samples). The shortest tour through
+many places takes 0.7124 if they lie at random (Beardwood, Halton & Hammersley 1959) and 1 on a lattice; between the two,
+the variance hardly depends on it."""
+DESIGNS = 4
+FIRST_STEPS = 40
+STEPS = 10
+STEP_ON_M = 1.5
+"""Root mean square step [m] with which the last plan's places begin to move on."""
+KICKS = 20
+SETTINGS = ("thrift", "designs", "first_steps", "steps", "kicks")
 SHORTEST_IN_SPACINGS = 0.5
 LONGEST_IN_SPACINGS = 6.0
 """Length scales that a design uses, in spacings of an even lattice of all samples over the site."""
@@ -67,14 +75,44 @@ def tour(request: PlanningRequest) -> PlannedRound:
     nodes = field_nodes(grid, request.interest)
     site = Site(nodes, lambda places: _settled(grid, nearest, places), lambda places: leg_table(ground, places), start)
     variance = _average_variance(request, nodes)
-    rng = np.random.default_rng(request.seed)
-    first_node = int(rng.integers(len(nodes.weights)))
-    places = first_design(site, request.observed_m, request.samples_left, budget_m, first_node)
-    price = _price(request, variance, places, float(extra.get("thrift", THRIFT)))
-    places = drawn_taut(site, variance, places, price, budget_m, int(extra.get("steps", STEPS)))
+    reachable_m2 = np.count_nonzero(labels == labels[row[0], column[0]]) * grid.resolution_m**2
+    leg_m = LEG_CONSTANT * sqrt(reachable_m2 / (request.samples_left + len(request.observed_m)))
+    if not isfinite(budget_m):
+        budget_m = leg_m * request.samples_left
+    thrift = float(extra.get("thrift", THRIFT))
+    places = _design(request, site, variance, thrift / leg_m, budget_m, extra)
     places = _on_centres(grid, site.settle(places))
-    pieces = _toured(ground, start, places, int(extra.get("kicks", KICKS)), request.seed)
-    return _first_round(request, pieces, budget_m)
+    ways = _toured(ground, start, places, int(extra.get("kicks", KICKS)), request.seed)
+    return _first_round(request, ways, budget_m)
+
+
+def _design(
+    request: PlanningRequest,
+    site: Site,
+    variance: AverageVariance,
+    relative_price: float,
+    budget_m: float,
+    extra: dict[str, float],
+) -> FloatArray:
+    """Places (samples_left, 2) [m] in the order of their tour: the last plan's, moved on, or the best of a few."""
+    left = request.samples_left
+    samples = left + len(request.observed_m)
+    if request.outlook_m is not None and len(request.outlook_m) == left:
+        places = site.settle(request.outlook_m)
+        price = relative_price * variance(places) / samples
+        steps = int(extra.get("steps", STEPS))
+        return drawn_taut(site, variance, places, price, budget_m, steps, STEP_ON_M)
+    rng = np.random.default_rng(request.seed)
+    best, least = np.zeros((0, 2)), inf
+    for _ in range(int(extra.get("designs", DESIGNS))):
+        first_node = int(rng.integers(len(site.nodes.weights)))
+        places = first_design(site, request.observed_m, left, budget_m, first_node)
+        price = relative_price * variance(places) / samples
+        places = drawn_taut(site, variance, places, price, budget_m, int(extra.get("first_steps", FIRST_STEPS)))
+        cost = worth(site, variance, places, price, budget_m)
+        if cost < least:
+            best, least = places, cost
+    return best
 
 
 @lru_cache(maxsize=4)
@@ -113,7 +151,8 @@ def _settled(grid: SiteGrid, nearest: NDArray[np.int32], places: FloatArray) -> 
 def _on_centres(grid: SiteGrid, places: FloatArray) -> FloatArray:
     """The centres of the cells that the places (n, 2) [m] are in: clear of edges that other cells share."""
     rows, columns = grid.cells_of(places)
-    return (np.column_stack((columns, rows)) + 0.5) * grid.resolution_m
+    centres: FloatArray = (np.column_stack((columns, rows)).astype(np.float64) + 0.5) * grid.resolution_m
+    return centres
 
 
 def _average_variance(request: PlanningRequest, nodes: FieldNodes) -> AverageVariance:
@@ -133,59 +172,52 @@ def telling(kernel: Kernel, shortest_m: float, longest_m: float) -> Kernel:
     return kernel_from(kernel.name, parameters)
 
 
-def _price(request: PlanningRequest, variance: AverageVariance, places: FloatArray, thrift: float) -> float:
-    """Units of average variance that a metre has to be worth.
-
-    The same all through a mission, but for the hyperparameters: the length is that of a tour through all of its
-    samples, taken or left, at even spacing.
-    """
-    samples = request.samples_left + len(request.observed_m)
-    return thrift * variance(places) / sqrt(samples * request.grid.width_m * request.grid.height_m)
-
-
-def _toured(ground: OpenGround, start: FloatArray, places: FloatArray, kicks: int, seed: int) -> list[FloatArray]:
-    """Free polylines, one a place, from the start through all places (n, 2) [m] in the order of a short tour."""
+def _toured(
+    ground: OpenGround, start: FloatArray, places: FloatArray, kicks: int, seed: int
+) -> tuple[FloatArray, list[FloatArray]]:
+    """The places (n, 2) [m] in the order of a short tour from the start, and the free way to each of them."""
     stops = np.vstack((start, places))
     table = leg_table(ground, stops)
     lengths = table.lengths_m.copy()
     found: dict[tuple[int, int], FloatArray] = {}
     order = short_tour(lengths, np.arange(len(stops)), kicks, seed)
     for look in range(LATEST_LOOKS):
-        unknown = [
-            (int(i), int(j)) for i, j in pairwise(order) if not table.free[i, j] and (min(i, j), max(i, j)) not in found
-        ]
-        if not unknown:
+        legs = [(min(i, j), max(i, j)) for i, j in pairwise(order.tolist()) if not table.free[i, j]]
+        for i, j in legs:
+            if (i, j) not in found:
+                found[i, j] = shortest_way(ground, stops[i], stops[j])
+                lengths[i, j] = lengths[j, i] = path_length(found[i, j])
+        if look == LATEST_LOOKS - 1:
             break
-        for i, j in unknown:
-            i, j = min(i, j), max(i, j)
-            found[i, j] = shortest_way(ground, stops[i], stops[j])
-            lengths[i, j] = lengths[j, i] = path_length(found[i, j])
-        if look < LATEST_LOOKS - 1:
-            order = short_tour(lengths, order)
-    pieces = []
-    for i, j in pairwise(order):
+        better = short_tour(lengths, order)
+        if np.array_equal(better, order):
+            break
+        order = better
+    ways = []
+    for i, j in pairwise(order.tolist()):
         if table.free[i, j]:
-            pieces.append(leg_path(table, stops, i, j))
+            ways.append(leg_path(table, stops, i, j))
         else:
-            way = found.get((min(i, j), max(i, j)))
-            if way is None:
-                way = shortest_way(ground, stops[min(i, j)], stops[max(i, j)])
-            pieces.append(way if i < j else way[::-1])
-    return pieces
+            ways.append(found[i, j] if i < j else found[j, i][::-1])
+    return stops[order[1:]], ways
 
 
-def _first_round(request: PlanningRequest, pieces: list[FloatArray], budget_m: float) -> PlannedRound:
+def _first_round(
+    request: PlanningRequest, toured: tuple[FloatArray, list[FloatArray]], budget_m: float
+) -> PlannedRound:
     """The round's share of the tour; where all of it is longer than the budget, samples go where the budget ends."""
-    route = joined(pieces)
-    at = np.cumsum([path_length(piece) for piece in pieces])
+    places, ways = toured
+    route = joined(ways)
+    at = np.cumsum([path_length(way) for way in ways])
     if at[-1] > budget_m:
         at = _within_budget(at, max(budget_m, 0.0))
-        route = cut(route, max(budget_m, 0.0))
-    at = at[: request.samples]
-    path = cut(route, float(at[-1]))
-    along = arc_lengths(route)
-    samples = np.column_stack([np.interp(at, along, route[:, k]) for k in (0, 1)])
-    return planned(request, path, samples)
+        route = cut(route, at[-1])
+        along = arc_lengths(route)
+        places = np.column_stack([np.interp(at, along, route[:, k]) for k in (0, 1)])
+    now, later = places[: request.samples], places[request.samples :]
+    path = cut(route, float(at[request.samples - 1]))
+    path[-1] = now[-1]
+    return replace(planned(request, path, now), outlook_m=later)
 
 
 def _within_budget(at: FloatArray, budget_m: float) -> FloatArray:

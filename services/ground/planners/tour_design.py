@@ -36,6 +36,8 @@ LONGEST_STEP_M = 8.0
 """No place moves farther at a time [m]."""
 FIRST_STEP_M = 3.0
 LAST_STEP_M = 0.4
+OVERDRAFT = 2.0
+"""Per cent of variance by which a tour has to be better for each per cent that it is over the budget."""
 """Root mean square step [m] at the beginning and at the end, where the budget does not ask for more."""
 
 
@@ -99,15 +101,22 @@ def along(route_m: FloatArray, count: int) -> FloatArray:
     steps = np.hypot(*np.diff(route_m, axis=0).T)
     at = np.concatenate(([0.0], np.cumsum(steps)))
     wanted = at[-1] * np.arange(1, count + 1) / count
-    return np.column_stack([np.interp(wanted, at, route_m[:, k]) for k in (0, 1)])
+    places: FloatArray = np.column_stack([np.interp(wanted, at, route_m[:, k]) for k in (0, 1)])
+    return places
 
 
 def drawn_taut(
-    site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float, steps: int
+    site: Site,
+    variance: AverageVariance,
+    places_m: FloatArray,
+    price: float,
+    budget_m: float,
+    steps: int,
+    first_step_m: float = FIRST_STEP_M,
 ) -> FloatArray:
     """The places (n, 2) [m], in the order of their tour, after that many steps down V + lambda L.
 
-    price: the least lambda, in units of V a metre.
+    price: the least lambda, in units of V a metre. first_step_m: root mean square step at the beginning.
     """
     places = places_m
     momentum = np.zeros_like(places)
@@ -119,7 +128,7 @@ def drawn_taut(
         _, gradient = variance.with_gradient(places)
         momentum = gradient if step == 0 else 0.6 * momentum + 0.4 * gradient
         pull, length = length_gradient(site.start_m, places, corners)
-        wanted = FIRST_STEP_M * (LAST_STEP_M / FIRST_STEP_M) ** (step / max(steps - 1, 1))
+        wanted = first_step_m * (LAST_STEP_M / first_step_m) ** (step / max(steps - 1, 1))
         size = float(np.sqrt(np.mean(np.sum((momentum + price * pull) ** 2, axis=1))))
         if not size > 0:
             break
@@ -136,6 +145,15 @@ def drawn_taut(
         places = site.settle(places + move)
     order, _ = _reordered(site, places)
     return places[order]
+
+
+def worth(site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float) -> float:
+    """What the design costs, to compare it with others: V + lambda L, and dearly for metres beyond the budget."""
+    stops = np.vstack((site.start_m, places_m))
+    legs = np.arange(len(stops))
+    length = float(site.table(stops).lengths_m[legs[:-1], legs[1:]].sum())
+    value = variance(places_m)
+    return value * (1.0 + OVERDRAFT * max(0.0, length / budget_m - 1.0)) + price * length
 
 
 def length_gradient(start_m: FloatArray, places_m: FloatArray, corners_m: FloatArray) -> tuple[FloatArray, float]:

@@ -40,7 +40,8 @@ def _within(ground: OpenGround, ends_m: FloatArray, margin_m: float) -> FloatArr
     window = ground.open[low[1] : high[1], low[0] : high[0]]
     corner = low * size
     begin, end = ends_m - corner
-    way = Routes(OpenGround(SiteGrid(*window.shape, size), window)).route((begin[0], begin[1]), (end[0], end[1]))
+    inner = OpenGround(SiteGrid(window.shape[0], window.shape[1], size), window)
+    way = Routes(inner).route((begin[0], begin[1]), (end[0], end[1]))
     way += corner
     way[[0, -1]] = ends_m
     return way
