@@ -213,7 +213,9 @@ class Acknowledgement(Wire):
     gaps: Annotated[tuple[tuple[Count, Count], ...], Field(max_length=64)] = ()
     """First and last sequence of each run that is missing below `next_sequence`."""
     last_sequence: Count | None = None
-    """Which message came last, as a repetition or not."""
+    """Which message came last."""
+    last_repetition: Count = 0
+    """Which sending of it that was, as its header says."""
     last_received_at: MissionTimeNs | None = None
     """When that was."""
 

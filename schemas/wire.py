@@ -62,6 +62,8 @@ class Header(Wire):
     made_at: MissionTimeNs
     held_from: Annotated[int, Field(ge=0)] | None = None
     """Lowest sequence of the stream that its source still holds for repeating; below it all is acknowledged."""
+    repetition: Annotated[int, Field(ge=0)] = 0
+    """How often the message had been sent before."""
     checksum: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     """CRC-32 of header (without this field) and body as they stand on the wire; None: not to be checked."""
 
@@ -81,13 +83,15 @@ def encode(header: Header, body: Wire) -> bytes:
     return _sealed(header, body.model_dump_json().encode())
 
 
-def restamped(payload: bytes, held_from: int) -> bytes:
-    """The same message, of our own making, with another `held_from` and so another checksum."""
+def restamped(payload: bytes, held_from: int | None, repetition: int) -> bytes:
+    """The same message, of our own making, as it stands when it is sent again, and so with another checksum."""
     seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
     if seal is None or not payload.startswith(_OPENING):
         raise Refused("expected a message that was sealed with a checksum, got one without")
     header = Header.model_validate_json(payload[len(_OPENING) : seal.start()] + b"}")
-    return _sealed(header.model_copy(update={"held_from": held_from}), payload[seal.end() : -1])
+    return _sealed(
+        header.model_copy(update={"held_from": held_from, "repetition": repetition}), payload[seal.end() : -1]
+    )
 
 
 _OPENING = b'{"header":'
@@ -97,8 +101,12 @@ _HEADER_LIMIT_BYTES = 2_000
 
 
 def _sealed(header: Header, body: bytes) -> bytes:
-    unset = {"checksum"} if header.held_from is not None else {"checksum", "held_from"}
-    head = header.model_dump_json(exclude=unset).encode()
+    left_out = {"checksum"}
+    if header.held_from is None:
+        left_out.add("held_from")
+    if header.repetition == 0:
+        left_out.add("repetition")
+    head = header.model_dump_json(exclude=left_out).encode()
     checksum = zlib.crc32(body, zlib.crc32(head))
     return b'%b%b,"checksum":%d},"body":%b}' % (_OPENING, head[:-1], checksum, body)
 

@@ -13,8 +13,10 @@ from typing import Final
 from he3.errors import He3Error
 from schemas.link import Direction, DirectionConditions, LinkConditions
 from schemas.topics import TC_ACK, TM_ACK, Custody, Topic
-from services.node import SECOND, MissionTime, seconds
+from services.node import SECOND, MissionTime
 
+MAX_GAPS: Final = 64  # runs of missing messages that one acknowledgement may name, by its schema
+MARGIN_S: Final = 2.0  # s beyond the round trip; covers the pause between acknowledgements and the timers' slack
 ACK_BITS: Final = 3_600  # bits of one acknowledgement on the wire, about 450 bytes [calc]
 
 
@@ -28,7 +30,7 @@ class CustodyConfig:
 
     round_trip_s: float = 2.6
     """First guess; measured from then on."""
-    margin_s: float = 2.0
+    margin_s: float = MARGIN_S
     """Waited beyond the round trip at least."""
     rate_bit_s: float | None = None
     """Rate at which this side's messages leave, as far as known: what queues ahead is waited for."""
@@ -40,7 +42,7 @@ class CustodyConfig:
     """While suspended, one message is tried this often (or every two round trips, if that is more)."""
     max_messages: int = 100_000
     max_bytes: int = 256 * 1024 * 1024
-    window_messages: int = 1_024
+    window_messages: int = 256
     """Sent and not yet acknowledged, at most; the rest waits here, in order of priority."""
     window_bytes: int = 4 * 1024 * 1024
     """A single larger message is sent alone."""
@@ -58,7 +60,7 @@ class CustodyConfig:
         ack_s = 0.0 if back.rate_bit_s is None else ACK_BITS / back.rate_bit_s
         return cls(
             round_trip_s=light_s + ack_s,
-            margin_s=cls.margin_s + _unsteadiness_s(there) + _unsteadiness_s(back) + ack_s,
+            margin_s=MARGIN_S + _unsteadiness_s(there) + _unsteadiness_s(back) + ack_s,
             rate_bit_s=there.rate_bit_s,
         )
 

@@ -16,11 +16,9 @@ from typing import Any, Final, NamedTuple
 from schemas.link import Acknowledgement
 from schemas.topics import Topic
 from schemas.wire import Header
-from services.custody import CustodyConfig, acknowledged_on
+from services.custody import MAX_GAPS, CustodyConfig, acknowledged_on
 from services.node import MissionTime, seconds
 
-MAX_GAPS: Final = 64
-"""As many as an acknowledgement admits."""
 MAX_STREAMS: Final = 1_024
 """Streams that are remembered; the one whose turn is longest past is forgotten first."""
 
@@ -58,8 +56,8 @@ class _Stream:
     """Everything below it was handed up."""
     held: dict[int, tuple[Letter, int]] = field(default_factory=dict)
     held_bytes: int = 0
-    last: tuple[int, MissionTime] | None = None
-    """Sequence and time of the latest arrival."""
+    last: tuple[int, int, MissionTime] | None = None
+    """Sequence, repetition and time of the latest arrival."""
     acknowledged_at: MissionTime | None = None
     ack_due: MissionTime | None = None
 
@@ -105,7 +103,7 @@ class Inbox:
             self._overflowed += 1
             return ready, []
         self._delivered += len(ready)
-        stream.last = (sequence, now)
+        stream.last = (sequence, header.repetition, now)
         if stream.acknowledged_at is None or stream.acknowledged_at + self._pause <= now:
             return ready, [self._acknowledges(topic, header.source, header.incarnation, stream, now)]
         stream.ack_due = stream.acknowledged_at + self._pause
@@ -163,7 +161,7 @@ class Inbox:
         if len(gaps) > MAX_GAPS:  # say nothing of what lies beyond the last gap that can be told
             complete = gaps[MAX_GAPS][0]
             gaps = gaps[:MAX_GAPS]
-        sequence, at = stream.last if stream.last is not None else (None, None)
+        sequence, repetition, at = stream.last if stream.last is not None else (None, 0, None)
         body = Acknowledgement(
             stream=topic.name,
             source=source,
@@ -171,6 +169,7 @@ class Inbox:
             next_sequence=complete,
             gaps=tuple(gaps),
             last_sequence=sequence,
+            last_repetition=repetition,
             last_received_at=at,
         )
         return Ack(acknowledged_on(topic), body)

@@ -19,16 +19,29 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from he3.errors import InvalidInput
 from schemas.link import Acknowledgement
 from schemas.topics import Custody, Topic
 from schemas.wire import Header, restamped
-from services.custody import CustodyConfig, OutboxFull, RoundTrip, Signal, State, bits_time, following, under_custody
+from services.custody import (
+    MAX_GAPS,
+    CustodyConfig,
+    OutboxFull,
+    RoundTrip,
+    Signal,
+    State,
+    bits_time,
+    following,
+    under_custody,
+)
 from services.node import MissionTime, seconds
 
 REMEMBERED_SENDINGS = 8
 MAX_DOUBLINGS = 16
+MOST_SURPRISE = 4
+"""No measured round trip counts for more than so many waits: a short blackout must not spoil the measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +50,8 @@ class Transmit:
 
     topic: Topic
     payload: bytes
-    repetition: bool
-    """Whether it was sent before in this life of the process."""
+    repetition: int
+    """0: for the first time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +66,16 @@ class OutboxCounts:
     suspensions: int
 
 
+class _Sending(NamedTuple):
+    """One time that a message was sent."""
+
+    number: int
+    """Counts the sendings of all messages."""
+    at: MissionTime
+    last_bit_at: MissionTime
+    """When it should have left at the known rate."""
+
+
 @dataclass(slots=True, eq=False)
 class _Kept:
     """A message and where it stands."""
@@ -64,14 +87,11 @@ class _Kept:
     priority: int
     order: int
     state: State = State.WAITING
-    held_from: int | None = None
-    """As the payload says."""
-    sendings: list[tuple[int, MissionTime]] = field(default_factory=list)
-    """Number and time of the latest sendings."""
+    repetitions: int = 0
+    """How often it was sent; what was restored counts as sent once in its earlier life."""
+    sendings: dict[int, _Sending] = field(default_factory=dict)
+    """The latest, by repetition."""
     queued: bool = False
-    restored: bool = False
-    last_bit_at: MissionTime = 0
-    """When its latest sending should have left at the known rate."""
 
     @property
     def turn(self) -> tuple[int, int]:
@@ -79,7 +99,11 @@ class _Kept:
 
     @property
     def last_sending(self) -> int:
-        return self.sendings[-1][0] if self.sendings else 0
+        return next(reversed(self.sendings.values())).number if self.sendings else 0
+
+    @property
+    def last_sent_at(self) -> MissionTime:
+        return next(reversed(self.sendings.values())).at if self.sendings else 0
 
 
 @dataclass(slots=True, eq=False)
@@ -172,7 +196,7 @@ class Outbox:
         """Keeps a message of an earlier life again; in their old order, before anything is offered."""
         stream = self._stream(topic.name, header.incarnation)
         stream.in_turn = False
-        self._keep(stream, topic, header, payload).restored = True
+        self._keep(stream, topic, header, payload).repetitions = 1
 
     def resume(self, now: MissionTime) -> list[Transmit]:
         """What to send at the start, after everything was restored.
@@ -191,7 +215,7 @@ class Outbox:
         config = self._config
         if self.depth >= config.max_messages or self._bytes + len(payload) > config.max_bytes:
             raise OutboxFull(
-                f"{topic.name}: expected at most {config.max_messages} messages and {config.max_bytes} bytes that await "
+                f"{topic.name}: expected at most {config.max_messages} messages and {config.max_bytes} bytes to await "
                 f"acknowledgement, got {self.depth} and {self._bytes} before one of {len(payload)} bytes"
             )
         self._keep(self._stream(topic.name, header.incarnation), topic, header, payload)
@@ -216,7 +240,6 @@ class Outbox:
         self._finds_missing(stream, ack, witness)
         if progress:
             stream.waits_since = now
-            stream.doublings = max(0, stream.doublings - 1)
         self._comes_into_turn(ack.stream, stream if stream.kept else None)
         self._notes_contact(now)
         return self._sends(now)
@@ -238,7 +261,6 @@ class Outbox:
             deadline = self._deadline(stream)
             if deadline is not None and deadline <= now:
                 self._tries_oldest(stream, now)
-                self._disturbed_at = now
                 stream.doublings = min(MAX_DOUBLINGS, stream.doublings + 1)
                 stream.in_vain += 1
                 if stream.in_vain > self._config.silent_repetitions:
@@ -264,7 +286,6 @@ class Outbox:
             payload=payload,
             priority=topic.service.priority,
             order=self._order,
-            held_from=header.held_from,
         )
         stream.kept[header.sequence] = kept
         self._bytes += len(payload)
@@ -342,30 +363,28 @@ class Outbox:
 
     def _transmits(self, kept: _Kept, now: MissionTime) -> Transmit:
         stream = self._streams[kept.topic.name, kept.incarnation]
-        repetition = bool(kept.sendings)
-        if repetition or kept.restored:
+        if kept.repetitions:
             self._restamps(kept, stream)
         if stream.oldest_sent is None:
             stream.waits_since = now
         self._sendings += 1
-        self._repeated += repetition
-        kept.sendings = [*kept.sendings[1 - REMEMBERED_SENDINGS :], (self._sendings, now)]
+        self._repeated += bool(kept.sendings)
         self._clear_at = max(now, self._clear_at) + bits_time(len(kept.payload), self._config.rate_bit_s)
-        kept.last_bit_at = self._clear_at
+        if len(kept.sendings) >= REMEMBERED_SENDINGS:
+            del kept.sendings[next(iter(kept.sendings))]
+        kept.sendings[kept.repetitions] = _Sending(self._sendings, now, self._clear_at)
+        kept.repetitions += 1
         self._moves(kept, Signal.TRANSMITTED)
         self._goes_under_way(stream.sent, kept)
         if self.suspended:
             self._moves(kept, Signal.SILENCE)
-        return Transmit(kept.topic, kept.payload, repetition)
+        return Transmit(kept.topic, kept.payload, kept.repetitions - 1)
 
     def _restamps(self, kept: _Kept, stream: _Stream) -> None:
-        """A receiver that forgot everything learns from a repetition that what came before was acknowledged."""
-        held_from = next(iter(stream.kept))
-        if held_from > (kept.held_from or 0):
-            longer = len(kept.payload)
-            kept.payload = restamped(kept.payload, held_from)
-            kept.held_from = held_from
-            self._bytes += len(kept.payload) - longer
+        """Says which repetition it is, and, to a receiver that forgot everything, that what came before is settled."""
+        before = len(kept.payload)
+        kept.payload = restamped(kept.payload, next(iter(stream.kept)), kept.repetitions)
+        self._bytes += len(kept.payload) - before
 
     def _tries_oldest(self, stream: _Stream, now: MissionTime) -> None:
         """Puts the message that is longest under way back in the queue."""
@@ -383,7 +402,7 @@ class Outbox:
             return None
         wait = (self._round_trip.wait + self._queued_before(kept)) << stream.doublings
         most = max(seconds(self._config.max_wait_s), 2 * self._round_trip.wait + self._queued_before(kept))
-        return max(stream.waits_since, kept.sendings[-1][1]) + min(wait, most)
+        return max(stream.waits_since, kept.last_sent_at) + min(wait, most)
 
     def _queued_before(self, kept: _Kept) -> MissionTime:
         """How long the message may have waited for others, and taken itself, at the known rate."""
@@ -435,19 +454,23 @@ class Outbox:
                 break
             if kept.state is State.SENT and len(kept.sendings) == 1 and not _missing(ack, sequence):
                 witness = max(witness, kept.last_sending)
-        last = stream.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
-        if last is not None and ack.last_received_at is not None:
-            came = [number for number, at in last.sendings if at <= ack.last_received_at]
-            witness = max(witness, *came, 0)
-        return witness
+        sending = self._last_to_come(stream, ack)
+        return max(witness, sending.number) if sending is not None else witness
+
+    def _last_to_come(self, stream: _Stream, ack: Acknowledgement) -> _Sending | None:
+        """The sending whose arrival brought this acknowledgement about, if it is of this life and still remembered."""
+        kept = stream.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
+        sending = kept.sendings.get(ack.last_repetition) if kept is not None else None
+        if sending is None or ack.last_received_at is None or sending.at > ack.last_received_at:
+            return None
+        return sending
 
     def _learns_round_trip(self, stream: _Stream, ack: Acknowledgement, now: MissionTime) -> None:
-        """Measures by a message sent once, with no repetition of any since: then it is clear what was acknowledged."""
-        kept = stream.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
-        if kept is None or kept.state is not State.SENT or len(kept.sendings) != 1:
-            return
-        if kept.sendings[0][1] > self._disturbed_at:
-            self._round_trip.measured(max(0, now - kept.last_bit_at))
+        """Measures by the sending that was acknowledged last, unless there was no contact meanwhile."""
+        sending = self._last_to_come(stream, ack)
+        if sending is not None and self._probe_at is None and sending.at > self._disturbed_at:
+            most = MOST_SURPRISE * self._round_trip.wait
+            self._round_trip.measured(min(most, max(0, now - sending.last_bit_at)))
             stream.doublings = 0
 
     def _settles(self, stream: _Stream, ack: Acknowledgement) -> bool:
@@ -474,13 +497,12 @@ class Outbox:
     def _finds_missing(self, stream: _Stream, ack: Acknowledgement, witness: int) -> None:
         """Puts back in the queue what a later sending has overtaken, and what the receiver no longer holds."""
         for kept in [*stream.sent.values()]:
-            missing = kept.sequence >= ack.next_sequence or _missing(ack, kept.sequence)
-            if missing and kept.last_sending < witness:
+            if _missing(ack, kept.sequence) and kept.last_sending < witness:
                 if kept.state is State.SUSPENDED:
                     self._moves(kept, Signal.HEARD)
                 self._returns_to_queue(stream, kept, Signal.MISSED)
         for kept in [*stream.held.values()]:
-            if kept.sequence >= ack.next_sequence or _missing(ack, kept.sequence):
+            if _missing(ack, kept.sequence):
                 self._returns_to_queue(stream, kept, Signal.MISSED)
 
 
@@ -489,7 +511,9 @@ def _turn(kept: _Kept) -> tuple[int, int]:
 
 
 def _missing(ack: Acknowledgement, sequence: int) -> bool:
-    """Whether the receiver says that it does not have that sequence, below the highest that it has."""
+    """Whether the receiver says that it does not have that sequence."""
+    if sequence >= ack.next_sequence:
+        return len(ack.gaps) < MAX_GAPS  # one that is full of gaps says nothing of what lies beyond
     index = bisect_right(ack.gaps, sequence, key=lambda gap: gap[0]) - 1
     return index >= 0 and ack.gaps[index][0] <= sequence <= ack.gaps[index][1]
 

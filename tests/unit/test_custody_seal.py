@@ -45,13 +45,13 @@ def test_a_checksum_in_another_form_is_refused_rather_than_trusted() -> None:
         decode(EVENT, spaced, "m")
 
 
-def test_restamping_changes_what_is_held_and_nothing_else() -> None:
-    again = restamped(restamped(encode(HEADER, BODY), 3), 4)
+def test_a_repetition_differs_in_what_it_says_of_itself_and_in_nothing_else() -> None:
+    again = restamped(restamped(encode(HEADER, BODY), 3, 1), 4, 2)
     header, body = decode(EVENT, again, "m")
     assert body == BODY
-    assert header.model_copy(update={"checksum": None}) == HEADER.model_copy(update={"held_from": 4})
+    assert header.model_copy(update={"checksum": None}) == HEADER.model_copy(update={"held_from": 4, "repetition": 2})
     with pytest.raises(Refused, match="sealed"):
-        restamped(b"{}", 1)
+        restamped(b"{}", 1, 1)
 
 
 def test_every_topic_refuses_too_long_a_message_before_it_reads_it() -> None:
