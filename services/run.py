@@ -95,11 +95,12 @@ class Process:
 
     def run(self) -> int:
         executor: OwnedExecutor | InlineExecutor | None = None
+        events: EventLog | None = None
         try:
             executor = self._service.executor() if self._service.executor else InlineExecutor()
             node = self._service.build(self.options)
-            self._events = EventLog(self.options.events) if self.options.events else None
-            host = Host(node, self.mission, self._events)
+            events = EventLog(self.options.events) if self.options.events else None
+            host = Host(node, self.mission, events)
             self.seat = Seat(host, _Waking(executor, self.stop.inbox))
             if not self._connect(host):
                 return 0
@@ -107,6 +108,8 @@ class Process:
             self._loop()
             return 0
         finally:
+            if events is not None:
+                events.close()
             for bus in self.buses.values():
                 bus.close()
             if executor is not None and not isinstance(executor, InlineExecutor):
