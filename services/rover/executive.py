@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from functools import partial
 from typing import Final
 
@@ -25,7 +24,17 @@ from services.rover.commands import CommandTable
 from services.rover.drill import Hole
 from services.rover.energy import full_battery
 from services.rover.instruments import Instruments
-from services.rover.phases import INTERRUPTIBLE, MODES, STANDING, Phase, Trigger, after
+from services.rover.phases import (
+    ENDED_BY_PLAN,
+    HOLD_TRIGGERS,
+    INTERRUPTIBLE,
+    MODES,
+    STANDING,
+    Hold,
+    Phase,
+    Trigger,
+    after,
+)
 from services.rover.programme import Programme
 from services.rover.rounds import Job
 from services.rover.segments import Area, Point
@@ -39,23 +48,6 @@ CHARGED: Final = "charged"
 WATCHDOG: Final = "watchdog"
 
 _ROUNDING_WH: Final = 1e-6  # the battery is charged to a level at a whole nanosecond
-
-
-class Hold(Enum):
-    """Why the rover stands still although it may have something to do."""
-
-    PAUSE = "pause"
-    ENERGY = "low energy"
-    COMMAND = "told to be safe"
-    TERRAIN = "terrain contradicts the plan"
-    SILENCE = "no word from the ground"
-    SPENT = "a step needs more energy than there will be"
-
-
-ENDED_BY_PLAN: Final = frozenset({Hold.TERRAIN, Hold.SILENCE, Hold.SPENT})
-"""Safe modes that a newer plan ends; what an operator ordered, only an operator ends."""
-
-_HOLD_TRIGGERS: Final = {Hold.PAUSE: Trigger.PAUSE, Hold.ENERGY: Trigger.RUN_LOW}
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +220,7 @@ class Executive:
         if self.hold is Hold.ENERGY:
             self.out.append(WakeAt(CHARGED, None))
         self.hold = hold
-        self._enter(_HOLD_TRIGGERS.get(hold, Trigger.DANGER), now)
+        self._enter(HOLD_TRIGGERS[hold], now)
         if hold is Hold.PAUSE:
             if safe_before:
                 self.voice.tell(EventKind.SAFE_MODE_LEFT, now, why)

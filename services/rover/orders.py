@@ -10,7 +10,8 @@ from schemas.wire import Header
 from services.node import Level, MissionTime, Note
 from services.rover.admission import closed_off, outside
 from services.rover.commands import MAX_WAITING, is_past
-from services.rover.executive import Executive, Hold
+from services.rover.executive import Executive
+from services.rover.phases import Hold
 from services.rover.rounds import Job, Leg
 from services.rover.segments import Area, Point
 from services.rover.track import way_home

@@ -6,7 +6,7 @@ never a reaction to anything that came from outside.
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum, StrEnum
 from typing import Final
 
 from schemas.telemetry import RoverMode
@@ -94,6 +94,30 @@ MODES: Final[dict[Phase, RoverMode]] = {
     Phase.PARKED: RoverMode.PARKED,
 }
 """What the rover reports for each phase."""
+
+
+class Hold(Enum):
+    """Why the rover stands still although it may have something to do."""
+
+    PAUSE = "pause"
+    ENERGY = "low energy"
+    COMMAND = "told to be safe"
+    TERRAIN = "terrain contradicts the plan"
+    SILENCE = "no word from the ground"
+    SPENT = "a step needs more energy than there will be"
+
+
+ENDED_BY_PLAN: Final = frozenset({Hold.TERRAIN, Hold.SILENCE, Hold.SPENT})
+"""Safe modes that a newer plan ends; what an operator ordered, only an operator ends."""
+
+HOLD_TRIGGERS: Final[dict[Hold, Trigger]] = {
+    Hold.PAUSE: Trigger.PAUSE,
+    Hold.ENERGY: Trigger.RUN_LOW,
+    Hold.COMMAND: Trigger.DANGER,
+    Hold.TERRAIN: Trigger.DANGER,
+    Hold.SILENCE: Trigger.DANGER,
+    Hold.SPENT: Trigger.DANGER,
+}
 
 
 class IllegalTransition(Exception):
