@@ -52,6 +52,10 @@ class Budget:
         idle = ground.planning_s + link.up.one_way_light_time_s + link.down.one_way_light_time_s
         self._round_s = idle if ground.pipeline == 0 else 0.0
 
+    def lasts_s(self, committed: Committed) -> float:
+        """How long that is going to take at the pace to be expected on this terrain [s]."""
+        return committed.metres / self._speed_m_s + committed.samples * self._sample_s
+
     def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> Allowance:
         """What may still be planned, of the samples that are still wanted.
 
@@ -65,9 +69,7 @@ class Budget:
                 return Allowance(0, 0.0, f"the budget of {self._metres:g} m is spent or promised")
         if self._ends is None:
             return Allowance(samples_wanted, metres)
-        time_s = (self._ends - now) / SECOND
-        time_s -= committed.metres / self._speed_m_s + committed.samples * self._sample_s
-        time_s -= committed.rounds * self._round_s
+        time_s = (self._ends - now) / SECOND - self.lasts_s(committed) - committed.rounds * self._round_s
         each_s = self._sample_s + self._round_s / self._per_round
         samples = min(samples_wanted, int(max(0.0, time_s) / (each_s + self._leg_m / self._speed_m_s)))
         if samples < 1:

@@ -28,7 +28,7 @@ from services.ground.ledger import Ledger, RoundRecord
 from services.ground.planners import planner_named
 from services.ground.planning import PlannedRound, Planner, PlannerOptions, PlanningRequest
 from services.ground.terrain import GroundTerrain, interest_weights
-from services.node import Compute, Effect, Finish, Level, MissionTime, Note, Send
+from services.node import Compute, Effect, Finish, Level, MissionTime, Note, Send, seconds
 from services.scenario import Scenario
 
 Place = tuple[float, float]
@@ -37,6 +37,7 @@ MOST_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the 
 MOST_ROUNDS_TIMES, MOST_ROUNDS_MORE = 2, 10  # rounds in all, those included that make up for what was missed
 MOST_REJECTIONS = 10  # plans in a row that the rover may reject
 OBSTACLE_MARGIN_M = 1.5  # radius of what is closed around an obstacle that was met: it is seen from one side only
+OBSTACLE_REACH_M = 8.0  # obstacles met within this distance of each other are taken for one
 START_TOLERANCE_M = 0.5  # how far from where it was asked to begin a planned round may begin
 _NOTHING_TO_DO = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 _FIT, _PLAN = 1, 2  # what a seed is for
@@ -110,6 +111,7 @@ class Director:
         self._failed = False
         self._heard_at: MissionTime = -1
         self._on_the_move: set[str] = set()
+        self._met: list[Place] = []
 
     # --- what the mission is made of --------------------------------------------------------------------------------
 
@@ -310,7 +312,10 @@ class Director:
     def _close_off(self, event: RoverEvent) -> None:
         """What the rover met is closed on the ground's map too. A keep-out that it met is known here already."""
         if event.obstacle_m is not None and self.grid.contains(np.array([event.obstacle_m]))[0]:
-            self.terrain.block(event.obstacle_m, OBSTACLE_MARGIN_M)
+            # Met again nearby, it is larger than was thought.
+            met = sum(hypot(x - event.obstacle_m[0], y - event.obstacle_m[1]) < OBSTACLE_REACH_M for x, y in self._met)
+            self._met.append(event.obstacle_m)
+            self.terrain.block(event.obstacle_m, OBSTACLE_MARGIN_M * min(2**met, 4))
 
     def _plan_rejected(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
         if event.plan_revision < self.revision or self.ended is not None:
@@ -333,12 +338,24 @@ class Director:
         self._last_sent = False
         self._rover_done = False
         self._exhausted = ""
+        self._failed = False
         self._attempt = 0
         self._origin = None if self.ledger.chain else self.place_m
 
     def _leads_through(self, record: RoundRecord, area: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
         path = np.array(record.plan.path_m, dtype=np.float64)
         return bool(area[self.grid.cells_of(_densely(path, 0.5 * self.grid.resolution_m))].any())
+
+    def _committed(self) -> Committed:
+        ledger = self.ledger
+        metres = sum(record.to_drive_m for record in ledger.chain)
+        return Committed(metres, len(ledger.pending), len(ledger.open_rounds))
+
+    def plan_ends(self, now: MissionTime) -> MissionTime | None:
+        """When the rover will have done what is planned, at the pace to be expected; None if nothing is planned."""
+        if not self.ledger.open_rounds:
+            return None
+        return now + seconds(self._budget.lasts_s(self._committed()))
 
     # --- planning ---------------------------------------------------------------------------------------------------
 
@@ -372,10 +389,7 @@ class Director:
 
     def _next_plan(self, now: MissionTime) -> list[Effect]:
         pending = self.ledger.pending
-        open_rounds = self.ledger.open_rounds
-        metres = sum(record.to_drive_m for record in self.ledger.chain)
-        committed = Committed(metres, len(pending), len(open_rounds))
-        allowance = self._budget.left(now, self.driven_m, committed, self.samples_wanted)
+        allowance = self._budget.left(now, self.driven_m, self._committed(), self.samples_wanted)
         number = self.ledger.next_number
         most = MOST_ROUNDS_TIMES * self.scenario.rounds + MOST_ROUNDS_MORE
         if allowance.samples < 1 or number > most:

@@ -98,4 +98,5 @@ def track(snapshot: MapSnapshot) -> MissionTrack:
         driven_path_m=snapshot.driven_path_m,
         planned_path_m=snapshot.planned_path_m,
         score_history=snapshot.score_history,
+        plan_ends=snapshot.plan_ends,
     )

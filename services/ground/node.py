@@ -248,6 +248,7 @@ class GroundNode:
             samples=tuple(self._samples),
             driven_path_m=driven,
             planned_path_m=planned,
+            plan_ends=director.plan_ends(now),
             revision=self._revision,
             mission_time_ns=self._map_time,
             score=self._score,
@@ -313,6 +314,11 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     if region is None:
         region = load_region(scenario.region, scenario.field.field_seed)
     ground = scenario.ground
+    if not region.grid.contains(np.array([scenario.start_m]))[0]:
+        raise InvalidInput(
+            f"scenario '{scenario.name}': start_m: expected a place within 0..{region.grid.width_m:g} m east and "
+            f"0..{region.grid.height_m:g} m north, got ({scenario.start_m[0]:g}, {scenario.start_m[1]:g})"
+        )
     open_cells = region.traversable
     if ground.max_slope_deg is not None:
         open_cells = open_cells & (region.slope_deg <= ground.max_slope_deg)

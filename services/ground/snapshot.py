@@ -29,6 +29,8 @@ class MapSnapshot:
     """The parts of planned paths that the rover is known to have driven."""
     planned_path_m: tuple[Waypoint, ...]
     """What is planned and not over, from where the rover is known to be."""
+    plan_ends: MissionTime | None
+    """When the rover will have done what is planned, as the ground expects."""
     revision: int
     """Grows by one with every change of the map; track and plan may change without."""
     mission_time_ns: MissionTime
