@@ -1,0 +1,136 @@
+"""The belief: what the map rests on, and that it follows from the samples alone."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from he3.errors import InvalidInput, OutsideRegion
+from he3.frames import SiteGrid
+from he3.gp import GaussianProcess
+from he3.trend import OrbitalTrend
+from services.ground.belief import Belief, Observation, fit
+
+GRID = SiteGrid(40, 50)
+NOISE = 0.1
+
+
+def observations(count: int, seed: int = 4) -> dict[str, Observation]:
+    rng = np.random.default_rng(seed)
+    places = rng.uniform((0, 0), (50, 40), (count, 2))
+    values = 8 + np.sin(places[:, 0] / 8) + 0.1 * rng.normal(size=count)
+    return {
+        f"s{i}": Observation((1 + i // 5, 1, i % 5), (float(x), float(y)), float(value))
+        for i, ((x, y), value) in enumerate(zip(places, values, strict=True))
+    }
+
+
+def belief_of(samples: dict[str, Observation], kernel: str = "matern52", trend: OrbitalTrend | None = None) -> Belief:
+    belief = Belief(GRID, kernel, NOISE, trend)
+    for name, observation in samples.items():
+        belief.add(name, observation)
+    return belief
+
+
+def refit(belief: Belief, up_to_round: int) -> None:
+    request = belief.fit_request(up_to_round, (1, up_to_round))
+    assert request is not None
+    belief.adopt(fit(pickle.loads(pickle.dumps(request))))
+
+
+def test_before_any_sample_the_map_says_what_is_known_of_lunar_soils() -> None:
+    empty = Belief(GRID, "se", NOISE).map
+    assert (empty.mean_ppb == 7.5).all()
+    assert (empty.std_ppb == 4.0).all()
+
+
+def test_each_sample_is_in_the_map_at_once_and_exactly() -> None:
+    samples = observations(12)
+    belief = belief_of(samples)
+    process = GaussianProcess(belief.hyperparameters).condition(
+        [o.place_m for o in samples.values()], [o.value_ppb for o in samples.values()]
+    )
+    mean, std = process.predict(GRID.points())
+    assert np.allclose(belief.map.mean_ppb.ravel(), mean, atol=2e-4)
+    assert np.allclose(belief.map.std_ppb.ravel(), std, atol=2e-3)
+
+
+def test_a_sample_that_is_there_already_changes_nothing() -> None:
+    samples = observations(6)
+    belief = belief_of(samples)
+    before = belief.map
+    assert not belief.add("s3", samples["s3"])
+    assert belief.map is before
+    assert len(belief) == 6
+
+
+@pytest.mark.parametrize(
+    ("observation", "error"),
+    [
+        (Observation((1, 1, 0), (51.0, 3.0), 8.0), OutsideRegion),
+        (Observation((1, 1, 0), (5.0, 3.0), 1e7), InvalidInput),
+        (Observation((1, 1, 0), (5.0, 3.0), float("nan")), InvalidInput),
+    ],
+)
+def test_a_sample_that_cannot_be_is_refused_and_changes_nothing(
+    observation: Observation, error: type[Exception]
+) -> None:
+    belief = belief_of(observations(3))
+    before = belief.map
+    with pytest.raises(error):
+        belief.add("bad", observation)
+    assert belief.map is before
+    assert "bad" not in belief
+
+
+def test_once_all_samples_are_in_the_map_is_the_same_to_the_byte_in_whatever_order_they_came() -> None:
+    samples = observations(20)
+    names = list(samples)
+    shuffled = [names[i] for i in np.random.default_rng(9).permutation(20)]
+    in_order, mixed = belief_of(samples), belief_of({name: samples[name] for name in shuffled})
+    for belief in (in_order, mixed):
+        for number in range(1, 5):
+            refit(belief, number)
+    assert in_order.map.mean_ppb.tobytes() == mixed.map.mean_ppb.tobytes()
+    assert in_order.map.std_ppb.tobytes() == mixed.map.std_ppb.tobytes()
+
+
+def test_a_refit_sees_the_rounds_up_to_its_own_and_no_others() -> None:
+    belief = belief_of(observations(20))
+    request = belief.fit_request(2, (1, 2))
+    assert request is not None
+    assert len(request.values_ppb) == 10
+    assert belief_of(observations(10)).fit_request(2, (1, 2)) is not None
+    assert np.array_equal(request.xy_m, belief_of(observations(20)).places_m[:10])
+
+
+def test_without_a_sample_there_is_nothing_to_fit() -> None:
+    assert Belief(GRID, "se", NOISE).fit_request(1, (1,)) is None
+
+
+@pytest.mark.parametrize("kernel", ["se", "matern12", "matern32", "matern52", "smooth+rough", "auto"])
+def test_every_kernel_of_a_scenario_is_fitted_and_keeps_the_likelihood_or_betters_it(kernel: str) -> None:
+    belief = belief_of(observations(20), kernel)
+    refit(belief, 4)
+    first = belief.hyperparameters.log_likelihood
+    refit(belief, 4)
+    assert belief.hyperparameters.log_likelihood >= first - 1e-6
+    assert kernel in (belief.hyperparameters.kernel.name, "auto")
+
+
+def test_an_orbital_prior_is_the_map_before_the_first_sample_and_survives_a_refit() -> None:
+    x, _ = np.meshgrid(GRID.x_m, GRID.y_m)
+    orbital = 6.0 + 0.05 * x
+    belief = Belief(GRID, "matern52", NOISE, OrbitalTrend(GRID, orbital))
+    assert np.allclose(belief.map.mean_ppb, orbital, atol=1e-5)
+    for name, observation in observations(10).items():
+        belief.add(name, observation)
+    request = belief.fit_request(2, (1,))
+    assert request is not None
+    fitted = fit(request)
+    assert fitted.trend is None  # it is not sent back and forth
+    belief.adopt(fitted)
+    assert belief.hyperparameters.trend is not None
+    assert len(belief) == 10

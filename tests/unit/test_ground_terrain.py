@@ -1,0 +1,150 @@
+"""The ground's own map of where the rover may be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from he3.errors import InvalidInput, OutsideRegion
+from he3.frames import SiteGrid
+from services.ground.terrain import GroundTerrain, inside, interest_weights, touched_by
+
+GRID = SiteGrid(40, 50)
+ALL_OPEN = np.ones(GRID.shape, dtype=np.bool_)
+TRIANGLE = ((10.0, 10.0), (30.0, 10.0), (20.0, 30.0))
+
+
+def with_closed(*cells: tuple[int, int]) -> np.ndarray:
+    open_cells = ALL_OPEN.copy()
+    for cell in cells:
+        open_cells[cell] = False
+    return open_cells
+
+
+def test_a_polygon_covers_half_of_what_a_triangle_of_its_base_and_height_would_have_as_a_box() -> None:
+    assert inside(GRID, TRIANGLE).sum() == pytest.approx(200, abs=10)
+    assert inside(GRID, TRIANGLE)[15, 20]
+    assert not inside(GRID, TRIANGLE)[28, 12]
+
+
+def test_the_order_of_corners_does_not_matter_and_a_hole_is_left_by_the_even_odd_rule() -> None:
+    assert np.array_equal(inside(GRID, TRIANGLE), inside(GRID, TRIANGLE[::-1]))
+    bow_tie_twice = ((5.0, 5.0), (25.0, 5.0), (25.0, 25.0), (5.0, 25.0), (5.0, 5.0), (10.0, 10.0), (20.0, 10.0),
+                     (20.0, 20.0), (10.0, 20.0), (10.0, 10.0))  # fmt: skip
+    assert not inside(GRID, bow_tie_twice)[15, 15]
+    assert inside(GRID, bow_tie_twice)[7, 15]
+
+
+def test_an_area_too_thin_to_hold_a_cell_centre_still_closes_the_cells_it_crosses() -> None:
+    sliver = ((5.0, 8.1), (30.0, 8.1), (30.0, 8.2))
+    assert not inside(GRID, sliver).any()
+    assert touched_by(GRID, sliver)[8, 5:30].all()
+
+
+def test_an_area_partly_or_wholly_outside_the_region_closes_what_of_it_lies_within() -> None:
+    assert touched_by(GRID, ((40.0, 30.0), (90.0, 30.0), (90.0, 90.0), (40.0, 90.0)))[35, 45]
+    assert not touched_by(GRID, ((60.0, 60.0), (90.0, 60.0), (90.0, 90.0))).any()
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    radius=st.floats(0.05, 3.0),
+    angle=st.floats(0.0, 2 * np.pi),
+    x=st.floats(12.0, 28.0),
+    y=st.floats(12.0, 28.0),
+)
+def test_wherever_the_centre_may_be_the_whole_footprint_is_on_open_ground(
+    radius: float, angle: float, x: float, y: float
+) -> None:
+    closed = with_closed((20, 20), (20, 21), (23, 14))
+    terrain = GroundTerrain(GRID, closed, radius)
+    if terrain.traversable[int(y), int(x)]:
+        for share in (1.0, 0.5):
+            rim_x, rim_y = x + share * radius * np.cos(angle), y + share * radius * np.sin(angle)
+            assert closed[int(rim_y), int(rim_x)]
+
+
+def test_a_rover_without_extent_may_be_wherever_the_ground_is_open() -> None:
+    closed = with_closed((5, 5))
+    assert np.array_equal(GroundTerrain(GRID, closed, 0.0).traversable, closed)
+
+
+def test_a_keep_out_is_replaced_under_its_id_and_removed_without_a_polygon() -> None:
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.0)
+    terrain.set_keep_out("a", TRIANGLE)
+    assert not terrain.traversable[15, 20]
+    terrain.set_keep_out("a", ((40.0, 2.0), (45.0, 2.0), (45.0, 6.0)))
+    assert terrain.traversable[15, 20]
+    assert not terrain.traversable[3, 44]
+    terrain.set_keep_out("a", None)
+    assert terrain.traversable.all()
+
+
+def test_keep_outs_of_the_scenario_are_closed_from_the_beginning() -> None:
+    assert not GroundTerrain(GRID, ALL_OPEN, 0.0, [TRIANGLE]).traversable[15, 20]
+
+
+def test_an_obstacle_closes_its_disc_and_at_least_its_own_cell() -> None:
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.0)
+    terrain.block((20.2, 10.9), 0.0)
+    assert np.argwhere(~terrain.traversable).tolist() == [[10, 20]]
+    terrain.block((20.5, 10.5), 2.0)
+    assert (~terrain.traversable).sum() == 13
+
+
+def test_masks_handed_out_are_read_only_and_stay_as_they_were() -> None:
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.8)
+    before = terrain.traversable
+    terrain.block((20.0, 20.0), 1.0)
+    assert before.all()
+    assert not terrain.traversable.all()
+    with pytest.raises(ValueError, match="read-only"):
+        before[0, 0] = False
+
+
+def test_a_rover_beside_an_obstacle_is_let_out_but_not_through_the_obstacle() -> None:
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.8)
+    terrain.block((20.5, 20.5), 1.5)
+    here = (18.5, 20.5)
+    assert not terrain.traversable[20, 18]
+    lent = terrain.open_from(here)
+    assert lent[20, 18]
+    assert lent[20, 16]
+    assert not lent[20, 20]
+    assert (lent & ~terrain.traversable).sum() < 12
+
+
+def test_a_rover_within_an_area_just_closed_is_lent_a_way_out_of_it() -> None:
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.8, [((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))])
+    lent = terrain.open_from((12.0, 15.0))
+    assert lent[15, 12]
+    assert not lent[15, 18]
+    from scipy import ndimage
+
+    labels, _ = ndimage.label(lent)
+    assert labels[15, 12] == labels[35, 45]
+
+
+def test_where_the_rover_may_stand_nothing_is_lent() -> None:
+    terrain = GroundTerrain(GRID, with_closed((5, 5)), 0.8)
+    assert terrain.open_from((30.0, 30.0)) is terrain.traversable
+
+
+def test_a_place_outside_the_region_is_refused() -> None:
+    with pytest.raises(OutsideRegion):
+        GroundTerrain(GRID, ALL_OPEN, 0.8).open_from((51.0, 3.0))
+
+
+def test_a_mask_of_another_shape_is_refused() -> None:
+    with pytest.raises(InvalidInput, match=r"expected open cells of shape \(40, 50\), got \(3, 3\)"):
+        GroundTerrain(GRID, np.ones((3, 3), dtype=np.bool_))
+
+
+def test_interest_is_one_everywhere_but_in_its_regions_and_the_last_of_them_counts() -> None:
+    assert interest_weights(GRID, []) is None
+    box = ((0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0))
+    weights = interest_weights(GRID, [(box, 3.0), (TRIANGLE, 0.5)])
+    assert weights is not None
+    assert (weights[2, 2], weights[12, 18], weights[35, 35]) == (3.0, 0.5, 1.0)
