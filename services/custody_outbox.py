@@ -39,9 +39,10 @@ from services.custody import (
 from services.node import MissionTime, seconds
 
 REMEMBERED_SENDINGS = 8
-MAX_DOUBLINGS = 16
+MAX_DOUBLINGS = 5
+"""A wait grows 32-fold at most: what is lost here is lost to noise more often than to a queue."""
 MOST_SURPRISE = 4
-"""No measured round trip counts for more than so many waits: a short blackout must not spoil the measure."""
+"""No measured round trip counts for more than so many waits: a blackout within it must not spoil the measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,7 @@ class _Kept:
     repetitions: int = 0
     """How often it was sent; what was restored counts as sent once in its earlier life."""
     sendings: dict[int, _Sending] = field(default_factory=dict)
-    """The latest, by repetition."""
+    """The first and the latest, by repetition."""
     queued: bool = False
 
     @property
@@ -146,7 +147,6 @@ class Outbox:
         self._under_way = 0
         self._under_way_bytes = 0
         self._clear_at: MissionTime = 0
-        self._disturbed_at: MissionTime = -1
         self._probe_at: MissionTime | None = None  # not None: suspended
         self._offered = self._repeated = self._acknowledged = self._suspensions = 0
 
@@ -371,7 +371,7 @@ class Outbox:
         self._repeated += bool(kept.sendings)
         self._clear_at = max(now, self._clear_at) + bits_time(len(kept.payload), self._config.rate_bit_s)
         if len(kept.sendings) >= REMEMBERED_SENDINGS:
-            del kept.sendings[next(iter(kept.sendings))]
+            del kept.sendings[list(kept.sendings)[1]]  # the first is the one that comes first
         kept.sendings[kept.repetitions] = _Sending(self._sendings, now, self._clear_at)
         kept.repetitions += 1
         self._moves(kept, Signal.TRANSMITTED)
@@ -422,7 +422,6 @@ class Outbox:
 
     def _suspends(self, now: MissionTime) -> None:
         self._suspensions += 1
-        self._disturbed_at = now
         self._probe_at = now + self._probe_pause()
         for stream in self._streams.values():
             for kept in stream.sent.values():
@@ -434,7 +433,6 @@ class Outbox:
         if self._probe_at is None:
             return
         self._probe_at = None
-        self._disturbed_at = now
         for stream in self._streams.values():
             stream.doublings = 0
             stream.waits_since = now
@@ -466,9 +464,9 @@ class Outbox:
         return sending
 
     def _learns_round_trip(self, stream: _Stream, ack: Acknowledgement, now: MissionTime) -> None:
-        """Measures by the sending that was acknowledged last, unless there was no contact meanwhile."""
+        """Measures by the sending whose arrival was acknowledged."""
         sending = self._last_to_come(stream, ack)
-        if sending is not None and self._probe_at is None and sending.at > self._disturbed_at:
+        if sending is not None:
             most = MOST_SURPRISE * self._round_trip.wait
             self._round_trip.measured(min(most, max(0, now - sending.last_bit_at)))
             stream.doublings = 0

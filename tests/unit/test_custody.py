@@ -360,7 +360,7 @@ def test_an_outbox_that_hears_the_other_side_is_never_suspended() -> None:
     world.state_period = 30 * S
     world.run(world.now + HOUR)
     assert not world.ground.outbox.suspended
-    assert 6 <= world.ground.outbox.counts.repeated <= 15
+    assert 20 <= world.ground.outbox.counts.repeated <= 32
 
 
 def test_a_rate_that_collapses_is_learned_and_leads_to_few_repetitions() -> None:
@@ -374,6 +374,22 @@ def test_a_rate_that_collapses_is_learned_and_leads_to_few_repetitions() -> None
     world.settle()
     world.check()
     assert world.repeated <= 15
+
+
+def test_a_light_time_that_jumps_is_learned() -> None:
+    world = World()
+    world.state_period = 60 * S
+    world.relay.change(LinkChange(one_way_light_time_s=600.0), world.now)
+    costs = []
+    for _ in range(12):
+        before = world.repeated
+        world.rover.offer(EVENT, world.now)
+        world.run(world.now + 2 * HOUR)
+        costs.append(world.repeated - before)
+    world.settle()
+    world.check()
+    assert costs[-3:] == [0, 0, 0]
+    assert sum(costs) < 60
 
 
 # --- anything ---------------------------------------------------------------------------------------------------
