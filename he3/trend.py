@@ -11,10 +11,11 @@ sect. 2.7): their uncertainty is part of the posterior variance from the first s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid, as_points
@@ -71,3 +72,31 @@ class OrbitalTrend:
         """Columns (N, 2) for gain and offset [ppb per prior standard deviation of each] at places (N, 2) [m]."""
         contrast = self.at(points_m) - self._mean_ppb
         return np.column_stack((contrast * self.gain_std, np.full(len(contrast), self.offset_std_ppb)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrendOnCells:
+    """What is left of the trend's columns: on the cells, residual (p, cells), and whitened at the samples (n, p)."""
+
+    residual: FloatArray
+    whitened: FloatArray
+
+    def extended(self, factor_rows: FloatArray, basis: FloatArray) -> TrendOnCells:
+        """With the columns (k, p) at k more samples, whose rows of the Cholesky factor are (k, n + k)."""
+        known = len(self.whitened)
+        rest = basis - factor_rows[:, :known] @ self.whitened
+        return replace(
+            self, whitened=np.vstack((self.whitened, solve_triangular(factor_rows[:, known:], rest, lower=True)))
+        )
+
+    def subtract(self, start: int, rows_of_v: NDArray[np.floating], cells: slice) -> None:
+        """Take from the cells what k samples from number ``start`` on explain; rows_of_v is (k, cells)."""
+        self.residual[:, cells] -= self.whitened[start : start + len(rows_of_v)].T.astype(rows_of_v.dtype) @ rows_of_v
+
+    def contribution(self, whitened_values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What the trend adds to mean and variance, each (cells,)."""
+        count = len(self.residual)
+        covariance = np.linalg.inv(self.whitened.T @ self.whitened + np.eye(count))
+        coefficients = covariance @ (self.whitened.T @ whitened_values)
+        spread = np.linalg.cholesky(covariance).T @ self.residual
+        return coefficients @ self.residual, np.einsum("ij,ij->j", spread, spread)

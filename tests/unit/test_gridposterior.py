@@ -7,8 +7,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern
 
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
-from he3.gp import Hyperparameters
-from he3.gridposterior import ROWS_A_BLOCK, GridPosterior
+from he3.gp import GaussianProcess, Hyperparameters
+from he3.gridposterior import GridPosterior
+from he3.gridrows import ROWS_A_BLOCK, SeparableRows, StoredRows
 from he3.kernels import Kernel, Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
 from he3.trend import OrbitalTrend
 
@@ -95,6 +96,17 @@ def test_without_noise_crowded_and_repeated_places_keep_the_map_finite_and_its_v
     mean, deviation = posterior.at(GRID.points())
     np.testing.assert_allclose(posterior.mean_ppb.ravel(), mean, atol=0.02)
     np.testing.assert_allclose(posterior.std_ppb.ravel().astype(float) ** 2, deviation**2, atol=2e-3)
+
+
+def test_rows_of_a_separable_kernel_are_those_that_are_stored() -> None:
+    kernel = SquaredExponential(1.2, 40.0)
+    places, values = samples(90, seed=10)
+    stored, separable = StoredRows(GRID, kernel), SeparableRows(GRID, kernel)
+    process = GaussianProcess(Hyperparameters(kernel, 0.1, 8.0, 1.0))
+    for place, value in zip(places, values, strict=True):
+        process = process.condition(place[None, :], [value])
+        band = slice(0, GRID.rows)
+        np.testing.assert_allclose(stored.next_row(process)(band), separable.next_row(process)(band), atol=1e-5)
 
 
 def test_a_snapshot_cannot_be_written_and_is_not_touched_by_later_samples() -> None:

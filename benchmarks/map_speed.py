@@ -1,0 +1,219 @@
+"""How fast the map is: one more sample, a refit, the whole posterior; beside scikit-learn and the memory's own speed.
+
+Every figure is of the same machine, the same run, the same samples and hyperparameters:
+
+    update_s            one sample taken into mean and variance of every cell, without a refit (median)
+    stream_s            what the memory allows: reading n float32 values a cell once, and reading and writing the two
+                        float64 sums, as fast as plain array operations can (median). An update that keeps its rows
+                        must do that; the squared exponential's, being separable, need not, and may take less
+    refit_s             new hyperparameters from the last ones (warm start), and all of the map made anew
+    predict_s           all of the map made anew, mean and standard deviation of every cell
+    sklearn_predict_s   the same from scikit-learn, already fitted, in its fastest chunking, on as many threads
+
+A row for each number of samples and kernel. ``run`` prints them as they come and writes them as JSON.
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray, SiteGrid
+from he3.gp import Hyperparameters, fit_hyperparameters
+from he3.gridposterior import GridPosterior
+from he3.kernels import KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential
+
+SITE = SiteGrid(500, 500, 1.0)
+NOISE_STD_PPB = 0.1
+CHUNKS = (500, 2000, 10_000)  # cells a call to scikit-learn, the fastest on a trial slice is taken
+TRIAL_CELLS = 10_000
+
+Row = dict[str, Any]
+
+
+def run(
+    sizes: Sequence[int] = (150, 1000),
+    kernels: Sequence[str] = tuple(KERNELS),
+    json: Path | str | None = None,
+    *,
+    grid: SiteGrid = SITE,
+    seed: int = 0,
+    threads: int = 1,
+    sklearn: bool = True,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """One row for each number of samples and kernel, all times in seconds; printed, and written to ``json`` if given.
+
+    Raises InvalidInput if scikit-learn is asked for and not installed.
+    """
+    if sklearn:
+        _require_sklearn()
+    say(
+        f"{'n':>5} {'kernel':<13} {'cells':>7} {'update':>9} {'stream':>9} {'ratio':>6} {'refit':>9} {'predict':>9} "
+        f"{'sklearn':>9} {'update vs sklearn':>18}"
+    )
+    rows = []
+    for n in sizes:
+        for name in kernels:
+            row = measure(n, name, grid=grid, seed=seed, threads=threads, sklearn=sklearn)
+            rows.append(row)
+            theirs = row["sklearn_predict_s"]
+            say(
+                f"{n:>5} {name:<13} {row['cells']:>7} {_ms(row['update_s'])} {_ms(row['stream_s'])} "
+                f"{row['update_s'] / row['stream_s']:>6.2f} {_ms(row['refit_s'])} {_ms(row['predict_s'])} "
+                + (f"{_ms(theirs)} {theirs / row['update_s']:>17.0f}x" if theirs else f"{'-':>9} {'-':>18}")
+            )
+    if json is not None:
+        document = {"rows": rows, "machine": machine(), "seed": seed, "threads": threads}
+        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return rows
+
+
+def measure(n: int, kernel_name: str, *, grid: SiteGrid, seed: int, threads: int, sklearn: bool) -> Row:
+    """The figures for n samples of a field with a trend and a perturbation."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, n]))
+    places, values = _samples(n + 16, grid, rng)
+    extra = list(zip(places[n:], values[n:], strict=True))
+    places, values = places[:n], values[:n]
+    before = max(n - 5, 1)
+    previous = fit_hyperparameters(places[:before], values[:before], kernel_name, rng=rng, noise_std_ppb=NOISE_STD_PPB)
+
+    start = time.perf_counter()
+    fitted = fit_hyperparameters(places, values, kernel_name, rng=rng, noise_std_ppb=NOISE_STD_PPB, previous=previous)
+    fit_s = time.perf_counter() - start
+
+    start = time.perf_counter()
+    posterior = GridPosterior.build(grid, fitted, places, values, threads=threads)
+    posterior.snapshot()
+    predict_s = time.perf_counter() - start
+
+    update_s = _median(lambda: posterior.add(*extra.pop()), 11)
+    stream_s = _median(stream_of(posterior), 11)
+    row: Row = {
+        "n": n,
+        "kernel": kernel_name,
+        "cells": grid.rows * grid.columns,
+        "update_s": update_s,
+        "stream_s": stream_s,
+        "refit_s": fit_s + predict_s,
+        "predict_s": predict_s,
+        "sklearn_predict_s": None,
+        "fit_s": fit_s,
+        "bytes": _touched(posterior),
+    }
+    if sklearn:
+        row["sklearn_predict_s"], row["sklearn_chunk"] = _sklearn_predict(grid, fitted, places, values, threads)
+    return row
+
+
+def stream_of(posterior: GridPosterior) -> Callable[[], None]:
+    """One pass over arrays as large as those an update touches: n float32 rows read, two float64 ones changed."""
+    cells = posterior.grid.rows * posterior.grid.columns
+    n = len(posterior)
+    blocks = [np.ones((min(64, n - first), cells), dtype=np.float32) for first in range(0, n, 64)]
+    row = np.ones(cells, dtype=np.float32)
+    sums = [np.ones(cells), np.ones(cells)]
+
+    def stream() -> None:
+        for block in blocks:
+            np.dot(block.ravel(), block.ravel())
+        row.fill(1.0)
+        for total in sums:
+            total += 1.0
+
+    return stream
+
+
+def _touched(posterior: GridPosterior) -> int:
+    cells = posterior.grid.rows * posterior.grid.columns
+    return cells * (4 * len(posterior) + 4 + 2 * 2 * 8)
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on."""
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "blas_threads": os.environ.get("OPENBLAS_NUM_THREADS", "default"),
+    }
+
+
+def _samples(n: int, grid: SiteGrid, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Places (n, 2) [m] all over the site and noisy values (n,) [ppb] of a drawn field."""
+    places = rng.uniform(0.0, 1.0, (n, 2)) * [grid.width_m, grid.height_m]
+    field = SmoothPlusRough(1.5, 120.0, 0.5, 25.0)
+    factor = np.linalg.cholesky(field.covariance(places, places) + 1e-9 * np.eye(n))
+    return places, 8.0 + factor @ rng.normal(size=n) + NOISE_STD_PPB * rng.normal(size=n)
+
+
+def _sklearn_predict(
+    grid: SiteGrid, fitted: Hyperparameters, places: FloatArray, values: FloatArray, threads: int
+) -> tuple[float, int]:
+    """Seconds that scikit-learn takes for mean and deviation on all cells, and the chunk of cells that suits it."""
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from threadpoolctl import threadpool_limits
+
+    model = GaussianProcessRegressor(_sklearn_kernel(fitted.kernel), alpha=fitted.noise_variance, optimizer=None)
+    model.fit(places, fitted.standardise(places, values))
+    points = grid.points()
+    with threadpool_limits(threads):
+        chunk = min(CHUNKS, key=lambda size: _seconds(lambda: _in_chunks(model, points[:TRIAL_CELLS], size)))
+        return _seconds(lambda: _in_chunks(model, points, chunk)), chunk
+
+
+def _in_chunks(model: Any, points: FloatArray, chunk: int) -> None:
+    for first in range(0, len(points), chunk):
+        model.predict(points[first : first + chunk], return_std=True)
+
+
+def _sklearn_kernel(kernel: Kernel) -> Any:
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern
+
+    if isinstance(kernel, SmoothPlusRough):
+        return _sklearn_kernel(kernel.smooth) + _sklearn_kernel(kernel.rough)
+    variance, length = kernel.parameters().values()
+    if isinstance(kernel, SquaredExponential):
+        return ConstantKernel(variance) * RBF(length)
+    nu = 0.5 if isinstance(kernel, Matern12) else {"matern32": 1.5, "matern52": 2.5}[kernel.name]
+    return ConstantKernel(variance) * Matern(length, nu=nu)
+
+
+def _require_sklearn() -> None:
+    try:
+        import sklearn
+        import threadpoolctl
+    except ImportError as missing:
+        raise InvalidInput(
+            f"the benchmark compares with scikit-learn, and {missing.name} is not installed: "
+            'run scripts/setup, or pip install "he3-seeker[bench]"'
+        ) from None
+    del sklearn, threadpoolctl
+
+
+def _seconds(work: Callable[[], None]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def _median(work: Callable[[], None], times: int) -> float:
+    return statistics.median(_seconds(work) for _ in range(times))
+
+
+def _ms(seconds: float) -> str:
+    return f"{seconds * 1e3:>7.1f}ms"
+
+
+if __name__ == "__main__":
+    run()
