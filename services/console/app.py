@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from services.console.commands import run as run_command
+from services.console.commands import bench, command, demo, link, map, reference, replay, run, schemas, status, up
 
 ABOUT = """Helium-3 prospecting on the Moon: a rover, an honest map, and the light time between them.
 
@@ -26,7 +26,19 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
     app.callback()(_common)
-    app.command("run", epilog=run_command.EXAMPLES)(run_command.run)
+    app.command("demo", epilog=demo.EXAMPLES)(demo.demo)
+    app.command("run", epilog=run.EXAMPLES)(run.run)
+    app.command("up", epilog=up.EXAMPLES)(up.up)
+    app.command("status", epilog=status.EXAMPLES)(status.status)
+    app.command("watch", epilog=status.WATCH_EXAMPLES)(status.watch)
+    app.add_typer(map.app, name="map", help="The live map: at a place, as a picture, as numbers.")
+    app.add_typer(link.app, name="link", help="The link between Earth and Moon: see it, change it.")
+    app.add_typer(command.app, name="command", help="Send the rover a telecommand.")
+    app.command("commands", epilog=command.EXAMPLES)(command.commands)
+    app.add_typer(reference.app, name="reference", help="The reference field of a region.")
+    app.command("replay", epilog=replay.EXAMPLES)(replay.replay)
+    app.command("schemas", epilog=schemas.EXAMPLES)(schemas.schemas)
+    app.command("bench", epilog=bench.EXAMPLES, context_settings=bench.CONTEXT)(bench.bench)
     return app
 
 

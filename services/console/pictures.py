@@ -24,7 +24,10 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from he3.errors import He3Error
-from schemas.maps import MapScore
+from he3.reference import Region
+from schemas.ground import MissionTrack
+from schemas.maps import MapLayer, MapRaster, MapScore
+from services.console.reporting import array_of
 
 ABUNDANCE = "viridis"
 UNCERTAINTY = "magma"
@@ -132,7 +135,7 @@ def _panels(picture: MapPicture) -> list[_Panel]:
     return [truth, belief, std]
 
 
-def _draw_panel(figure: Figure, axis: Any, panel: _Panel, picture: MapPicture) -> None:
+def _draw_panel(figure: Figure, axis: Any, panel: _Panel, picture: MapPicture, with_start: bool = True) -> None:
     rows, columns = panel.values.shape
     width, height = columns * picture.resolution_m, rows * picture.resolution_m
     image = axis.imshow(
@@ -152,7 +155,8 @@ def _draw_panel(figure: Figure, axis: Any, panel: _Panel, picture: MapPicture) -
         axis.scatter(
             *picture.samples_m.T, s=11, c=panel.dots, edgecolors="white", linewidths=0.45, zorder=3, label="samples"
         )
-    axis.plot(*picture.start_m, marker="*", ms=11, mfc=START_COLOUR, mec=INK, mew=0.7, ls="none", zorder=4)
+    if with_start:
+        axis.plot(*picture.start_m, marker="*", ms=11, mfc=START_COLOUR, mec=INK, mew=0.7, ls="none", zorder=4)
     _scale_bar(axis, width, height)
     axis.set(xlim=(0, width), ylim=(0, height), xlabel="east [m]")
     axis.set_aspect("equal")
@@ -190,6 +194,57 @@ def _round_length(wanted: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is not above what is wanted."""
     power = 10.0 ** math.floor(math.log10(wanted))
     return float(power * max(step for step in (1, 2, 5) if step * power <= wanted))
+
+
+def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
+    """One layer of the live map, with the path driven and the samples."""
+    values = array_of(raster)
+    samples = np.array([(sample.x_m, sample.y_m) for sample in track.samples], dtype=np.float64).reshape(-1, 2)
+    path = np.array(track.driven_path_m, dtype=np.float64).reshape(-1, 2)
+    low, high = float(values.min()), float(values.max())
+    uncertain = raster.layer is MapLayer.STD
+    panel = _Panel(
+        title=raster.layer.value,
+        values=values,
+        colours=UNCERTAINTY if uncertain else ABUNDANCE,
+        low=0.0 if uncertain else low,
+        high=high if high > low else low + 1.0,
+        label={MapLayer.MEAN: "helium-3 [ppb]", MapLayer.STD: "std [ppb]"}.get(raster.layer, "open"),
+        dots="#4fd1ff" if uncertain else SAMPLE_COLOUR,
+        with_path=not uncertain,
+    )
+    start = (float(path[0, 0]), float(path[0, 1])) if len(path) else (0.0, 0.0)
+    picture = MapPicture("", "", None, values, values, None, raster.resolution_m, path, samples, start)
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(5.0, 5.6), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        axis = figure.add_subplot()
+        _draw_panel(figure, axis, panel, picture)
+        axis.set_ylabel("north [m]")
+        axis.set_title(f"{raster.layer.value}: revision {raster.revision}, {raster.samples} samples", loc="left", pad=5)
+    return figure
+
+
+def region_figure(region: Region) -> Figure:
+    """The reference field of a region, its terrain, and where the rover may not go."""
+    nothing = np.empty((0, 2))
+    he3, height, cell = region.he3_ppb, region.elevation_m, region.grid.resolution_m
+    picture = MapPicture("", "", None, he3, height, region.traversable, cell, nothing, nothing, (0.0, 0.0))
+    low, high, base, top = float(he3.min()), float(he3.max()), float(height.min()), float(height.max())
+    panels = (
+        _Panel("Reference field", he3, ABUNDANCE, low, high, "helium-3 [ppb]", "", False),
+        _Panel("Elevation", height, "cividis", base, max(top, base + 1.0), "elevation [m]", "", False),
+    )
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(8.9, 5.75), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axis, panel in zip(axes, panels, strict=True):
+            _draw_panel(figure, axis, panel, picture, with_start=False)
+        axes[0].set_ylabel("north [m]")
+        figure.suptitle(region.title, fontsize=12.5, fontweight="bold", x=0.015, ha="left")
+        figure.supxlabel(region.provenance, fontsize=7.5, color=QUIET, x=0.015, ha="left")
+    return figure
 
 
 def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:

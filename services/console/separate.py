@@ -27,7 +27,9 @@ LOOK_EVERY_S = 0.1
 """How long the end of a service or of the mission may go unnoticed."""
 
 
-def run_separate(chosen: Chosen, where: Outputs, progress: Progress) -> tuple[MissionReport, list[Path]]:
+def run_separate(
+    chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool = False
+) -> tuple[MissionReport, list[Path]]:
     """The report of the mission, run to its end in separate processes, and the files written.
 
     Raises InvalidInput before anything is started, He3Error when a service dies or the mission fails.
@@ -35,7 +37,7 @@ def run_separate(chosen: Chosen, where: Outputs, progress: Progress) -> tuple[Mi
     scenario = chosen.scenario
     region = load_region(scenario.region, scenario.field.field_seed)
     began = time.monotonic()
-    with services_of(chosen, where, free_endpoints()) as (launcher, endpoints):  # noqa: SIM117 - two things end apart
+    with services_of(chosen, where, free_endpoints(), lockstep=lockstep) as (launcher, endpoints):  # noqa: SIM117 - two things end apart
         with join_when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
             watcher = Watcher(client, scenario.start_ns)
             watcher.catch_up()
@@ -43,27 +45,32 @@ def run_separate(chosen: Chosen, where: Outputs, progress: Progress) -> tuple[Mi
             wall_time_s = time.monotonic() - began
             if status.phase is not MissionPhase.COMPLETED:
                 raise He3Error(f"the mission failed {watcher.status_time_s:.0f} s after its beginning: {status.detail}")
-            run = Run("zenoh", scenario.rate, region.provenance, watcher.status_time_s, wall_time_s)
+            driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
+            run = Run(driver, rate, region.provenance, watcher.status_time_s, wall_time_s)
             outcome: Outcome = gather(client.query, scenario, status, run)
     return outcome.report, write_outcome(outcome, region, where)
 
 
 @contextmanager
-def services_of(chosen: Chosen, where: Outputs, endpoints: Endpoints) -> Iterator[tuple[Launcher, Endpoints]]:
+def services_of(
+    chosen: Chosen, where: Outputs, endpoints: Endpoints, *, lockstep: bool = False, log_to_terminal: bool = False
+) -> Iterator[tuple[Launcher, Endpoints]]:
     """All services of the scenario, running and announced on this machine; all gone afterwards.
 
-    Their logs go beside the other files, or into a temporary folder that an error's line has quoted from.
+    Their logs go to the terminal, beside the other files, or into a temporary folder that an error's line quotes from.
     """
     with ExitStack() as stack:
-        if where.folder is None:
+        logs: Path | None
+        if log_to_terminal:
+            logs = None
+        elif where.folder is None:
             logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="he3-logs-")))
         else:
             logs = make_folder(where.folder / "logs")
             for old in logs.glob("*.log"):
                 old.unlink()
-        launcher = stack.enter_context(
-            Launcher(chosen.path, endpoints, chosen.flags, recording=where.recording, logs=logs)
-        )
+        flags = (*chosen.flags, *(("--lockstep",) if lockstep else ()))
+        launcher = stack.enter_context(Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs))
         running = RunningMission(
             chosen.scenario.name, str(chosen.path), endpoints.moon, endpoints.earth, launcher.own_pid, launcher.pids
         )

@@ -26,3 +26,10 @@ OutFolder = Annotated[
 ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Where the report goes.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on standard error.")]
+Mission = Annotated[str | None, typer.Option("--mission", metavar="NAME", help="Which running mission is meant.")]
+Earth = Annotated[
+    str | None, typer.Option("--earth", metavar="ENDPOINT", help="Its Earth router, such as tcp/10.0.0.2:7448.")
+]
+Lockstep = Annotated[
+    bool, typer.Option("--lockstep", help="Separate processes in virtual time: exact, repeatable, as fast as it goes.")
+]

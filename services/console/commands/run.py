@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from he3.errors import InvalidInput
 from services.console.commands.options import (
     AsJson,
+    Lockstep,
     OutFolder,
     Planner,
     Quiet,
@@ -19,20 +21,27 @@ from services.console.commands.options import (
     Settings,
 )
 
+if TYPE_CHECKING:
+    from services.console.scenarios import Chosen
+
 EXAMPLES = """\b
 Examples:
   he3 run t1-nominal --in-process --out runs/t1     here, in virtual time
-  he3 run t1-nominal --rate 2000 --out runs/t1      five processes over Zenoh
+  he3 run t1-nominal --lockstep --out runs/t1       five processes, virtual time
+  he3 run t1-nominal --rate 2000 --out runs/t1      five processes, wall clock
   he3 run my.toml --in-process --planner tour --seed 7 --report tour-7.json
   he3 run short --in-process --set link.down.loss=0.3 --json
 """
 
+InProcess = Annotated[
+    bool, typer.Option("--in-process", help="All services in this process, in virtual time: exact, and the fastest.")
+]
+
 
 def run(
     scenario: ScenarioRef,
-    in_process: Annotated[
-        bool, typer.Option("--in-process", help="All services in this process, in virtual time: exact and fast.")
-    ] = False,
+    in_process: InProcess = False,
+    lockstep: Lockstep = False,
     rate: Rate = None,
     seed: Seed = None,
     planner: Planner = None,
@@ -43,30 +52,38 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Run a whole mission and report on it."""
+    from services.console.scenarios import choose
+
+    if sum((in_process, lockstep, rate is not None)) > 1:
+        raise InvalidInput("expected one of --in-process, --lockstep and --rate, got more")
+    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    driver = "in-process" if in_process else "lockstep" if lockstep else "zenoh"
+    run_and_report(chosen, driver, out, report, json=json, quiet=quiet)
+
+
+def run_and_report(
+    chosen: Chosen, driver: str, out: Path | None, report: Path | None, *, json: bool, quiet: bool
+) -> None:
+    """Run the chosen scenario over that driver, show its progress, write its files, print what came of it."""
     from services.console.outputs import outputs
     from services.console.progress import progress_for
-    from services.console.scenarios import choose
     from services.console.summary import summary_lines
 
-    if in_process and rate is not None:
-        raise InvalidInput("--rate: expected it without --in-process, which runs in virtual time")
-    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
     mission = chosen.scenario
     where = outputs(out, report)
-    progress = progress_for(
-        f"{mission.name} · {mission.region} · {mission.ground.planner} · seed {mission.seed}",
-        "in this process, virtual time" if in_process else f"separate processes, rate {mission.rate:g}",
-        quiet,
-    )
-    if in_process:
+    how = {
+        "in-process": "in this process, virtual time",
+        "lockstep": "separate processes, virtual time",
+        "zenoh": f"separate processes, {mission.rate:g} times as fast as life",
+    }[driver]
+    title = f"{mission.name} · {mission.region} · {mission.ground.planner} · seed {mission.seed}"
+    progress = progress_for(title, how, quiet)
+    if driver == "in-process":
         from services.console.in_process import run_in_process
 
         done, files = run_in_process(mission, where, progress)
     else:
         from services.console.separate import run_separate
 
-        done, files = run_separate(chosen, where, progress)
-    if json:
-        typer.echo(done.model_dump_json(indent=2))
-    else:
-        typer.echo("\n".join(summary_lines(done, files)))
+        done, files = run_separate(chosen, where, progress, lockstep=driver == "lockstep")
+    typer.echo(done.model_dump_json(indent=2) if json else "\n".join(summary_lines(done, files)))

@@ -1,0 +1,45 @@
+"""``he3 demo``: the main job, for somebody who has just arrived."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.console.commands.options import AsJson, Quiet, Seed, Settings
+from services.console.commands.run import run_and_report
+
+SCENARIO = "t1-nominal"
+RATE = 4000.0
+OUT = Path("runs") / "demo"
+
+EXAMPLES = """\b
+Examples:
+  he3 demo                                the mission, its report and pictures
+  he3 demo --set ground.planner=tour      with the planner that drives least
+"""
+
+
+def demo(
+    seed: Seed = None,
+    settings: Settings = None,
+    rate: Annotated[
+        float, typer.Option("--rate", metavar="R", help="Mission seconds a wall second: three days in a minute or two.")
+    ] = RATE,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything that it leaves.")] = OUT,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """A whole mission: 150 holes on the Moon, five processes, Earth 1.28 s away."""
+    from services.console.scenarios import choose
+
+    chosen = choose(SCENARIO, seed=seed, rate=rate, settings=settings or ())
+    if not (json or quiet):
+        typer.echo(
+            f"Mission '{chosen.scenario.name}': rover and field on the Moon, ground station and recorder on Earth, "
+            f"and the link between.\nEach is a process of its own; look in from another terminal with: "
+            f"he3 status, he3 watch, he3 map show mean, he3 link show\n",
+            err=True,
+        )
+    run_and_report(chosen, "zenoh", out, None, json=json, quiet=quiet)

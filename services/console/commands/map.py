@@ -1,0 +1,168 @@
+"""``he3 map``: the live map, at a place, as a picture, as numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.console.commands.options import AsJson, Earth, Mission
+
+if TYPE_CHECKING:
+    from schemas.ground import MissionTrack
+    from schemas.maps import MapRaster
+
+EXAMPLES = """\b
+Examples:
+  he3 map at 120 340
+  he3 map show mean
+  he3 map show std --png std.png
+  he3 map export belief.npz
+  he3 map score --json
+"""
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+LAYERS = "mean, std or traversable"
+LayerName = Annotated[str, typer.Argument(metavar="LAYER", help=f"{LAYERS}.")]
+
+
+@app.command("at", epilog=EXAMPLES, context_settings={"ignore_unknown_options": True})
+def at(
+    x: Annotated[float, typer.Argument(metavar="X", help="Metres east of the south-west corner.")],
+    y: Annotated[float, typer.Argument(metavar="Y", help="Metres north of it.")],
+    mission: Mission = None,
+    earth: Earth = None,
+    json: AsJson = False,
+) -> None:
+    """The belief at one place: how much helium-3, and how sure."""
+    from schemas.maps import MapPoint
+    from schemas.topics import MAP_POINT
+    from services.console.joining import join
+
+    request = _point(x, y)
+    with join(mission, earth) as client:
+        point: MapPoint = client.query(MAP_POINT, request)
+    if json:
+        typer.echo(point.model_dump_json(indent=2))
+        return
+    low, high = point.mean_ppb - 2 * point.std_ppb, point.mean_ppb + 2 * point.std_ppb
+    typer.echo(f"helium-3    {point.mean_ppb:.3f} ppb, std {point.std_ppb:.3f} ppb (95 %: {low:.3f} to {high:.3f})")
+    typer.echo(
+        f"place       ({point.x_m:g}, {point.y_m:g}) m, {'traversable' if point.traversable else 'not traversable'}"
+    )
+    typer.echo(f"map         revision {point.revision}, {point.samples} samples")
+
+
+def _point(x: float, y: float) -> Any:
+    from pydantic import ValidationError
+
+    from he3.errors import InvalidInput
+    from schemas.maps import MapPointQuery
+    from schemas.wire import one_line
+
+    try:
+        return MapPointQuery(x=x, y=y)
+    except ValidationError as error:
+        raise InvalidInput(f"map at: {one_line(error)}") from None
+
+
+@app.command("show", epilog=EXAMPLES)
+def show(
+    layer: LayerName,
+    png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture instead.")] = None,
+    width: Annotated[int, typer.Option("--width", metavar="N", help="Characters across.", min=10, max=250)] = 72,
+    mission: Mission = None,
+    earth: Earth = None,
+    json: AsJson = False,
+) -> None:
+    """A whole layer, drawn in the terminal; with --png as a picture, with --json as the reply itself."""
+    from schemas.commands import NoParameters
+    from schemas.topics import MAP_LAYER, TRACK
+    from services.console.joining import join
+
+    request = _layer(layer)
+    with join(mission, earth) as client:
+        raster: MapRaster = client.query(MAP_LAYER, request)
+        track: MissionTrack | None = client.query(TRACK, NoParameters()) if png is not None else None
+    if png is not None and track is not None:
+        from services.console.pictures import layer_figure, save
+
+        save(layer_figure(raster, track), png)
+        typer.echo(f"written to {png}")
+    elif json:
+        typer.echo(raster.model_dump_json(indent=2))
+    else:
+        from services.console.reporting import array_of
+        from services.console.terminal import drawn
+
+        typer.echo("\n".join(drawn(array_of(raster), raster, width)))
+
+
+def _layer(name: str) -> Any:
+    from he3.errors import InvalidInput
+    from schemas.maps import MapLayer, MapLayerQuery
+
+    try:
+        return MapLayerQuery(layer=MapLayer(name))
+    except ValueError:
+        known = ", ".join(layer.value for layer in MapLayer)
+        raise InvalidInput(f"map show: expected a layer out of {known}; got '{name}'") from None
+
+
+@app.command("export", epilog=EXAMPLES)
+def export(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help=".npz (all layers and samples) or .csv (x, y, mean, std).")
+    ],
+    mission: Mission = None,
+    earth: Earth = None,
+) -> None:
+    """The whole map and the samples, as numbers in a file."""
+    from he3.errors import InvalidInput
+    from schemas.commands import NoParameters
+    from schemas.maps import MapLayer, MapLayerQuery
+    from schemas.topics import MAP_LAYER, TRACK
+    from services.console.exporting import WRITERS, Export
+    from services.console.joining import join
+    from services.console.reporting import array_of
+
+    if file.suffix not in WRITERS:
+        raise InvalidInput(f"map export {file}: expected a file name with {' or '.join(WRITERS)}, got '{file.suffix}'")
+    with join(mission, earth) as client:
+        rasters = {layer: client.query(MAP_LAYER, MapLayerQuery(layer=layer)) for layer in MapLayer}
+        track = client.query(TRACK, NoParameters())
+    mean = rasters[MapLayer.MEAN]
+    WRITERS[file.suffix](
+        Export(
+            mean_ppb=array_of(mean),
+            std_ppb=array_of(rasters[MapLayer.STD]),
+            traversable=array_of(rasters[MapLayer.TRAVERSABLE]).astype(bool),
+            resolution_m=mean.resolution_m,
+            samples=track.samples,
+        ),
+        file,
+    )
+    typer.echo(f"written to {file}: {mean.rows} x {mean.columns} cells, {len(track.samples)} samples")
+
+
+@app.command("score", epilog=EXAMPLES)
+def score(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+    """How the map compares with the reference field, which only a simulated Moon can tell."""
+    from schemas.commands import NoParameters
+    from schemas.maps import MapScore
+    from schemas.topics import MAP_SCORE
+    from services.console.joining import join
+
+    with join(mission, earth) as client:
+        figures: MapScore = client.query(MAP_SCORE, NoParameters())
+    if json:
+        typer.echo(figures.model_dump_json(indent=2))
+        return
+    typer.echo(f"RMSE        {figures.rmse_ppb:.4f} ppb over all cells, mean std {figures.mean_std_ppb:.4f} ppb")
+    typer.echo(
+        f"coverage    {figures.coverage_68:.1%} within 1 std (nominal 68.3 %), "
+        f"{figures.coverage_95:.1%} within 2 std (nominal 95.4 %)"
+    )
+    typer.echo(f"map         revision {figures.revision}, {figures.samples} samples")

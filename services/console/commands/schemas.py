@@ -1,0 +1,36 @@
+"""``he3 schemas``: what goes over the wire, as JSON Schema."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+EXAMPLES = """\b
+Examples:
+  he3 schemas schemas.json.d/        a file a message
+  he3 schemas | jq '."tm.sample"'    one document
+"""
+
+
+def schemas(
+    folder: Annotated[Path | None, typer.Argument(metavar="FOLDER", help="Write a file a message there.")] = None,
+) -> None:
+    """The JSON Schema of every message on the wire, and of the mission report."""
+    import json as json_format
+
+    from he3.errors import He3Error
+    from schemas.__main__ import json_schemas
+
+    documents = json_schemas()
+    if folder is None:
+        typer.echo(json_format.dumps(documents, indent=2))
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, document in documents.items():
+            (folder / f"{name}.schema.json").write_text(json_format.dumps(document, indent=2) + "\n")
+    except OSError as error:
+        raise He3Error(f"{folder}: cannot write the schemas: {error.strerror}") from None
+    typer.echo(f"written to {folder}: {len(documents)} schemas")

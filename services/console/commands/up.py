@@ -1,0 +1,51 @@
+"""``he3 up``: start the services and stay, until Ctrl-C."""
+
+from __future__ import annotations
+
+import typer
+
+from services.console.commands.options import Lockstep, OutFolder, Planner, Quiet, Rate, ScenarioRef, Seed, Settings
+
+EXAMPLES = """\b
+Examples:
+  he3 up t1-nominal                   at the pace of life, where t1-nominal says
+  he3 up t1-nominal --rate 100 &      then: he3 status; he3 map at 120 340
+"""
+
+LOOK_EVERY_S = 0.2
+
+
+def up(
+    scenario: ScenarioRef,
+    rate: Rate = None,
+    lockstep: Lockstep = False,
+    seed: Seed = None,
+    planner: Planner = None,
+    settings: Settings = None,
+    out: OutFolder = None,
+    quiet: Quiet = False,
+) -> None:
+    """Start the services and stay up; Ctrl-C stops all. Without --out nothing is recorded."""
+    import time
+
+    from services.console.joining import join_when_up
+    from services.console.launcher import Endpoints
+    from services.console.outputs import outputs
+    from services.console.scenarios import choose
+    from services.console.separate import services_of
+    from services.regions import load_region
+
+    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    mission = chosen.scenario
+    where = outputs(out, None)
+    load_region(mission.region, mission.field.field_seed)
+    endpoints = Endpoints(mission.network.moon, mission.network.earth)
+    with services_of(chosen, where, endpoints, lockstep=lockstep, log_to_terminal=not quiet) as (launcher, _):
+        join_when_up(endpoints.earth, mission.name, launcher.check).close()
+        typer.echo(
+            f"mission '{mission.name}' is up: Earth at {endpoints.earth}, Moon at {endpoints.moon}; Ctrl-C stops it",
+            err=True,
+        )
+        while True:
+            launcher.check()
+            time.sleep(LOOK_EVERY_S)
