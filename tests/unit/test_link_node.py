@@ -255,7 +255,7 @@ def test_a_restarted_link_does_not_repeat_the_fates_of_its_first_life() -> None:
 
 def test_every_preset_has_its_provenance_and_the_published_light_time() -> None:
     assert set(PRESETS) == set(PROVENANCE)
-    assert PRESETS["nominal"].up.one_way_light_time_s == 1.28
+    assert PRESETS["nominal"].up.one_way_light_time_s == 1.282
     assert PRESETS["zero"].down.one_way_light_time_s == 0.0
     assert PRESETS["csa-10s"].down.rate_bit_s == 300_000.0
     assert PRESETS["farside-relay"].up.rate_bit_s == 125.0
