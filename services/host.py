@@ -13,17 +13,18 @@ from typing import Any
 
 from schemas.topics import Crosses, Side, Topic
 from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
+from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.custody import CustodyConfig, under_custody
+from services.desk import CUSTODY_TIMER, CustodyDesk
 from services.node import (
     Answer,
     Answered,
     Ask,
     Asked,
-    Compute,
     Computed,
     Due,
     Effect,
     Event,
-    Finish,
     Forward,
     Interface,
     Level,
@@ -34,50 +35,10 @@ from services.node import (
     Received,
     Refuse,
     Send,
-    Show,
     Silence,
     Started,
     Unanswered,
-    WakeAt,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Publish:
-    """Put these bytes under the topic's key on that side."""
-
-    topic: Topic
-    side: Side
-    payload: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class PutQuestion:
-    """Ask whoever serves the topic on that side; report back under the question's name."""
-
-    topic: Topic
-    side: Side
-    payload: bytes
-    question: str
-    timeout_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Reply:
-    """Answer the asker of that token with these bytes."""
-
-    token: int
-    topic: Topic
-    payload: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class ReplyError:
-    """Tell the asker of that token, in one line, why there is no answer."""
-
-    token: int
-    topic: Topic
-    why: str
 
 
 def origin(topic: Topic) -> Side:
@@ -87,7 +48,16 @@ def origin(topic: Topic) -> Side:
     return Side.EARTH if topic.crosses is Crosses.UP else Side.MOON
 
 
-Action = Publish | PutQuestion | Reply | ReplyError | WakeAt | Compute | Show | Note | Finish
+@dataclass(frozen=True, slots=True)
+class Input:
+    """Something that a driver reports to a host: the name of the host's method and its arguments but the time.
+
+    A value, so that it can be kept in a journal before it is acted on, and handled again after a restart.
+    """
+
+    what: str
+    arguments: tuple[Any, ...]
+
 
 Trace = Callable[[MissionTime, str, str], None]
 """Called with mission time, node and a line for each event handled: the event log."""
@@ -96,7 +66,9 @@ Trace = Callable[[MissionTime, str, str], None]
 class Host:
     """One node, ready to be driven."""
 
-    def __init__(self, node: Node, mission: str, trace: Trace | None = None) -> None:
+    def __init__(
+        self, node: Node, mission: str, trace: Trace | None = None, custody: CustodyConfig | None = None
+    ) -> None:
         self._node = node
         self._interface = node.interface
         self._mission = mission
@@ -104,9 +76,14 @@ class Host:
         self._incarnation = 0
         self._sequences: dict[str, int] = {}
         self._asked: dict[int, Topic] = {}
-        self._questions: dict[str, Topic] = {}
+        self._questions: dict[str, PutQuestion] = {}
         self._refused = 0
         self._events = 0
+        interface = self._interface
+        self._desk: CustodyDesk | None = None
+        if interface.custody and any(under_custody(topic) for topic in interface.subscribes):
+            self._desk = CustodyDesk(interface.name, interface.sides[0], custody)
+        self._queue_depth: Callable[[int], None] | None = getattr(node, "queue_depth_is", None)
 
     @property
     def interface(self) -> Interface:
@@ -126,6 +103,11 @@ class Host:
         return self._refused
 
     @property
+    def retransmitted(self) -> int:
+        """Messages under custody that were sent again."""
+        return 0 if self._desk is None else self._desk.retransmitted
+
+    @property
     def events(self) -> int:
         """Events handled since the start."""
         return self._events
@@ -139,13 +121,35 @@ class Host:
             return False
         if topic in self._interface.overhears:
             return side is origin(topic)
-        return topic in self._interface.subscribes
+        return topic in self._interface.subscribes or (self._desk is not None and topic is self._desk.hears)
+
+    def heard_topics(self) -> list[tuple[Topic, Side]]:
+        """Everything that reaches this node, and where."""
+        interface = self._interface
+        topics = [*interface.subscribes, *interface.overhears, *([self._desk.hears] if self._desk is not None else [])]
+        return [(topic, side) for side in interface.sides for topic in topics if self.hears(topic, side)]
+
+    def open_questions(self) -> list[PutQuestion]:
+        """Questions of this node that have not been answered: to be put again after a restart."""
+        return list(self._questions.values())
 
     # --- what a driver reports ----------------------------------------------------------------------------------
 
+    def take(self, given: Input, now: MissionTime) -> list[Action]:
+        """Actions upon that input: the method that it names, with its arguments and the time."""
+        handle: Callable[..., list[Action]] = getattr(self, given.what)
+        actions = handle(*given.arguments, now)
+        if self._desk is not None:
+            actions += self._desk.timer()
+        return actions
+
     def start(self, incarnation: int, now: MissionTime) -> list[Action]:
-        """Actions of the node's start; to be called once, before anything else."""
+        """Actions of the node's start; to be called once a start, before anything else."""
         self._incarnation = incarnation
+        self._sequences = {}
+        self._asked = {}
+        if self._desk is not None:
+            self._desk.starts(self._mission, incarnation)
         return self._handle(Started(incarnation), now, f"started {incarnation}")
 
     def deliver(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
@@ -157,7 +161,15 @@ class Host:
             header, body = decode(topic, payload, self._mission)
         except Refused as refusal:
             return [self._refuse(str(refusal))]
-        return self._handle(Received(topic, header, body), now, what)
+        desk = self._desk
+        if desk is None or topic.direction is None:
+            return self._handle(Received(topic, header, body), now, what)
+        if topic is desk.hears:
+            return desk.acknowledged(body, header, now)
+        letters, actions = desk.received(topic, header, body, len(payload), now)
+        for letter in letters:
+            actions += self._handle(Received(*letter), now, what)
+        return actions
 
     def ask(self, topic: Topic, payload: bytes, token: int, now: MissionTime) -> list[Action]:
         """Actions upon a question put to this node; a bad one is answered with its refusal."""
@@ -174,9 +186,10 @@ class Host:
 
     def answered(self, question: str, payload: bytes, now: MissionTime) -> list[Action]:
         """Actions upon the answer to this node's question."""
-        topic = self._questions.pop(question, None)
-        if topic is None:
+        put = self._questions.pop(question, None)
+        if put is None:
             return []
+        topic = put.topic
         try:
             _, reply = decode_reply(topic, payload, self._mission)
         except Refused as refusal:
@@ -188,15 +201,18 @@ class Host:
 
     def unanswered(self, question: str, why: Silence, detail: str, now: MissionTime) -> list[Action]:
         """Actions upon the news that a question of this node has no answer."""
-        topic = self._questions.pop(question, None)
-        if topic is None:
+        put = self._questions.pop(question, None)
+        if put is None:
             return []
+        topic = put.topic
         return self._handle(
             Unanswered(topic, question, why, detail), now, f"unanswered {topic.name} {why.name} {question}"
         )
 
     def due(self, timer: str, now: MissionTime) -> list[Action]:
         """Actions upon a timer."""
+        if self._desk is not None and timer == CUSTODY_TIMER:
+            return self._desk.due(now)
         return self._handle(Due(timer), now, f"due {timer}")
 
     def computed(self, job: str, result: Any, error: Exception | None, now: MissionTime) -> list[Action]:
@@ -209,19 +225,28 @@ class Host:
         self._events += 1
         if self._trace is not None:
             self._trace(now, self._interface.name, what)
-        return list(self._actions(self._node.handle(event, now), now))
+        actions = list(self._actions(self._node.handle(event, now), now))
+        if self._desk is not None and self._queue_depth is not None:
+            self._queue_depth(self._desk.depth)
+        return actions
 
     def _actions(self, effects: Iterable[Effect], now: MissionTime) -> Iterable[Action]:
         for effect in effects:
             match effect:
                 case Send(topic, body):
-                    yield Publish(topic, self._side_of(topic), encode(self._header(topic, now), body))
+                    header = self._header(topic, now)
+                    payload = encode(header, body)
+                    if self._desk is not None and under_custody(topic):
+                        yield from self._desk.offer(topic, header, payload, now)
+                    else:
+                        yield Publish(topic, self._side_of(topic), payload)
                 case Forward(topic, payload, side):
                     yield Publish(topic, side, payload)
                 case Ask(topic, request, question, timeout_s):
-                    self._questions[question] = topic
                     payload = encode(self._header(topic, now), request)
-                    yield PutQuestion(topic, self._side_of(topic), payload, question, timeout_s)
+                    put = PutQuestion(topic, self._side_of(topic), payload, question, timeout_s)
+                    self._questions[question] = put
+                    yield put
                 case Answer(token, reply):
                     asked = self._asked.pop(token, None)
                     if asked is not None:

@@ -11,7 +11,6 @@ import os
 import queue
 import time
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from functools import partial
@@ -22,9 +21,10 @@ from schemas import topics
 from schemas.lockstep import Grant, Join, Poke, StepBusy, StepDone
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
+from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.bus import Question
-from services.host import Action, Publish, PutQuestion, Reply, ReplyError
-from services.node import Finish, MissionTime, Silence
+from services.host import Input
+from services.node import Finish, Silence
 from services.questions import request_of
 from services.run import CLOCKS, IDLE_S, Process
 from services.seat import Kind
@@ -53,7 +53,7 @@ class _Taken:
     kind: Kind
     sender: str
     number: int
-    handle: Callable[[MissionTime], list[Action]]
+    given: Input
 
 
 class StoppedWaiting(Exception):
@@ -75,7 +75,7 @@ class LockstepProcess(Process):
         self._askers: dict[int, tuple[str, int]] = {}
         self._finished: Finish | None = None
         self._home = next(iter(self.buses))
-        self.seat.put((Kind.MESSAGE, OUTSIDE, 0), partial(self.seat.host.start, 1))
+        self.seat.put((Kind.MESSAGE, OUTSIDE, 0), Input("start", (self._incarnation,)))
         return self.take_part()
 
     def take_part(self) -> bool:
@@ -101,18 +101,12 @@ class LockstepProcess(Process):
     def join_request(self) -> Join:
         """What this process hears and serves."""
         host = self.seat.host
-        interface = host.interface
-        heard = [
-            (topic.name, side.value)
-            for side in interface.sides
-            for topic in (*interface.subscribes, *interface.overhears)
-            if host.hears(topic, side)
-        ]
+        heard = [(topic.name, side.value) for topic, side in host.heard_topics()]
         return Join(
-            name=interface.name,
+            name=self.name,
             process=self._identity,
             hears=tuple(heard),
-            serves=tuple(topic.name for topic in interface.serves),
+            serves=tuple(topic.name for topic in host.interface.serves),
             next_wake=self.seat.next_wake(),
         )
 
@@ -124,7 +118,7 @@ class LockstepProcess(Process):
         except Refused as refusal:
             raise PeerUnreachable(f"the time keeper speaks another language: {refusal}") from None
         self._joined = True
-        self._last = joined.now
+        self._last = max(self._last, joined.now)
         self._step = joined.step
 
     # --- the loop -----------------------------------------------------------------------------------------------
@@ -146,7 +140,7 @@ class LockstepProcess(Process):
                 self.report(self.act(grant))
 
     def act(self, grant: Grant) -> StepDone:
-        """Take in what the grant says is there, handle it, and do what follows; raises StoppedWaiting."""
+        """Take in what the grant says is there, given it, and do what follows; raises StoppedWaiting."""
         self._await_inputs(grant)
         self._step = grant.step
         self._last = max(self._last, grant.at)
@@ -154,9 +148,10 @@ class LockstepProcess(Process):
         ready = [taken for taken in self._taken if taken.step < grant.step]
         self._taken = [taken for taken in self._taken if taken.step >= grant.step]
         for taken in ready:
-            self.seat.put((taken.kind, taken.sender, taken.number), taken.handle)
-        for action in self.seat.run(self._last):
-            self._perform(action)
+            self.seat.put((taken.kind, taken.sender, taken.number), taken.given)
+        self.perform_all(self._resume)
+        self._resume = []
+        self.perform_all(self.seat.run(self._last))
         report = StepDone(
             name=self.name,
             step=grant.step,
@@ -212,9 +207,11 @@ class LockstepProcess(Process):
                 on_end = partial(self._answer_came_in, question, self._step, number)
                 self.buses[side].ask(topic, payload, timeout_s, on_end, self._stamp(number))
             case Reply(token, _, payload):
-                self._tokens.pop(token).reply(payload, self._answer_stamp(token))
+                stamp = self._answer_stamp(token)
+                self._question_of(token, lambda question: question.reply(payload, stamp))
             case ReplyError(token, _, why):
-                self._tokens.pop(token).refuse(why, self._answer_stamp(token))
+                stamp = self._answer_stamp(token)
+                self._question_of(token, lambda question: question.refuse(why, stamp))
             case Finish():
                 self._finished = action
                 super()._perform(action)
@@ -245,8 +242,8 @@ class LockstepProcess(Process):
     # --- what comes in, in other threads ------------------------------------------------------------------------
 
     def _came(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
-        handle = partial(self.seat.host.deliver, topic, payload)
-        self.later(partial(self._take, Kind.MESSAGE, read_stamp(attachment), handle))
+        given = Input("deliver", (topic, payload))
+        self.later(partial(self._take, Kind.MESSAGE, read_stamp(attachment), given))
 
     def _asked(self, topic: Topic, question: Question) -> None:
         self.later(partial(self._take_question, topic, question))
@@ -254,30 +251,29 @@ class LockstepProcess(Process):
     def _answer_came_in(
         self, name: str, step: int, number: int, answer: bytes | Silence, detail: str, attachment: bytes
     ) -> None:
-        host = self.seat.host
         if isinstance(answer, bytes):
-            handle = partial(host.answered, name, answer)
+            given = Input("answered", (name, answer))
         else:
-            handle = partial(host.unanswered, name, answer, detail)
+            given = Input("unanswered", (name, answer, detail))
         stamp = read_stamp(attachment)
         if stamp is None:
             # An answer from nowhere (nobody serves, or nobody in time) belongs to the step in which it was asked for.
-            self.later(partial(self._take_silence, Stamp(OUTSIDE, number, step, self._last), handle))
+            self.later(partial(self._take_silence, Stamp(OUTSIDE, number, step, self._last), given))
         else:
-            self.later(partial(self._take, Kind.QUESTION, stamp, handle))
+            self.later(partial(self._take, Kind.QUESTION, stamp, given))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
 
-    def _take(self, kind: Kind, stamp: Stamp | None, handle: Callable[[MissionTime], list[Action]]) -> None:
+    def _take(self, kind: Kind, stamp: Stamp | None, given: Input) -> None:
         if stamp is not None:
-            self._taken.append(_Taken(stamp.step, True, kind, stamp.sender, stamp.number, handle))
+            self._taken.append(_Taken(stamp.step, True, kind, stamp.sender, stamp.number, given))
             return
         self._counter += 1
-        self._taken.append(_Taken(0, False, kind, OUTSIDE, self._counter, handle))
+        self._taken.append(_Taken(0, False, kind, OUTSIDE, self._counter, given))
         self.poke()
 
-    def _take_silence(self, stamp: Stamp, handle: Callable[[MissionTime], list[Action]]) -> None:
-        self._taken.append(_Taken(stamp.step, True, Kind.QUESTION, OUTSIDE, stamp.number, handle))
+    def _take_silence(self, stamp: Stamp, given: Input) -> None:
+        self._taken.append(_Taken(stamp.step, True, Kind.QUESTION, OUTSIDE, stamp.number, given))
         self.poke()  # the one who was to answer may have died, and then nobody expects this
 
     def poke(self) -> None:
@@ -289,17 +285,16 @@ class LockstepProcess(Process):
         token = self._counter
         payload = question.payload
         stamp = read_stamp(question.attachment)
-        host = self.seat.host
         if payload is not None:
-            handle = partial(host.ask, topic, payload, token)
+            given = Input("ask", (topic, payload, token))
         else:
             try:
                 request: Wire = request_of(topic, question.parameters)
             except He3Error as error:
                 question.refuse(str(error))
                 return
-            handle = partial(host.ask_checked, topic, request, token)
+            given = Input("ask_checked", (topic, request, token))
         self._tokens[token] = question
         if stamp is not None:
             self._askers[token] = (stamp.sender, stamp.number)
-        self._take(Kind.QUESTION, stamp, handle)
+        self._take(Kind.QUESTION, stamp, given)

@@ -59,7 +59,7 @@ class InProcessMission:
         self.samples_on_earth = 0
         """Sample reports that came down the link, repetitions included."""
         built = build_nodes(scenario, sink) if nodes is None else tuple(nodes)
-        self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, trace)
+        self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, trace, scenario.link)
         self.simulation.tap(self._listen)
 
     @property

@@ -11,7 +11,7 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
@@ -21,9 +21,12 @@ from he3.errors import He3Error
 from schemas.link import ClockState
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
 from schemas.wire import Refused, Wire, decode
+from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.bus import Bus, Question, open_client
 from services.clock import mission_time, wall_time
-from services.host import Action, Host, Publish, PutQuestion, Reply, ReplyError
+from services.desk import custody_config
+from services.host import Host, Input
+from services.journal import JournalFolder, identity_of
 from services.log import Log
 from services.node import Finish, MissionTime, Node, Note, Show, Silence
 from services.options import Options
@@ -53,6 +56,8 @@ class Service:
     executor: Callable[[], OwnedExecutor] | None = None
     answers: SnapshotService | None = None
     """Which questions are answered from snapshots, and how."""
+    journals: bool = False
+    """Whether it goes on from a journal after a restart; who keeps none has nothing to forget."""
     onlooker: bool = False
     """It only listens: virtual time never waits for it."""
 
@@ -82,6 +87,8 @@ class Process:
         self._last: MissionTime = 0
         self.buses: dict[Side, Bus] = {}
         self._tokens: dict[int, Question] = {}
+        self._resume: list[Action] = []
+        self._incarnation = 1
         self._counter = 0
         self._snapshot: object | None = None
         self._answers: SnapshotServer | None = None
@@ -100,8 +107,8 @@ class Process:
             executor = self._service.executor() if self._service.executor else InlineExecutor()
             node = self._service.build(self.options)
             events = EventLog(self.options.events) if self.options.events else None
-            host = Host(node, self.mission, events)
-            self.seat = Seat(host, _Waking(executor, self.stop.inbox))
+            host = Host(node, self.mission, events, custody_config(self.options.scenario.link, node.interface))
+            self.seat = self._seated(host, _Waking(executor, self.stop.inbox))
             if not self._connect(host):
                 return 0
             self.heartbeat = Heartbeat(host, self._publish_quietly)
@@ -114,6 +121,28 @@ class Process:
                 bus.close()
             if executor is not None and not isinstance(executor, InlineExecutor):
                 executor.close()
+
+    def _seated(self, host: Host, executor: Executor) -> Seat:
+        """The seat of that host, where its journal says that it was."""
+        if self.options.journal is None or not self._service.journals:
+            # Without a journal a start must still differ from an earlier one: the other side remembers what it had.
+            self._incarnation = 1 if self.options.lockstep else int(time.time())
+            return Seat(host, executor)
+        folder = JournalFolder(self.options.journal, self.name, identity_of(self.options.scenario))
+        history = folder.history()
+        seat = Seat(host, executor, folder.begin())
+        began = time.monotonic()
+        self._resume = seat.replay(history.inputs)
+        self._incarnation = history.starts + 1
+        if history.inputs:
+            self._last = history.inputs[-1][0]
+            self.log.info(
+                "restarted from its journal",
+                inputs=len(history.inputs),
+                torn_bytes=history.torn_bytes,
+                seconds=f"{time.monotonic() - began:.3f}",
+            )
+        return seat
 
     def _connect(self, host: Host) -> bool:
         """Join both networks the node stands on, and learn the time; False when told to stop first."""
@@ -133,11 +162,10 @@ class Process:
         return True
 
     def _listen(self, host: Host, side: Side, bus: Bus) -> None:
-        interface = host.interface
-        for topic in (*interface.subscribes, *interface.overhears):
-            if host.hears(topic, side):
+        for topic, where in host.heard_topics():
+            if where is side:
                 bus.subscribe(topic, partial(self._came, topic))
-        for topic in interface.serves:
+        for topic in host.interface.serves:
             if side in topic.sides:
                 if self._answers is not None and self._service.answers and topic in self._service.answers.topics:
                     self._answers.serve(topic, bus)
@@ -168,7 +196,8 @@ class Process:
 
     def _loop(self) -> None:
         now = self._now()
-        self.seat.put((Kind.MESSAGE, "", 0), partial(self.seat.host.start, 1))
+        self.seat.put((Kind.MESSAGE, "", 0), Input("start", (self._incarnation,)))
+        self.perform_all(self._resume)
         self._run_seat(now)
         while not self.stop.event.is_set():
             self._run_due()
@@ -198,7 +227,10 @@ class Process:
 
     def _run_seat(self, now: MissionTime) -> None:
         self._last = max(self._last, now)
-        for action in self.seat.run(self._last, wait=False):
+        self.perform_all(self.seat.run(self._last, wait=False))
+
+    def perform_all(self, actions: Iterable[Action]) -> None:
+        for action in actions:
             self._perform(action)
 
     def _patience_s(self) -> float:
@@ -216,9 +248,9 @@ class Process:
                 on_end = partial(self._answer_came, question)
                 self.buses[side].ask(topic, payload, timeout_s, on_end)
             case Reply(token, _, payload):
-                self._tokens.pop(token).reply(payload)
+                self._question_of(token, lambda question: question.reply(payload))
             case ReplyError(token, _, why):
-                self._tokens.pop(token).refuse(why)
+                self._question_of(token, lambda question: question.refuse(why))
             case Show(snapshot):
                 self._snapshot = snapshot
             case Note():
@@ -226,51 +258,54 @@ class Process:
             case Finish(ok, why):
                 self.log.info(f"finished: {why}", ok=ok)
 
+    def _question_of(self, token: int, answer: Callable[[Question], None]) -> None:
+        question = self._tokens.pop(token, None)
+        if question is not None:  # else it was asked of an earlier start of this process, and its asker is gone
+            answer(question)
+
     # --- what comes in, in other threads ------------------------------------------------------------------------
 
     def later(self, take_in: Callable[[], None]) -> None:
         self.stop.inbox.put(take_in)
 
     def _came(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
-        self.later(partial(self._take_message, partial(self.seat.host.deliver, topic, payload), attachment))
+        self.later(partial(self._take_message, Input("deliver", (topic, payload)), attachment))
 
-    def _take_message(self, handle: Callable[[MissionTime], list[Action]], attachment: bytes) -> None:
+    def _take_message(self, given: Input, attachment: bytes) -> None:
         stamp = read_stamp(attachment)
         if stamp is not None:  # an onlooker's time in lockstep is that of what it sees
             self._last = max(self._last, stamp.at)
-        self._put(Kind.MESSAGE, handle)
+        self._put(Kind.MESSAGE, given)
 
     def _asked(self, topic: Topic, question: Question) -> None:
         self.later(partial(self._take_question, topic, question))
 
     def _answer_came(self, question: str, answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
-        host = self.seat.host
         if isinstance(answer, bytes):
-            self.later(partial(self._put, Kind.QUESTION, partial(host.answered, question, answer)))
+            self.later(partial(self._put, Kind.QUESTION, Input("answered", (question, answer))))
         else:
-            self.later(partial(self._put, Kind.QUESTION, partial(host.unanswered, question, answer, detail)))
+            self.later(partial(self._put, Kind.QUESTION, Input("unanswered", (question, answer, detail))))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
 
-    def _put(self, kind: Kind, handle: Callable[[MissionTime], list[Action]]) -> None:
+    def _put(self, kind: Kind, given: Input) -> None:
         self._counter += 1
-        self.seat.put((kind, "", self._counter), handle)
+        self.seat.put((kind, "", self._counter), given)
 
     def _take_question(self, topic: Topic, question: Question) -> None:
         self._counter += 1
         token = self._counter
         self._tokens[token] = question
         payload = question.payload
-        host = self.seat.host
         if payload is not None:
-            self._put(Kind.QUESTION, partial(host.ask, topic, payload, token))
+            self._put(Kind.QUESTION, Input("ask", (topic, payload, token)))
             return
         try:
             request: Wire = request_of(topic, question.parameters)
         except He3Error as error:
             self._tokens.pop(token).refuse(str(error))
             return
-        self._put(Kind.QUESTION, partial(host.ask_checked, topic, request, token))
+        self._put(Kind.QUESTION, Input("ask_checked", (topic, request, token)))
 
     def set_clock(self, side: Side, payload: bytes | Silence) -> None:
         if isinstance(payload, Silence):

@@ -7,13 +7,14 @@ results and timers. No scheduling, and no order in which messages happen to come
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from enum import IntEnum
 from typing import Any, Protocol
 
-from services.host import Action, Host
-from services.node import Compute, MissionTime, WakeAt, seconds
+from services.actions import Action, PutQuestion
+from services.host import Host, Input
+from services.node import Compute, Finish, MissionTime, Show, WakeAt, seconds
 
 
 class Executor(Protocol):
@@ -47,15 +48,23 @@ Order = tuple[Kind, str, int]
 """Kind, sender (or name), number: the place of an input among those of its instant."""
 
 
+class Journal(Protocol):
+    """Where inputs are kept before they are acted on."""
+
+    def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
+        """Keep what is about to be handled at that time; safe against the end of this process when it returns."""
+
+
 class Seat:
     """One host's inputs, timers and computations."""
 
-    def __init__(self, host: Host, executor: Executor) -> None:
+    def __init__(self, host: Host, executor: Executor, journal: Journal | None = None) -> None:
         self.host = host
+        self._journal = journal
         self.emitted = 0
         """Messages published so far."""
         self._executor = executor
-        self._inbox: list[tuple[Order, Callable[[MissionTime], list[Action]]]] = []
+        self._inbox: list[tuple[Order, Input]] = []
         self._timers: dict[str, MissionTime] = {}
         self._heap: list[tuple[MissionTime, str]] = []
         self._running: list[tuple[MissionTime, str, Future[Any]]] = []
@@ -64,9 +73,9 @@ class Seat:
     def name(self) -> str:
         return self.host.interface.name
 
-    def put(self, order: Order, handle: Callable[[MissionTime], list[Action]]) -> None:
-        """Keep an input for the next `run`; `handle` is a host's method that lacks only the time."""
-        self._inbox.append((order, handle))
+    def put(self, order: Order, given: Input) -> None:
+        """Keep an input for the next `run`."""
+        self._inbox.append((order, given))
 
     @property
     def waiting(self) -> int:
@@ -99,12 +108,40 @@ class Seat:
         """
         self._collect_results(now, wait)
         self._collect_timers(now)
-        batch = sorted(self._inbox, key=lambda entry: entry[0])
+        batch = [given for _, given in sorted(self._inbox, key=lambda entry: entry[0])]
         self._inbox = []
+        if self._journal is not None and batch:
+            self._journal.append(now, batch)
         outward: list[Action] = []
-        for _, handle in batch:
-            outward.extend(action for action in handle(now) if not self._performed(action, now))
+        for given in batch:
+            outward.extend(action for action in self.host.take(given, now) if not self._performed(action, now))
         return outward
+
+    def replay(self, kept: Iterable[tuple[MissionTime, Input]]) -> list[Action]:
+        """Handle again what a journal kept, doing nothing of what followed then; returns what is still to be done.
+
+        That is the latest snapshot, whether the node had finished, and the questions that nobody had answered.
+        Timers stand as they did; computations whose result was not in the journal begin again.
+        """
+        begun: dict[str, tuple[MissionTime, Compute]] = {}
+        shown: dict[type, Action] = {}
+        for now, given in kept:
+            if given.what == "due":
+                self._timers.pop(given.arguments[0], None)
+            elif given.what == "computed":
+                begun.pop(given.arguments[0], None)
+            for action in self.host.take(given, now):
+                match action:
+                    case Compute(job):
+                        begun[job] = (now, action)
+                    case WakeAt():
+                        self._performed(action, now)
+                    case Show() | Finish():
+                        shown[type(action)] = action
+        for began_at, computation in begun.values():
+            self._performed(computation, began_at)
+        questions: list[PutQuestion] = self.host.open_questions()
+        return [*shown.values(), *questions]
 
     def _collect_results(self, now: MissionTime, wait: bool) -> None:
         ready = [entry for entry in self._running if entry[0] <= now and (wait or entry[2].done())]
@@ -114,15 +151,14 @@ class Seat:
             if error is not None and not isinstance(error, Exception):
                 raise error
             result = None if error is not None else future.result()
-            handle = _computed(self.host, job, result, error)
-            self._inbox.append(((Kind.RESULT, job, number), handle))
+            self._inbox.append(((Kind.RESULT, job, number), Input("computed", (job, result, error))))
 
     def _collect_timers(self, now: MissionTime) -> None:
         while self._heap and self._heap[0][0] <= now:
             at, timer = heapq.heappop(self._heap)
             if self._timers.get(timer) == at:
                 del self._timers[timer]
-                self._inbox.append(((Kind.TIMER, timer, 0), _due(self.host, timer)))
+                self._inbox.append(((Kind.TIMER, timer, 0), Input("due", (timer,))))
 
     def _performed(self, action: Action, now: MissionTime) -> bool:
         match action:
@@ -136,11 +172,3 @@ class Seat:
             case _:
                 return False
         return True
-
-
-def _computed(host: Host, job: str, result: Any, error: Exception | None) -> Callable[[MissionTime], list[Action]]:
-    return lambda now: host.computed(job, result, error, now)
-
-
-def _due(host: Host, timer: str) -> Callable[[MissionTime], list[Action]]:
-    return lambda now: host.due(timer, now)

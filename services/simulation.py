@@ -9,13 +9,15 @@ for event, whether its nodes share a process or run lockstep in many.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
 from he3.errors import He3Error
+from schemas.link import LinkConditions
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire, decode_reply, encode
-from services.host import Action, Host, Publish, PutQuestion, Reply, ReplyError, Trace
+from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.desk import custody_config
+from services.host import Host, Input, Trace
 from services.node import SECOND, Finish, Level, MissionTime, Node, Note, Show, Silence, seconds
 from services.seat import Executor, InlineExecutor, Kind, Seat
 
@@ -36,7 +38,10 @@ class Simulation:
         start_ns: MissionTime,
         executor: Executor | None = None,
         trace: Trace | None = None,
+        link: LinkConditions | None = None,
     ) -> None:
+        """link: what the nodes' custody expects of the link between them; None: its ordinary conditions."""
+        link = link or LinkConditions()
         self.now: MissionTime = start_ns
         self.snapshots: dict[str, object] = {}
         """The latest snapshot that each node showed."""
@@ -47,14 +52,14 @@ class Simulation:
         """Messages published so far."""
         self._mission = mission
         executor = executor or InlineExecutor()
-        hosts = [Host(node, mission, trace) for node in nodes]
+        hosts = [Host(node, mission, trace, custody_config(link, node.interface)) for node in nodes]
         self._seats = {host.interface.name: Seat(host, executor) for host in hosts}
         self._taps: list[Tap] = []
         self._order = 0
         self._questions: dict[int, tuple[str, str]] = {}
         self._outside: dict[int, list[bytes | str]] = {}
         for seat in self._seats.values():
-            seat.put((Kind.MESSAGE, NOBODY, 0), partial(seat.host.start, 1))
+            seat.put((Kind.MESSAGE, NOBODY, 0), Input("start", (1,)))
 
     # --- driving ------------------------------------------------------------------------------------------------
 
@@ -166,12 +171,12 @@ class Simulation:
             tap(action.topic, action.side, action.payload, self.now)
         for name, seat in self._seats.items():
             if name != sender and seat.host.hears(action.topic, action.side):
-                seat.put((Kind.MESSAGE, sender, emission), partial(seat.host.deliver, action.topic, action.payload))
+                seat.put((Kind.MESSAGE, sender, emission), Input("deliver", (action.topic, action.payload)))
 
     def _route_question(self, topic: Topic, payload: bytes, token: int, asker: str) -> None:
         for seat in self._seats.values():
             if topic in seat.host.interface.serves:
-                seat.put((Kind.QUESTION, asker, token), partial(seat.host.ask, topic, payload, token))
+                seat.put((Kind.QUESTION, asker, token), Input("ask", (topic, payload, token)))
                 return
         self._answer(NOBODY, token, Silence.NO_ROUTE)
 
@@ -184,11 +189,11 @@ class Simulation:
         order = (Kind.QUESTION, answerer, token)
         match answer:
             case bytes():
-                seat.put(order, partial(seat.host.answered, question, answer))
+                seat.put(order, Input("answered", (question, answer)))
             case Silence():
-                seat.put(order, partial(seat.host.unanswered, question, answer, ""))
+                seat.put(order, Input("unanswered", (question, answer, "")))
             case _:
-                seat.put(order, partial(seat.host.unanswered, question, Silence.REFUSED, answer))
+                seat.put(order, Input("unanswered", (question, Silence.REFUSED, answer)))
 
 
 def warnings_of(simulation: Simulation) -> list[str]:

@@ -17,5 +17,7 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
-    service = Service("ground", build, executor=PlannerProcess, answers=SnapshotService(MAP_TOPICS, answer))
+    service = Service(
+        "ground", build, executor=PlannerProcess, answers=SnapshotService(MAP_TOPICS, answer), journals=True
+    )
     sys.exit(serve(service))

@@ -14,4 +14,4 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
-    sys.exit(serve(Service("rover", build)))
+    sys.exit(serve(Service("rover", build, journals=True)))
