@@ -310,7 +310,7 @@ class Executive:
             )
             return
         self._instruments.answered(TERRAIN)
-        obstacles = forbidden(ahead.look, seen, self.config, self.vehicle.standing_m)
+        obstacles = forbidden(ahead.look, seen, self.config, self.site.resolution_m, self.vehicle.standing_m)
         if obstacles:
             x, y = nearest = min(obstacles, key=partial(math.dist, self.vehicle.standing_m))
             self._blocked(job, now, f"closed terrain ahead, nearest at ({x:.2f}, {y:.2f})", nearest)

@@ -10,8 +10,10 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
+from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from schemas.measurement import TerrainReply
 from services.node import SECOND, MissionTime
@@ -20,7 +22,8 @@ from services.scenario import RoverConfig
 
 _LINE_PLACES: Final = 320  # of the 512 places of one question, for the lines along a piece
 _TURN_PLACES: Final = 176  # and for the rings where it turns, and what each turn adds to the lines
-_DIRECTIONS: Final = 8
+_MOST_TURNS: Final = 64  # of a piece, for a vehicle without width
+_DIRECTIONS: Final = 16
 _SAME_PLACE_M: Final = 1e-9  # shorter legs are rounding, not driving
 
 
@@ -39,6 +42,8 @@ class Look:
 
     points_m: tuple[Point, ...]
     middle: int
+    beside: tuple[tuple[int, int], ...]
+    """Where among the places those of each line begin and end that starts at the vehicle's side, as it stands."""
     ends_m: tuple[float, ...]
     """Way [m] from the piece's beginning to the end of each middle stretch."""
 
@@ -79,37 +84,44 @@ class Corridor:
         """The places to look at before that piece is driven: the middle of each stretch of a line in one cell."""
         middle: list[Point] = []
         around: list[Point] = []
+        beside: list[tuple[int, int]] = []
         ends: list[float] = []
         driven = 0.0
-        for (ax, ay), (bx, by) in zip(piece.points_m, piece.points_m[1:], strict=False):
+        for (ax, ay), (bx, by) in pairwise(piece.points_m):
             dx, dy = bx - ax, by - ay
             length = math.hypot(dx, dy)
-            begin = 0.0
-            for end in _crossings(ax, ay, dx, dy, self.site.resolution_m):
-                half = (begin + end) / 2
-                middle.append((ax + half * dx, ay + half * dy))
-                ends.append(driven + end * length)
-                begin = end
+            shares = _crossings(ax, ay, dx, dy, self.site.resolution_m)
+            middle += _middles(ax, ay, dx, dy, shares)
+            ends += [driven + share * length for share in shares]
             for offset in self.offsets_m:
                 px, py = ax - dy / length * offset, ay + dx / length * offset
-                begin = 0.0
-                for end in _crossings(px, py, dx, dy, self.site.resolution_m):
-                    half = (begin + end) / 2
-                    around.append((px + half * dx, py + half * dy))
-                    begin = end
-            around += [(bx + rx, by + ry) for rx, ry in self.ring_m]
+                shares = _crossings(px, py, dx, dy, self.site.resolution_m)
+                begin = len(around)
+                around += self._within(_middles(px, py, dx, dy, shares))
+                if not driven:
+                    beside.append((begin, len(around)))
+            around += self._within([(bx + rx, by + ry) for rx, ry in self.ring_m])
             driven += length
-        # What sticks out over the site's edge meets nothing that anybody knows of.
+        count = len(middle)
+        return Look((*middle, *around), count, tuple((count + i, count + j) for i, j in beside), tuple(ends))
+
+    def _within(self, places_m: list[Point]) -> list[Point]:
+        """Those of the places within the site: what sticks out over its edge meets nothing that anybody knows of."""
         width, height = self.site.width_m, self.site.height_m
-        around = [place for place in around if 0 <= place[0] <= width and 0 <= place[1] <= height]
-        return Look((*middle, *around), len(middle), tuple(ends))
+        return [place for place in places_m if 0 <= place[0] <= width and 0 <= place[1] <= height]
 
 
 def corridor(config: RoverConfig, site: SiteGrid) -> Corridor:
-    """The corridor of that vehicle on that site."""
+    """The corridor of that vehicle on that site; raises InvalidInput if one look could not take in its width."""
     cell_m = site.resolution_m
     radius = config.footprint_radius_m
     lines = math.ceil(radius / cell_m) if radius > 0 else 0
+    places_a_turn = (_DIRECTIONS + 2) * lines + 1
+    if places_a_turn > _TURN_PLACES:
+        most = (_TURN_PLACES - 1) // (_DIRECTIONS + 2)
+        raise InvalidInput(
+            f"rover: expected footprint_radius_m of at most {most} cells of {cell_m:g} m, got {radius:g} m"
+        )
     radii = [radius * (k + 1) / lines for k in range(lines)]
     angles = [2 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
     cells = (_LINE_PLACES / (2 * lines + 1) - 3) / math.sqrt(2)  # a line of n cells' length meets at most sqrt(2) n + 2
@@ -118,7 +130,7 @@ def corridor(config: RoverConfig, site: SiteGrid) -> Corridor:
         ring_m=tuple((r * math.cos(a), r * math.sin(a)) for r in radii for a in angles),
         site=site,
         length_m=min(config.look_ahead_m, max(cells, 1.0) * cell_m),
-        turns=max(1, _TURN_PLACES // ((_DIRECTIONS + 2) * lines + 1) if lines else 64),
+        turns=_TURN_PLACES // places_a_turn if lines else _MOST_TURNS,
     )
 
 
@@ -134,27 +146,34 @@ def _crossings(x: float, y: float, dx: float, dy: float, cell_m: float) -> list[
     return shares
 
 
-def forbidden(look: Look, seen: TerrainReply, config: RoverConfig, place_m: Point) -> list[Point]:
+def _middles(x: float, y: float, dx: float, dy: float, shares: list[float]) -> list[Point]:
+    """The middle of each stretch of a segment between two shares of it."""
+    halves = [(begin + end) / 2 for begin, end in zip([0.0, *shares], shares, strict=False)]
+    return [(x + half * dx, y + half * dy) for half in halves]
+
+
+def forbidden(look: Look, seen: TerrainReply, config: RoverConfig, cell_m: float, place_m: Point) -> list[Point]:
     """Those of the places looked at that the rover may not cover; empty when the way is clear.
 
-    What is under the vehicle where it stands does not hold it there: bad ground at its sides is left out, and if its
-    very middle stands on bad ground, so is the bad ground between there and the first good.
+    Ground that it stands on already does not hold it there: bad places under the vehicle are left out, and on each
+    line those from where it stands to the first good one, beside the middle line no further than a cell ahead.
     """
     limit = config.slope_limit_deg
     bad = [not open_ or slope > limit for open_, slope in zip(seen.traversable, seen.slope_deg, strict=True)]
     if True not in bad:
         return []
-    squared = (config.footprint_radius_m * (1 + 1e-9)) ** 2
-    leaving = True
-    found = []
-    for index, (x, y) in enumerate(look.points_m):
-        if index < look.middle:
-            leaving = leaving and bad[index]
-            if bad[index] and not leaving:
-                found.append((x, y))
-        elif bad[index] and (x - place_m[0]) ** 2 + (y - place_m[1]) ** 2 > squared:
-            found.append((x, y))
-    return found
+    reach = config.footprint_radius_m + math.sqrt(2) * cell_m
+    for begin, end, furthest in ((0, look.middle, math.inf), *((i, j, reach) for i, j in look.beside)):
+        for index in range(begin, end):
+            if not bad[index] or math.dist(look.points_m[index], place_m) > furthest:
+                break
+            bad[index] = False
+    under = config.footprint_radius_m * (1 + 1e-9)
+    return [
+        place
+        for index, (place, is_bad) in enumerate(zip(look.points_m, bad, strict=True))
+        if is_bad and (index < look.middle or math.dist(place, place_m) > under)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +203,7 @@ class Drive:
         """Place (x, y) [m] and heading [deg clockwise from north] at that time."""
         left = self.driven_m(now)
         a, b = self.piece.points_m[:2]
-        for a, b in zip(self.piece.points_m, self.piece.points_m[1:], strict=False):
+        for a, b in pairwise(self.piece.points_m):
             step = math.dist(a, b)
             if left <= step:
                 break
