@@ -1,0 +1,30 @@
+"""The map's benchmark tells what it promises, for every kernel, without taking long on a small site."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.map_speed import run
+from he3.frames import SiteGrid
+from he3.kernels import KERNELS
+
+
+def test_every_size_and_kernel_has_a_row_with_all_times_in_seconds(tmp_path: Path) -> None:
+    said: list[str] = []
+    target = tmp_path / "map.json"
+    rows = run(sizes=(6, 9), json=target, grid=SiteGrid(12, 15, 10.0), say=said.append)
+    written = json.loads(target.read_text(encoding="utf-8"))
+    assert written["rows"] == rows
+    assert [(row["n"], row["kernel"]) for row in rows] == [(n, kernel) for n in (6, 9) for kernel in KERNELS]
+    for row in rows:
+        assert row["cells"] == 180
+        for key in ("update_s", "stream_s", "refit_s", "predict_s", "sklearn_predict_s"):
+            assert 0 < row[key] < 60
+    assert len(said) == 1 + len(rows)
+
+
+@pytest.mark.parametrize("kernel", ["se", "smooth+rough"])
+def test_scikit_learn_can_be_left_out(kernel: str) -> None:
+    (row,) = run(sizes=(6,), kernels=(kernel,), grid=SiteGrid(12, 15, 10.0), sklearn=False, say=lambda _: None)
+    assert row["sklearn_predict_s"] is None
