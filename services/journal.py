@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
+import struct
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -127,7 +128,7 @@ class JournalReader:
         while True:
             try:
                 record = next(records, None)
-            except (McapError, EOFError, ValueError):
+            except (McapError, EOFError, ValueError, struct.error):
                 return  # the tail that the end of the process tore
             if record is None:
                 self.good_bytes = self._stream.tell()

@@ -8,7 +8,8 @@ for event, whether its nodes share a process or run lockstep in many.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import io
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from he3.errors import He3Error
@@ -18,6 +19,7 @@ from schemas.wire import Header, Wire, decode_reply, encode
 from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.desk import custody_config
 from services.host import Host, Input, Trace
+from services.journal import JournalReader, JournalWriter
 from services.node import SECOND, Finish, Level, MissionTime, Node, Note, Show, Silence, seconds
 from services.seat import Executor, InlineExecutor, Kind, Seat
 
@@ -41,7 +43,11 @@ class Simulation:
         link: LinkConditions | None = None,
     ) -> None:
         """link: what the nodes' custody expects of the link between them; None: its ordinary conditions."""
-        link = link or LinkConditions()
+        self._link = link or LinkConditions()
+        self._trace = trace
+        self._journals: dict[str, list[SimulatedJournal]] = {}
+        self._starts: dict[str, int] = {}
+        self._crashing: set[str] = set()
         self.now: MissionTime = start_ns
         self.snapshots: dict[str, object] = {}
         """The latest snapshot that each node showed."""
@@ -51,15 +57,16 @@ class Simulation:
         self.messages = 0
         """Messages published so far."""
         self._mission = mission
-        executor = executor or InlineExecutor()
-        hosts = [Host(node, mission, trace, custody_config(link, node.interface)) for node in nodes]
-        self._seats = {host.interface.name: Seat(host, executor) for host in hosts}
+        self._executor = executor or InlineExecutor()
+        self._seats: dict[str, Seat] = {}
         self._taps: list[Tap] = []
         self._order = 0
         self._questions: dict[int, tuple[str, str]] = {}
         self._outside: dict[int, list[bytes | str]] = {}
-        for seat in self._seats.values():
-            seat.put((Kind.MESSAGE, NOBODY, 0), Input("start", (1,)))
+        self._served_by: dict[int, str] = {}
+        for node in nodes:
+            host = Host(node, mission, trace, custody_config(self._link, node.interface))
+            self._take_seat(Seat(host, self._executor))
 
     # --- driving ------------------------------------------------------------------------------------------------
 
@@ -90,6 +97,61 @@ class Simulation:
     def tap(self, tap: Tap) -> None:
         """Call `tap` with every message from now on."""
         self._taps.append(tap)
+
+    # --- faults -------------------------------------------------------------------------------------------------
+
+    def keep_journals(self, names: Iterable[str], identity: dict[str, str]) -> None:
+        """Let those nodes keep journals from now on; to be called before the first step."""
+        for name in names:
+            journal = SimulatedJournal(identity)
+            self._journals[name] = [journal]
+            self._seats[name] = Seat(self._seats[name].host, self._executor, journal)
+            self._seats[name].put((Kind.MESSAGE, NOBODY, 0), Input("start", (1,)))
+
+    def alive(self, name: str) -> bool:
+        """Whether that node's process runs."""
+        return name in self._seats
+
+    def crash_next(self, name: str) -> None:
+        """Let that node's process end the next time it acts: after its journal, before anything that follows."""
+        if name in self._seats:
+            self._crashing.add(name)
+
+    def kill(self, name: str) -> None:
+        """End a node's process at this instant; what waited for it is lost, and who asked it learns so."""
+        if self._seats.pop(name, None) is None:
+            return
+        self._crashing.discard(name)
+        self.finished.pop(name, None)
+        for token, server in list(self._served_by.items()):
+            if server == name:
+                self._answer(NOBODY, token, Silence.NO_ROUTE)
+
+    def restart(self, node: Node, torn_tail: bytes = b"") -> None:
+        """Start a node's process again, from its journals if it keeps any.
+
+        torn_tail: the beginning of a record that its last start could not finish, as a dying process may leave it.
+        """
+        name = node.interface.name
+        host = Host(node, self._mission, self._trace, custody_config(self._link, node.interface))
+        journals = self._journals.get(name)
+        if journals is None:
+            self._take_seat(Seat(host, self._executor))
+            return
+        journals[-1].tear(torn_tail)
+        kept = [entry for journal in journals for entry in journal.entries()]
+        journals.append(SimulatedJournal(journals[-1].identity))
+        seat = Seat(host, self._executor, journals[-1])
+        remaining = seat.replay(kept)
+        self._take_seat(seat)
+        for action in remaining:
+            self._perform(seat, action)
+
+    def _take_seat(self, seat: Seat) -> None:
+        starts = self._starts.get(seat.name, 0) + 1
+        self._starts[seat.name] = starts
+        self._seats[seat.name] = seat
+        seat.put((Kind.MESSAGE, NOBODY, 0), Input("start", (starts,)))
 
     # --- the outside world --------------------------------------------------------------------------------------
 
@@ -138,6 +200,9 @@ class Simulation:
         """Every node handles what was there when the round began."""
         ready = [seat for seat in self._seats.values() if seat.waiting or self._is_due(seat)]
         for seat, actions in [(seat, seat.run(self.now)) for seat in ready]:
+            if seat.name in self._crashing:
+                self.kill(seat.name)
+                continue
             for action in actions:
                 self._perform(seat, action)
 
@@ -177,15 +242,19 @@ class Simulation:
         for seat in self._seats.values():
             if topic in seat.host.interface.serves:
                 seat.put((Kind.QUESTION, asker, token), Input("ask", (topic, payload, token)))
+                self._served_by[token] = seat.name
                 return
         self._answer(NOBODY, token, Silence.NO_ROUTE)
 
     def _answer(self, answerer: str, token: int, answer: bytes | str | Silence) -> None:
+        self._served_by.pop(token, None)
         if token in self._outside:
             self._outside.pop(token).append(answer.value if isinstance(answer, Silence) else answer)
             return
-        name, question = self._questions.pop(token)
-        seat = self._seats[name]
+        name, question = self._questions.pop(token, (NOBODY, ""))
+        seat = self._seats.get(name)
+        if seat is None:
+            return  # its asker is gone, or it was asked of an earlier start of the one who answers
         order = (Kind.QUESTION, answerer, token)
         match answer:
             case bytes():
@@ -194,6 +263,27 @@ class Simulation:
                 seat.put(order, Input("unanswered", (question, answer, "")))
             case _:
                 seat.put(order, Input("unanswered", (question, Silence.REFUSED, answer)))
+
+
+class SimulatedJournal:
+    """A journal in memory, in the very bytes that a process would write."""
+
+    def __init__(self, identity: dict[str, str]) -> None:
+        self.identity = identity
+        self._stream = io.BytesIO()
+        self._writer = JournalWriter(self._stream, identity)
+        self._torn = b""
+
+    def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
+        self._writer.append(now, inputs)
+
+    def tear(self, tail: bytes) -> None:
+        """Leave the beginning of an unfinished record at the end."""
+        self._torn = tail
+
+    def entries(self) -> list[tuple[MissionTime, Input]]:
+        """What is kept, read back from the bytes."""
+        return list(JournalReader(io.BytesIO(self._stream.getvalue() + self._torn), self.identity, "journal"))
 
 
 def warnings_of(simulation: Simulation) -> list[str]:
