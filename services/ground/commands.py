@@ -9,13 +9,14 @@ import numpy as np
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from schemas.commands import CommandReport, CommandStage, CommandStatus, Telecommand
-from services.node import SECOND, MissionTime
+from schemas.link import LinkStatus
+from schemas.topics import COMMAND
+from services.node import SECOND, MissionTime, seconds
 
 MOST_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
 MOST_LISTED = 300  # commands in a list, the newest; with the largest polygons it stays under the size of a reply
-LOST_AFTER_S = (
-    60.0  # beyond its expiry and the way there and back, before silence about a command means that it is lost
-)
+LOOK_AGAIN_S = 30.0  # between looks at the link for a command that has not left yet
+LOST_AFTER_S = 60.0  # past its expiry and a round trip, before silence means that a command is lost
 
 _ORDER = {stage: number for number, stage in enumerate(CommandStage)}
 ENDS = frozenset(
@@ -32,6 +33,11 @@ class CommandBook:
     round_trip_s: float = 0.0
     """Light time there and back as the scenario says [s]."""
     _book: dict[str, CommandStatus] = field(default_factory=dict)
+    _sent: list[str] = field(default_factory=list)
+
+    def restarted(self) -> None:
+        """The process has started: what it sends is counted from 0 again."""
+        self._sent = []
 
     def issue(self, command: Telecommand, now: MissionTime) -> tuple[CommandStatus, bool]:
         """The command's status, and whether it is new and must go up; the same command again changes nothing.
@@ -61,6 +67,7 @@ class CommandBook:
         )
         status = CommandStatus(command=command, stages=stages)
         self._book[command.command_id] = status
+        self._sent.append(command.command_id)
         return status, True
 
     def report(self, report: CommandReport) -> CommandStatus | None:
@@ -72,6 +79,42 @@ class CommandBook:
         status = CommandStatus(command=known.command, stages=stages)
         self._book[report.command_id] = status
         return status
+
+    def leaving(self) -> list[str]:
+        """Commands sent since the start that are not known to have left the Earth."""
+        return [
+            name
+            for name in self._sent
+            if all(_ORDER[passed.stage] < _ORDER[CommandStage.RADIATED] for passed in self._book[name].stages)
+        ]
+
+    def seen_on_link(self, link: LinkStatus, source: str, now: MissionTime) -> tuple[list[CommandStatus], MissionTime]:
+        """Commands that the link's status shows to have left the Earth, and when to look again for the others.
+
+        A message is told by its sequence, which is its place among the commands sent since the start.
+        """
+        departures = {
+            (flight.sequence, flight.offered_at): flight.departs_at
+            for flight in link.in_flight
+            if flight.topic == COMMAND.name and flight.source == source
+        }
+        left: list[CommandStatus] = []
+        again = now + seconds(LOOK_AGAIN_S)
+        if link.contact_changes_at is not None and link.contact_changes_at > now:
+            again = min(again, link.contact_changes_at)
+        for name in self.leaving():
+            sequence, sent_at = self._sent.index(name), self._book[name].stages[0].at
+            for (number, offered_at), departs_at in departures.items():
+                if number != sequence or offered_at < sent_at or departs_at is None:
+                    continue
+                if departs_at > now:
+                    again = min(again, departs_at)
+                    continue
+                radiated = CommandReport(command_id=name, stage=CommandStage.RADIATED, at=departs_at)
+                status = self.report(radiated)
+                if status is not None:
+                    left.append(status)
+        return left, again
 
     def overdue_at(self, command: Telecommand) -> MissionTime | None:
         """When silence about the command means that it was lost; None if it does not expire."""

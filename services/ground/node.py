@@ -11,6 +11,7 @@ from he3.reference import Region
 from he3.trend import OrbitalTrend
 from schemas.commands import CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
 from schemas.ground import GroundStatus, KernelParameters, MissionPhase
+from schemas.link import LinkChange, LinkStatus
 from schemas.maps import MapScore
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
 from schemas.topics import (
@@ -20,6 +21,7 @@ from schemas.topics import (
     EVENT,
     GROUND_STATUS,
     ISSUE_COMMAND,
+    LINK_SET,
     LIST_COMMANDS,
     SAMPLE,
     STATE,
@@ -28,7 +30,7 @@ from schemas.topics import (
 from schemas.wire import Header
 from services.ground.allowance import Budget
 from services.ground.belief import Belief
-from services.ground.commands import ENDS, CommandBook
+from services.ground.commands import ENDS, LOOK_AGAIN_S, CommandBook
 from services.ground.director import Director
 from services.ground.map_service import MAP_TOPICS, answer
 from services.ground.planning import Planner
@@ -38,6 +40,8 @@ from services.ground.terrain import GroundTerrain
 from services.node import (
     SECOND,
     Answer,
+    Answered,
+    Ask,
     Asked,
     Computed,
     Due,
@@ -52,6 +56,7 @@ from services.node import (
     Send,
     Show,
     Started,
+    Unanswered,
     WakeAt,
     seconds,
 )
@@ -59,6 +64,7 @@ from services.regions import load_region
 from services.scenario import Scenario
 
 STATUS_TIMER = "status"
+LOOK, LOOK_TIMER = "commands-on-the-link", "look"
 LOST_TIMER = "lost:"
 _AWAY = frozenset({CommandKind.GO_TO, CommandKind.RETURN_TO_START})
 
@@ -117,6 +123,7 @@ class GroundNode:
     def _changed_by(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         match event:
             case Started():
+                self._commands.restarted()
                 yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
                 if not self._begun:
                     self._begun = True
@@ -140,9 +147,19 @@ class GroundNode:
             case Due(timer) if timer == STATUS_TIMER:
                 yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
                 yield from self._listen_for_silence(now)
+            case Due(timer) if timer == LOOK_TIMER:
+                yield from self._look_for_commands()
+            case Answered(_, question, LinkStatus() as link) if question == LOOK:
+                left, again = self._commands.seen_on_link(link, self.interface.name, now)
+                for departed in left:
+                    yield from self._publish(departed)
+                if self._commands.leaving():
+                    yield WakeAt(LOOK_TIMER, again)
+            case Unanswered(_, question) if question == LOOK:
+                yield WakeAt(LOOK_TIMER, now + seconds(LOOK_AGAIN_S))
             case Due(timer) if timer.startswith(LOST_TIMER):
                 status = self._commands.give_up(timer.removeprefix(LOST_TIMER), now)
-                yield from self._publish(status, now)
+                yield from self._publish(status)
             case _:
                 yield Note(Level.WARNING, f"ground: nothing to do upon {type(event).__name__}")
 
@@ -184,10 +201,11 @@ class GroundNode:
         if not new:
             return
         yield Send(COMMAND, command)
+        yield from self._look_for_commands()
         overdue = self._commands.overdue_at(command)
         if overdue is not None:
             yield WakeAt(LOST_TIMER + command.command_id, overdue)
-        yield from self._publish(status, now)
+        yield from self._publish(status)
         if command.kind is CommandKind.SET_KEEP_OUT and command.area_id is not None:
             yield from self._director.keep_out(command.area_id, command.polygon_m, now)
 
@@ -195,7 +213,7 @@ class GroundNode:
         status = self._commands.report(report)
         if status is None:
             return
-        yield from self._publish(status, now)
+        yield from self._publish(status)
         command = status.command
         if command.kind not in _AWAY:
             return
@@ -208,7 +226,12 @@ class GroundNode:
         elif report.stage in ENDS:
             yield from self._director.moved(command.command_id, self._director.place_m, now)
 
-    def _publish(self, status: CommandStatus | None, now: MissionTime) -> Iterable[Effect]:
+    def _look_for_commands(self) -> Iterable[Effect]:
+        """Ask the link whether the commands that went out have left the Earth; with no link nobody answers."""
+        if self._commands.leaving():
+            yield Ask(LINK_SET, LinkChange(), LOOK)
+
+    def _publish(self, status: CommandStatus | None) -> Iterable[Effect]:
         if status is not None:
             yield Send(COMMAND_STATUS, status)
 
@@ -319,9 +342,10 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
             f"scenario '{scenario.name}': start_m: expected a place within 0..{region.grid.width_m:g} m east and "
             f"0..{region.grid.height_m:g} m north, got ({scenario.start_m[0]:g}, {scenario.start_m[1]:g})"
         )
-    open_cells = region.traversable
+    steepest = scenario.rover.slope_limit_deg
     if ground.max_slope_deg is not None:
-        open_cells = open_cells & (region.slope_deg <= ground.max_slope_deg)
+        steepest = min(steepest, ground.max_slope_deg)
+    open_cells = region.traversable & (region.slope_deg <= steepest)
     terrain = GroundTerrain(region.grid, open_cells, scenario.rover.footprint_radius_m, ground.keep_outs_m)
     trend = OrbitalTrend(region.grid, region.orbital_ppb) if ground.prior == "orbital" else None
     belief = Belief(region.grid, ground.kernel, scenario.field.noise_std_ppb, trend)

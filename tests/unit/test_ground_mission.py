@@ -223,6 +223,7 @@ class Mission:
         self.rover = Rover(self.region.he3_ppb, **rover)
         self.simulation = Simulation([self.ground, self.rover], plan.name, plan.start_ns)
         self.statuses: list[GroundStatus] = []
+        self._tellers = 0
         self.simulation.tap(self._listen)
 
     def _listen(self, topic: object, side: Side, payload: bytes, now: int) -> None:
@@ -247,10 +248,11 @@ class Mission:
     def warnings(self) -> list[str]:
         return [note.text for _, _, note in self.simulation.notes if note.level is Level.WARNING]
 
-    def tell_ground(self, topic: Topic, body: Wire, source: str = "rover", made_at: int | None = None) -> None:
+    def tell_ground(self, topic: Topic, body: Wire, made_at: int | None = None) -> None:
         """A message to the ground from nowhere; handled at once."""
         made = self.simulation.now if made_at is None else made_at
-        header = Header(mission="test", source=source, incarnation=1, sequence=999, made_at=made)
+        self._tellers += 1
+        header = Header(mission="test", source=f"teller-{self._tellers}", incarnation=1, sequence=0, made_at=made)
         self.simulation.inject(topic, Side.EARTH, encode(header, body))
         self.simulation.step()
 
