@@ -53,8 +53,10 @@ def run(
 ) -> list[Row]:
     """One row for each number of samples and kernel, all times in seconds; printed, and written to ``json`` if given.
 
-    Raises InvalidInput if scikit-learn is asked for and not installed.
+    Raises InvalidInput for a size below one, or if scikit-learn is asked for and not installed.
     """
+    if any(n < 1 for n in sizes):
+        raise InvalidInput(f"expected sizes of one sample or more, got {', '.join(map(str, sizes))}")
     if sklearn:
         _require_sklearn()
     say(

@@ -35,7 +35,7 @@ from he3.trend import TrendOnCells
 MOST_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
 # Cells that are worked on together, so that all but V stays in cache: the map is cut into bands of whole rows. They do
 # not depend on the number of threads, and so neither do the results.
-_CELLS_TO_APPEND = 32768
+_CELLS_TO_APPEND = 65536
 _CELLS_TO_BUILD = 4096
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.map_speed import run
+from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.kernels import KERNELS
 
@@ -28,3 +29,8 @@ def test_every_size_and_kernel_has_a_row_with_all_times_in_seconds(tmp_path: Pat
 def test_scikit_learn_can_be_left_out(kernel: str) -> None:
     (row,) = run(sizes=(6,), kernels=(kernel,), grid=SiteGrid(12, 15, 10.0), sklearn=False, say=lambda _: None)
     assert row["sklearn_predict_s"] is None
+
+
+def test_a_size_without_samples_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="expected sizes of one sample or more, got 150, 0"):
+        run(sizes=(150, 0), sklearn=False)
