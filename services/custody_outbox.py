@@ -16,17 +16,14 @@ Times are integer nanoseconds of mission time. Rebuilt from a journal with `rest
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right, insort
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from bisect import bisect_left, insort
+from dataclasses import dataclass
 
 from he3.errors import InvalidInput
 from schemas.link import Acknowledgement
 from schemas.topics import Custody, Topic
 from schemas.wire import Header, restamped
 from services.custody import (
-    MAX_GAPS,
     CustodyConfig,
     OutboxFull,
     RoundTrip,
@@ -36,6 +33,7 @@ from services.custody import (
     following,
     under_custody,
 )
+from services.custody_stream import Kept, Sending, Stream, below, missing, turn
 from services.node import MissionTime, seconds
 
 REMEMBERED_SENDINGS = 8
@@ -67,79 +65,15 @@ class OutboxCounts:
     suspensions: int
 
 
-class _Sending(NamedTuple):
-    """One time that a message was sent."""
-
-    number: int
-    """Counts the sendings of all messages."""
-    at: MissionTime
-    last_bit_at: MissionTime
-    """When it should have left at the known rate."""
-
-
-@dataclass(slots=True, eq=False)
-class _Kept:
-    """A message and where it stands."""
-
-    topic: Topic
-    incarnation: int
-    sequence: int
-    payload: bytes
-    priority: int
-    order: int
-    state: State = State.WAITING
-    repetitions: int = 0
-    """How often it was sent; what was restored counts as sent once in its earlier life."""
-    sendings: dict[int, _Sending] = field(default_factory=dict)
-    """The first and the latest, by repetition."""
-    queued: bool = False
-
-    @property
-    def turn(self) -> tuple[int, int]:
-        return self.priority, self.order
-
-    @property
-    def last_sending(self) -> int:
-        return next(reversed(self.sendings.values())).number if self.sendings else 0
-
-    @property
-    def last_sent_at(self) -> MissionTime:
-        return next(reversed(self.sendings.values())).at if self.sendings else 0
-
-
-@dataclass(slots=True, eq=False)
-class _Stream:
-    """The messages of one topic and incarnation that are not yet acknowledged."""
-
-    kept: dict[int, _Kept] = field(default_factory=dict)
-    """By sequence, rising."""
-    sent: dict[int, _Kept] = field(default_factory=dict)
-    """Those under way, in the order of sending."""
-    held: dict[int, _Kept] = field(default_factory=dict)
-    """Those that the receiver has out of turn."""
-    in_turn: bool = True
-    """False while an earlier incarnation of the topic has messages left, or what was restored is not yet sorted out."""
-    doublings: int = 0
-    in_vain: int = 0
-    """Repetitions since the other side was last heard."""
-    waits_since: MissionTime = 0
-    newest_ack: tuple[int, int] = (-1, -1)
-
-    @property
-    def oldest_sent(self) -> _Kept | None:
-        """The message whose time is up first."""
-        return next(iter(self.sent.values()), None) or next(iter(self.held.values()), None)
-
-
 class Outbox:
     """Messages of one source under custody, on their way to the other side."""
 
     def __init__(self, source: str, config: CustodyConfig | None = None) -> None:
         self._source = source
         self._config = config or CustodyConfig()
-        self._streams: dict[tuple[str, int], _Stream] = {}
-        self._new: list[_Kept] = []  # waiting for their first sending, by turn
-        self._again: list[_Kept] = []  # waiting for a repetition, by turn
+        self._streams: dict[tuple[str, int], Stream] = {}
+        self._new: list[Kept] = []  # waiting for their first sending, by turn
+        self._again: list[Kept] = []  # waiting for a repetition, by turn
         self._round_trip = RoundTrip(seconds(self._config.round_trip_s), seconds(self._config.margin_s))
         self._order = 0
         self._sendings = 0
@@ -234,10 +168,10 @@ class Outbox:
         if stream is None or number <= stream.newest_ack:
             return self.heard(now)
         stream.newest_ack = number
-        witness = self._witness(stream, ack)
+        witness = stream.witness(ack)
         self._learns_round_trip(stream, ack, now)
         progress = self._settles(stream, ack)
-        self._finds_missing(stream, ack, witness)
+        self._findsmissing(stream, ack, witness)
         if progress:
             stream.waits_since = now
         self._comes_into_turn(ack.stream, stream if stream.kept else None)
@@ -270,7 +204,7 @@ class Outbox:
 
     # --- keeping ------------------------------------------------------------------------------------------------
 
-    def _keep(self, stream: _Stream, topic: Topic, header: Header, payload: bytes) -> _Kept:
+    def _keep(self, stream: Stream, topic: Topic, header: Header, payload: bytes) -> Kept:
         if not under_custody(topic) or not isinstance(topic.service, Custody):
             raise InvalidInput(f"expected a topic under custody, got {topic.name}")
         if header.source != self._source:
@@ -279,7 +213,7 @@ class Outbox:
         if header.sequence <= last:
             raise InvalidInput(f"{topic.name}: expected a sequence above {last}, got {header.sequence}")
         self._order += 1
-        kept = _Kept(
+        kept = Kept(
             topic=topic,
             incarnation=header.incarnation,
             sequence=header.sequence,
@@ -293,7 +227,7 @@ class Outbox:
             self._queues(kept)
         return kept
 
-    def _stream(self, name: str, incarnation: int) -> _Stream:
+    def _stream(self, name: str, incarnation: int) -> Stream:
         stream = self._streams.get((name, incarnation))
         if stream is None:
             others = [key for key in self._streams if key[0] == name]
@@ -301,10 +235,10 @@ class Outbox:
                 if not self._streams[key].kept:
                     del self._streams[key]
             earlier = any(key in self._streams for key in others)
-            stream = self._streams[name, incarnation] = _Stream(in_turn=not earlier)
+            stream = self._streams[name, incarnation] = Stream(in_turn=not earlier)
         return stream
 
-    def _comes_into_turn(self, name: str, stream: _Stream | None) -> None:
+    def _comes_into_turn(self, name: str, stream: Stream | None) -> None:
         """Queues all of a restored stream that was heard of, or of the next incarnation after one that has ended."""
         if stream is None:
             left = [(key, found) for key, found in sorted(self._streams.items()) if key[0] == name and found.kept]
@@ -315,30 +249,30 @@ class Outbox:
                 if kept.state is State.WAITING and not kept.queued:
                     self._queues(kept)
 
-    def _moves(self, kept: _Kept, signal: Signal) -> None:
+    def _moves(self, kept: Kept, signal: Signal) -> None:
         kept.state = following(kept.state, signal)
 
-    def _queues(self, kept: _Kept) -> None:
+    def _queues(self, kept: Kept) -> None:
         kept.queued = True
-        insort(self._again if kept.sendings else self._new, kept, key=_turn)
+        insort(self._again if kept.sendings else self._new, kept, key=turn)
 
-    def _leaves_queue(self, kept: _Kept) -> None:
+    def _leaves_queue(self, kept: Kept) -> None:
         if kept.queued:
             kept.queued = False
             queue = self._again if kept.sendings else self._new
-            del queue[bisect_left(queue, kept.turn, key=_turn)]
+            del queue[bisect_left(queue, kept.turn, key=turn)]
 
-    def _goes_under_way(self, among: dict[int, _Kept], kept: _Kept) -> None:
+    def _goes_under_way(self, among: dict[int, Kept], kept: Kept) -> None:
         among[kept.sequence] = kept
         self._under_way += 1
         self._under_way_bytes += len(kept.payload)
 
-    def _comes_off_the_way(self, stream: _Stream, kept: _Kept) -> None:
+    def _comes_off_the_way(self, stream: Stream, kept: Kept) -> None:
         if stream.sent.pop(kept.sequence, None) or stream.held.pop(kept.sequence, None):
             self._under_way -= 1
             self._under_way_bytes -= len(kept.payload)
 
-    def _returns_to_queue(self, stream: _Stream, kept: _Kept, signal: Signal) -> None:
+    def _returns_to_queue(self, stream: Stream, kept: Kept, signal: Signal) -> None:
         self._moves(kept, signal)
         self._comes_off_the_way(stream, kept)
         self._queues(kept)
@@ -354,14 +288,14 @@ class Outbox:
             transmits.append(self._transmits(kept, now))
         return transmits
 
-    def _window_admits(self, kept: _Kept) -> bool:
+    def _window_admits(self, kept: Kept) -> bool:
         config = self._config
         return self._under_way == 0 or (
             self._under_way < config.window_messages
             and self._under_way_bytes + len(kept.payload) <= config.window_bytes
         )
 
-    def _transmits(self, kept: _Kept, now: MissionTime) -> Transmit:
+    def _transmits(self, kept: Kept, now: MissionTime) -> Transmit:
         stream = self._streams[kept.topic.name, kept.incarnation]
         if kept.repetitions:
             self._restamps(kept, stream)
@@ -372,7 +306,7 @@ class Outbox:
         self._clear_at = max(now, self._clear_at) + bits_time(len(kept.payload), self._config.rate_bit_s)
         if len(kept.sendings) >= REMEMBERED_SENDINGS:
             del kept.sendings[list(kept.sendings)[1]]  # the first is the one that comes first
-        kept.sendings[kept.repetitions] = _Sending(self._sendings, now, self._clear_at)
+        kept.sendings[kept.repetitions] = Sending(self._sendings, now, self._clear_at)
         kept.repetitions += 1
         self._moves(kept, Signal.TRANSMITTED)
         self._goes_under_way(stream.sent, kept)
@@ -380,13 +314,13 @@ class Outbox:
             self._moves(kept, Signal.SILENCE)
         return Transmit(kept.topic, kept.payload, kept.repetitions - 1)
 
-    def _restamps(self, kept: _Kept, stream: _Stream) -> None:
+    def _restamps(self, kept: Kept, stream: Stream) -> None:
         """Says which repetition it is, and, to a receiver that forgot everything, that what came before is settled."""
         before = len(kept.payload)
         kept.payload = restamped(kept.payload, next(iter(stream.kept)), kept.repetitions)
         self._bytes += len(kept.payload) - before
 
-    def _tries_oldest(self, stream: _Stream, now: MissionTime) -> None:
+    def _tries_oldest(self, stream: Stream, now: MissionTime) -> None:
         """Puts the message that is longest under way back in the queue."""
         kept = stream.oldest_sent
         stream.waits_since = now
@@ -395,7 +329,7 @@ class Outbox:
 
     # --- time ---------------------------------------------------------------------------------------------------
 
-    def _deadline(self, stream: _Stream) -> MissionTime | None:
+    def _deadline(self, stream: Stream) -> MissionTime | None:
         """When the time of the stream's oldest message under way is up."""
         kept = stream.oldest_sent
         if kept is None:
@@ -404,7 +338,7 @@ class Outbox:
         most = max(seconds(self._config.max_wait_s), 2 * self._round_trip.wait + self._queued_before(kept))
         return max(stream.waits_since, kept.last_sent_at) + min(wait, most)
 
-    def _queued_before(self, kept: _Kept) -> MissionTime:
+    def _queued_before(self, kept: Kept) -> MissionTime:
         """How long the message may have waited for others, and taken itself, at the known rate."""
         if self._config.rate_bit_s is None:
             return 0
@@ -444,40 +378,21 @@ class Outbox:
 
     # --- acknowledgements ---------------------------------------------------------------------------------------
 
-    def _witness(self, stream: _Stream, ack: Acknowledgement) -> int:
-        """Number of the latest sending that is known to have come, as far as this acknowledgement shows; 0: none."""
-        witness = 0
-        for sequence, kept in stream.kept.items():
-            if sequence >= ack.next_sequence:
-                break
-            if kept.state is State.SENT and len(kept.sendings) == 1 and not _missing(ack, sequence):
-                witness = max(witness, kept.last_sending)
-        sending = self._last_to_come(stream, ack)
-        return max(witness, sending.number) if sending is not None else witness
-
-    def _last_to_come(self, stream: _Stream, ack: Acknowledgement) -> _Sending | None:
-        """The sending whose arrival brought this acknowledgement about, if it is of this life and still remembered."""
-        kept = stream.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
-        sending = kept.sendings.get(ack.last_repetition) if kept is not None else None
-        if sending is None or ack.last_received_at is None or sending.at > ack.last_received_at:
-            return None
-        return sending
-
-    def _learns_round_trip(self, stream: _Stream, ack: Acknowledgement, now: MissionTime) -> None:
+    def _learns_round_trip(self, stream: Stream, ack: Acknowledgement, now: MissionTime) -> None:
         """Measures by the sending whose arrival was acknowledged."""
-        sending = self._last_to_come(stream, ack)
+        sending = stream.last_to_come(ack)
         if sending is not None:
             most = MOST_SURPRISE * self._round_trip.wait
             self._round_trip.measured(min(most, max(0, now - sending.last_bit_at)))
             stream.doublings = 0
 
-    def _settles(self, stream: _Stream, ack: Acknowledgement) -> bool:
+    def _settles(self, stream: Stream, ack: Acknowledgement) -> bool:
         """Lets go of what is acknowledged and notes what is held; True when anything was new."""
         complete = ack.gaps[0][0] if ack.gaps else ack.next_sequence
         progress = False
-        for sequence in list(_below(stream.kept, ack.next_sequence)):
+        for sequence in list(below(stream.kept, ack.next_sequence)):
             kept = stream.kept[sequence]
-            if sequence >= complete and (kept.state is State.HELD or _missing(ack, sequence)):
+            if sequence >= complete and (kept.state is State.HELD or missing(ack, sequence)):
                 continue
             progress = True
             self._leaves_queue(kept)
@@ -492,32 +407,13 @@ class Outbox:
                 self._goes_under_way(stream.held, kept)
         return progress
 
-    def _finds_missing(self, stream: _Stream, ack: Acknowledgement, witness: int) -> None:
+    def _findsmissing(self, stream: Stream, ack: Acknowledgement, witness: int) -> None:
         """Puts back in the queue what a later sending has overtaken, and what the receiver no longer holds."""
         for kept in [*stream.sent.values()]:
-            if _missing(ack, kept.sequence) and kept.last_sending < witness:
+            if missing(ack, kept.sequence) and kept.last_sending < witness:
                 if kept.state is State.SUSPENDED:
                     self._moves(kept, Signal.HEARD)
                 self._returns_to_queue(stream, kept, Signal.MISSED)
         for kept in [*stream.held.values()]:
-            if _missing(ack, kept.sequence):
+            if missing(ack, kept.sequence):
                 self._returns_to_queue(stream, kept, Signal.MISSED)
-
-
-def _turn(kept: _Kept) -> tuple[int, int]:
-    return kept.turn
-
-
-def _missing(ack: Acknowledgement, sequence: int) -> bool:
-    """Whether the receiver says that it does not have that sequence."""
-    if sequence >= ack.next_sequence:
-        return len(ack.gaps) < MAX_GAPS  # one that is full of gaps says nothing of what lies beyond
-    index = bisect_right(ack.gaps, sequence, key=lambda gap: gap[0]) - 1
-    return index >= 0 and ack.gaps[index][0] <= sequence <= ack.gaps[index][1]
-
-
-def _below(kept: dict[int, _Kept], limit: int) -> Iterator[int]:
-    for sequence in kept:
-        if sequence >= limit:
-            return
-        yield sequence
