@@ -441,6 +441,15 @@ def test_a_mission_that_was_completed_goes_on_with_a_newer_plan():
     assert len(moon.samples) == 2
 
 
+def test_a_mission_is_completed_once_whatever_the_rover_does_afterwards():
+    moon = Moon()
+    moon.plan(plan_of(1, east(1, 5.5, 10.5), last=True))
+    moon.command("go_to", 5000, target_m=START)
+    moon.run()
+    assert moon.kinds("mission_completed", "parked") == ["mission_completed", "parked"]
+    assert len(moon.finished) == 1
+
+
 # --- terrain ------------------------------------------------------------------------------------------------------
 
 
