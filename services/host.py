@@ -129,6 +129,11 @@ class Host:
         topics = [*interface.subscribes, *interface.overhears, *([self._desk.hears] if self._desk is not None else [])]
         return [(topic, side) for side in interface.sides for topic in topics if self.hears(topic, side)]
 
+    def served_topics(self) -> list[tuple[Topic, Side]]:
+        """The questions that this node answers, and where they can be put."""
+        interface = self._interface
+        return [(topic, side) for side in interface.sides for topic in interface.serves if side in topic.sides]
+
     def open_questions(self) -> list[PutQuestion]:
         """Questions of this node that have not been answered: to be put again after a restart."""
         return list(self._questions.values())
@@ -235,11 +240,10 @@ class Host:
             match effect:
                 case Send(topic, body):
                     header = self._header(topic, now)
-                    payload = encode(header, body)
                     if self._desk is not None and under_custody(topic):
-                        yield from self._desk.offer(topic, header, payload, now)
+                        yield from self._desk.offer(topic, header, body, now)
                     else:
-                        yield Publish(topic, self._side_of(topic), payload)
+                        yield Publish(topic, self._side_of(topic), encode(header, body))
                 case Forward(topic, payload, side):
                     yield Publish(topic, side, payload)
                 case Ask(topic, request, question, timeout_s):

@@ -1,7 +1,7 @@
 """A host with its timers and computations, in virtual time: what every driver needs to know of one node.
 
-What reaches a node at one instant is handled in a fixed order: messages by sender and order of sending, then answers,
-results and timers. No scheduling, and no order in which messages happen to come in, can change that.
+What reaches a node at one instant is handled in a fixed order: messages by sender and order of sending, then questions,
+answers, results and timers. No scheduling, and no order in which messages happen to come in, can change that.
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ class Kind(IntEnum):
 
     MESSAGE = 0
     QUESTION = 1
-    RESULT = 2
-    TIMER = 3
+    ANSWER = 2
+    RESULT = 3
+    TIMER = 4
 
 
 Order = tuple[Kind, str, int]

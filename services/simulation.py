@@ -1,8 +1,8 @@
 """All nodes and the link in one process, in virtual time, as fast as the CPU allows.
 
 Time jumps from event to event. What happens at one instant happens in rounds: in each, every node handles what the
-previous round sent it, in a fixed order (messages by sender and order of sending, then answers, results and timers),
-and what it sends is there in the next. So the order of the nodes does not matter, and a mission is the same, event
+previous round sent it, in a fixed order (messages by sender and order of sending, then questions, answers, results and
+timers), and what it sends is there in the next. So the order of the nodes does not matter, and a mission is the same, event
 for event, whether its nodes share a process or run lockstep in many.
 """
 
@@ -172,7 +172,7 @@ class Simulation:
         token = self._next_order()
         answers: list[bytes | str] = []
         self._outside[token] = answers
-        self._route_question(topic, payload, token, NOBODY)
+        self._route_question(topic, topic.sides[0], payload, token, NOBODY)
         while not answers:
             if self._next_instant() != self.now:
                 raise He3Error(f"{topic.name}: no answer")
@@ -215,10 +215,10 @@ class Simulation:
             case Publish():
                 seat.emitted += 1
                 self._publish(action, seat.name, seat.emitted)
-            case PutQuestion(topic, _, payload, question, _):
+            case PutQuestion(topic, side, payload, question, _):
                 token = self._next_order()
                 self._questions[token] = (seat.name, question)
-                self._route_question(topic, payload, token, seat.name)
+                self._route_question(topic, side, payload, token, seat.name)
             case Reply(token, _, payload):
                 self._answer(seat.name, token, payload)
             case ReplyError(token, _, why):
@@ -238,9 +238,9 @@ class Simulation:
             if name != sender and seat.host.hears(action.topic, action.side):
                 seat.put((Kind.MESSAGE, sender, emission), Input("deliver", (action.topic, action.payload)))
 
-    def _route_question(self, topic: Topic, payload: bytes, token: int, asker: str) -> None:
+    def _route_question(self, topic: Topic, side: Side, payload: bytes, token: int, asker: str) -> None:
         for seat in self._seats.values():
-            if topic in seat.host.interface.serves:
+            if (topic, side) in seat.host.served_topics():
                 seat.put((Kind.QUESTION, asker, token), Input("ask", (topic, payload, token)))
                 self._served_by[token] = seat.name
                 return
@@ -255,7 +255,7 @@ class Simulation:
         seat = self._seats.get(name)
         if seat is None:
             return  # its asker is gone, or it was asked of an earlier start of the one who answers
-        order = (Kind.QUESTION, answerer, token)
+        order = (Kind.ANSWER, answerer, token)
         match answer:
             case bytes():
                 seat.put(order, Input("answered", (question, answer)))
