@@ -11,7 +11,7 @@ from typing import Any
 
 from schemas.link import Acknowledgement, Direction, LinkConditions
 from schemas.topics import TC_ACK, TM_ACK, Side, Topic
-from schemas.wire import Header, encode
+from schemas.wire import Header, Wire, encode
 from services.actions import Action, Publish
 from services.custody import CustodyConfig, OutboxFull, under_custody
 from services.custody_inbox import Ack, Inbox, Letter
@@ -41,6 +41,7 @@ class CustodyDesk:
         self._wakes_at: MissionTime | None = None
         self._acks = 0
         self._incarnation = 0
+        self._newest: dict[tuple[str, str], tuple[int, int]] = {}
 
     @property
     def depth(self) -> int:
@@ -58,10 +59,12 @@ class CustodyDesk:
         self._incarnation = incarnation
         self._acks = 0
 
-    def offer(self, topic: Topic, header: Header, payload: bytes, now: MissionTime) -> list[Action]:
+    def offer(self, topic: Topic, header: Header, body: Wire, now: MissionTime) -> list[Action]:
         """Keep a message of this node, and send what may be sent."""
+        kept_from = self._outbox.held_from(topic, header.incarnation, header.sequence)
+        header = header.model_copy(update={"held_from": kept_from})
         try:
-            return self._sent(self._outbox.offer(topic, header, payload, now))
+            return self._sent(self._outbox.offer(topic, header, encode(header, body), now))
         except OutboxFull as error:
             return [Note(Level.ERROR, str(error))]
 
@@ -71,9 +74,17 @@ class CustodyDesk:
         """What to hand up of a message that crossed the link, and what to send."""
         actions = self._sent(self._outbox.heard(now))
         if not under_custody(topic):
-            return [Letter(topic, header, body)], actions
+            return [Letter(topic, header, body)] if self._is_news(topic, header) else [], actions
         letters, acks = self._inbox.received(topic, header, body, size_bytes, now)
         return letters, actions + self._acknowledged(acks, now)
+
+    def _is_news(self, topic: Topic, header: Header) -> bool:
+        """Of what is never repeated only the newest counts: one that was overtaken on the way is passed over."""
+        number = (header.incarnation, header.sequence)
+        if number <= self._newest.get((topic.name, header.source), (-1, -1)):
+            return False
+        self._newest[topic.name, header.source] = number
+        return True
 
     def acknowledged(self, ack: Acknowledgement, header: Header, now: MissionTime) -> list[Action]:
         """Let go what the other side has, and send again what it misses."""
