@@ -13,9 +13,10 @@ class Terminated(BaseException):
     """SIGTERM came: like KeyboardInterrupt, not to be caught on the way to the process's edge."""
 
 
-def end_on_sigterm() -> None:
-    """Make SIGTERM unwind the main thread as Ctrl-C does."""
+def end_on_signals() -> None:
+    """Make SIGTERM unwind the main thread as Ctrl-C does, and Ctrl-C itself even where a shell had it ignored."""
     if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, _raise_terminated)
 
 
