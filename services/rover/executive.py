@@ -281,22 +281,24 @@ class Executive:
         if self.areas:
             closed = self._closed(job, piece)
             if closed is not None:
-                self._blocked(job, now, f"the way enters keep-out {closed}")
+                name, place = closed
+                self._blocked(job, now, f"the way enters keep-out {name}", place)
                 return
         look = self._corridor.look(piece)
         self._ahead = _Ahead(piece, look)
         self._enter(Trigger.LOOK, now)
         self._put(TERRAIN, TerrainRequest(points_m=look.points_m))
 
-    def _closed(self, job: Job, piece: Piece) -> str | None:
+    def _closed(self, job: Job, piece: Piece) -> tuple[str, Point] | None:
+        """The closed area that the piece enters, and a place of the piece that is too near to it; None if clear."""
         margin, here = self.config.footprint_radius_m, piece.points_m[0]
-        job.leaving = {
-            name for name in job.leaving if name in self.areas and self.areas[name].is_near(here, here, margin)
-        }
+        still_in = (name for name in job.leaving if name in self.areas)
+        job.leaving = {name for name in still_in if self.areas[name].is_near(here, here, margin)}
         for name, area in self.areas.items():
-            legs = zip(piece.points_m, piece.points_m[1:], strict=False)
-            if name not in job.leaving and any(area.is_near(a, b, margin) for a, b in legs):
-                return name
+            if name not in job.leaving:
+                place = area.first_near(piece.points_m, margin)
+                if place is not None:
+                    return name, place
         return None
 
     def seen(self, question: str, seen: TerrainReply, now: MissionTime) -> None:
@@ -324,7 +326,7 @@ class Executive:
         self.vehicle.set_off(under_way, now)
         self.out.append(WakeAt(STEP, now + seconds(under_way.duration_s)))
 
-    def _blocked(self, job: Job, now: MissionTime, why: str, obstacle_m: Point | None = None) -> None:
+    def _blocked(self, job: Job, now: MissionTime, why: str, obstacle_m: Point) -> None:
         self._ahead = None
         self.voice.tell_of_job(EventKind.BLOCKED, job, now, why, obstacle_m)
         self.abandon(now, why)

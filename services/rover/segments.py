@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
 Point = tuple[float, float]
+
+_NEARNESS_M: Final = 0.01
 
 
 def inside(polygon_m: Sequence[Point], place_m: Point) -> bool:
@@ -52,6 +57,24 @@ class Area:
                 return True
             c = d
         return False
+
+    def first_near(self, way_m: Sequence[Point], margin_m: float) -> Point | None:
+        """Where a way first comes nearer to the area than the margin [m], to a centimetre; None if it keeps clear."""
+        for a, b in pairwise(way_m):
+            if self.is_near(a, b, margin_m):
+                clear, near = 0.0, 1.0  # of the segment: up to there it is clear, up to there it is not
+                while (near - clear) * math.dist(a, b) > _NEARNESS_M:
+                    half = (clear + near) / 2
+                    if self.is_near(a, _part(a, b, half), margin_m):
+                        near = half
+                    else:
+                        clear = half
+                return _part(a, b, near)
+        return None
+
+
+def _part(a: Point, b: Point, share: float) -> Point:
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
 
 
 def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:

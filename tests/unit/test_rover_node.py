@@ -908,6 +908,7 @@ def test_a_keep_out_set_on_the_way_stops_the_rover_before_it():
     assert "keep-out pit" in moon.event("blocked").detail
     assert moon.state.mode is RoverMode.SAFE
     assert moon.place == pytest.approx((15.5, 5.5))
+    assert moon.event("blocked").obstacle_m == pytest.approx((20.0 - 0.8, 5.5), abs=0.02)
 
 
 def test_a_keep_out_set_over_the_rover_stops_it_and_lets_a_newer_plan_lead_it_out():

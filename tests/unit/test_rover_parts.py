@@ -169,7 +169,7 @@ def test_distance_from_a_segment_agrees_with_sampling_it(p, a, b):
     sampled = min(math.dist(p, (a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]))) for s in np.linspace(0, 1, 501))
     exact = math.sqrt(squared_distance(p, a, b))
     assert exact <= sampled + 1e-9
-    assert sampled <= exact + math.dist(a, b) / 500
+    assert sampled <= exact + math.dist(a, b) / 500 + 1e-9
 
 
 # --- pieces and looks ---------------------------------------------------------------------------------------------
