@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future
 from typing import Any
 
 from he3.errors import He3Error
@@ -147,6 +148,14 @@ class Simulation:
         for action in remaining:
             self._perform(seat, action)
 
+    def replayed_snapshot(self, node: Node) -> object | None:
+        """The snapshot that a fresh node of that name shows after its journals, leaving this mission alone."""
+        name = node.interface.name
+        host = Host(node, self._mission, None, custody_config(self._link, node.interface))
+        kept = [entry for journal in self._journals[name] for entry in journal.entries()]
+        shown = [action.snapshot for action in Seat(host, _Idle()).replay(kept) if isinstance(action, Show)]
+        return shown[-1] if shown else None
+
     def _take_seat(self, seat: Seat) -> None:
         starts = self._starts.get(seat.name, 0) + 1
         self._starts[seat.name] = starts
@@ -263,6 +272,13 @@ class Simulation:
                 seat.put(order, Input("unanswered", (question, answer, "")))
             case _:
                 seat.put(order, Input("unanswered", (question, Silence.REFUSED, answer)))
+
+
+class _Idle:
+    """An executor for a node that is only looked at: it computes nothing."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        return Future()
 
 
 class SimulatedJournal:

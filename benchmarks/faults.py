@@ -1,0 +1,327 @@
+"""Random faults: whole short missions with the real nodes, link and journals, killed and cut off at any instant.
+
+Each run draws a fault schedule from its seed: processes killed and started again (also between writing their journal
+and acting on it, also with a torn last record), black-outs, loss, duplicates, reordering, corruption, a rate that
+collapses, a light time that grows, an operator who pauses. A run counts as
+
+    lost       a sample that the rover measured is not in the map, or the mission ended with too few
+    doubled    a sample was measured, reported or put into the map more than once
+    stuck      the mission was not over within a bound of mission time
+    unequal    the map is not that of a ground that saw the same samples without faults, or a restart from the journals
+               does not give it back to the byte
+
+Every failure prints the seed that reproduces it and the smallest schedule that still fails.
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from he3.errors import He3Error, InvalidInput
+from he3.frames import SiteGrid
+from he3.gp import Hyperparameters
+from he3.gridposterior import GridPosterior
+from he3.kernels import kernel_from
+from he3.reference import Region
+from schemas.commands import CommandKind, NoParameters, Telecommand
+from schemas.link import LinkChange, LinkConditions
+from schemas.topics import ISSUE_COMMAND, LINK_SET, SAMPLE, TRACK, Side, Topic
+from schemas.wire import decode
+from services.faults import LINK_FAULTS, Fault, FaultKind, Schedule, link_change, random_schedule, shrunk
+from services.field.node import build_node as build_field
+from services.ground.node import build_node as build_ground
+from services.journal import identity_of
+from services.link.node import build_node as build_link
+from services.mission import InProcessMission
+from services.node import SECOND, MissionTime, Node
+from services.regions import load_region
+from services.rover.node import build_node as build_rover
+from services.scenario import Scenario, checked_scenario
+from services.seat import Executor
+
+CELLS = 120
+LIGHT_TIME_S = 1.282
+SLACK_S = 72 * 3600.0
+"""Mission time that a run may take beyond the fault-free one and its faults."""
+TORN = b"\x05\x40\x00\x00\x00\x00\x00\x00\x00torn"
+MAP_TOLERANCE_PPB = 2e-3
+"""A map kept up to date sample by sample in float32, and one made at once, agree within this."""
+
+Row = dict[str, Any]
+
+
+@dataclass
+class Outcome:
+    """What came of one run."""
+
+    seed: int
+    schedule: Schedule
+    lost: bool = False
+    doubled: bool = False
+    stuck: bool = False
+    unequal: bool = False
+    why: list[str] = field(default_factory=list)
+
+    @property
+    def failed(self) -> bool:
+        return self.lost or self.doubled or self.stuck or self.unequal
+
+
+def run(
+    runs: int = 100,
+    seed: int = 0,
+    jobs: int = 2,
+    json: Path | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> Row:
+    """Fly that many missions, seeds counted from `seed`; the counts of what went wrong, printed and written as JSON."""
+    if runs < 1 or jobs < 1:
+        raise InvalidInput(f"expected one run and one job at least, got {runs} and {jobs}")
+    began = time.monotonic()
+    failures: list[Outcome] = []
+    seeds = range(seed, seed + runs)
+    for count, outcome in enumerate(_outcomes(seeds, jobs), start=1):
+        if outcome.failed:
+            failures.append(outcome)
+            say(_described(outcome))
+        if count % 50 == 0 or count == runs:
+            elapsed = time.monotonic() - began
+            say(f"{count}/{runs} missions, {len(failures)} failed, {elapsed:.0f} s, {elapsed / count:.2f} s each")
+    row = {
+        "runs": runs,
+        "lost": sum(outcome.lost for outcome in failures),
+        "doubled": sum(outcome.doubled for outcome in failures),
+        "stuck": sum(outcome.stuck for outcome in failures),
+        "unequal": sum(outcome.unequal for outcome in failures),
+        "failed_seeds": [outcome.seed for outcome in failures],
+        "wall_time_s": time.monotonic() - began,
+    }
+    say("  ".join(f"{name} {row[name]}" for name in ("runs", "lost", "doubled", "stuck", "unequal")))
+    if json is not None:
+        json.write_text(json_format.dumps(row, indent=2) + "\n")
+    if failures:
+        raise He3Error(f"{len(failures)} of {runs} missions failed, seeds {row['failed_seeds']}")
+    return row
+
+
+def _outcomes(seeds: Sequence[int], jobs: int) -> Any:
+    if jobs == 1:
+        yield from map(fly, seeds)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(fly, seeds, chunksize=max(1, min(10, len(seeds) // (4 * jobs))))
+
+
+def _described(outcome: Outcome) -> str:
+    smallest = shrunk(outcome.schedule, lambda schedule: fly_schedule(outcome.seed, schedule).failed)
+    faults = "".join(f"\n    {fault}" for fault in smallest)
+    return f"seed {outcome.seed} FAILED: {'; '.join(outcome.why)}\n  smallest schedule that fails:{faults}"
+
+
+# --- one run ----------------------------------------------------------------------------------------------------
+
+
+def fly(seed: int) -> Outcome:
+    """The outcome of the mission with that seed."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xFA17]))
+    return fly_schedule(seed, random_schedule(rng, horizon_s=9 * 3600.0))
+
+
+def fly_schedule(seed: int, schedule: Schedule) -> Outcome:
+    """The outcome of the mission with that seed under that schedule."""
+    world = _World(seed, _executor())
+    outcome = Outcome(seed, schedule)
+    try:
+        world.suffer(schedule)
+        bound_s = world.mission.mission_time_s + SLACK_S
+        world.mission.run(until_s=bound_s)
+    except He3Error as error:
+        outcome.stuck = True
+        outcome.why.append(str(error))
+        return outcome
+    world.judge(outcome)
+    return outcome
+
+
+def scenario_of(seed: int) -> Scenario:
+    """A short mission: three to five rounds; planner, pipeline and noise drawn from the seed."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5CE]))
+    planner = str(rng.choice(["rrt", "rrtstar", "tour"]))
+    return checked_scenario(
+        {
+            "name": "faults",
+            "region": "t1",
+            "seed": seed,
+            "rounds": int(rng.integers(3, 6)),
+            "samples_per_round": int(rng.integers(2, 4)),
+            "rover": {"state_period_s": 600.0, "look_ahead_m": 10.0},
+            "ground": {
+                "planner": planner,
+                "kernel": "matern52",
+                "pipeline": int(rng.integers(0, 3)),
+                "planning_s": 30.0,
+                "status_period_s": 3600.0,
+            },
+            "link": {"up": {"one_way_light_time_s": LIGHT_TIME_S}, "down": {"one_way_light_time_s": LIGHT_TIME_S}},
+        },
+        f"faults {seed}",
+    )
+
+
+@cache
+def small_region() -> Region:
+    """A corner of the embedded T1, so that a run costs about a second."""
+    whole = load_region("t1")
+    cut = (slice(0, CELLS), slice(0, CELLS))
+    return Region(
+        name="t1-corner",
+        title=f"{whole.title}, corner",
+        provenance=whole.provenance,
+        grid=SiteGrid(CELLS, CELLS, whole.grid.resolution_m),
+        he3_ppb=whole.he3_ppb[cut],
+        orbital_ppb=whole.orbital_ppb[cut],
+        elevation_m=whole.elevation_m[cut],
+        slope_deg=whole.slope_deg[cut],
+        traversable=whole.traversable[cut],
+    )
+
+
+@cache
+def _executor() -> Executor:
+    from services.ground.planner_process import PlannerProcess
+
+    return PlannerProcess(parallel=1)
+
+
+class _World:
+    """One mission, its processes, and what the rover was heard to measure."""
+
+    def __init__(self, seed: int, executor: Executor) -> None:
+        self.scenario = scenario_of(seed)
+        nodes = [self._built(name) for name in ("field", "rover", "link", "ground")]
+        self.mission = InProcessMission(self.scenario, executor=executor, nodes=nodes)
+        self.simulation = self.mission.simulation
+        self.simulation.keep_journals(("rover", "ground"), identity_of(self.scenario))
+        self.reported: dict[str, set[tuple[int, int, float]]] = {}
+        self.simulation.tap(self._listen)
+
+    def _built(self, name: str) -> Node:
+        region = small_region()
+        if name == "field":
+            return build_field(self.scenario, region)
+        if name == "rover":
+            return build_rover(self.scenario, region.grid)
+        return build_link(self.scenario) if name == "link" else build_ground(self.scenario, region)
+
+    def _listen(self, topic: Topic, side: Side, payload: bytes, _now: MissionTime) -> None:
+        if topic is SAMPLE and side is Side.MOON:
+            header, body = decode(topic, payload, self.scenario.name)
+            told = (header.incarnation, header.sequence, body.helium3_ppb)
+            self.reported.setdefault(body.sample_id, set()).add(told)
+
+    # --- faults -------------------------------------------------------------------------------------------------
+
+    def suffer(self, schedule: Schedule) -> None:
+        """Run the mission through every fault of the schedule, and leave it with all that it needs."""
+        moments: list[tuple[float, int, bool, Fault]] = []
+        for number, fault in enumerate(schedule):
+            moments += [(fault.at_s, number, True, fault), (fault.at_s + fault.lasts_s, number, False, fault)]
+        for at_s, _, begins, fault in sorted(moments, key=lambda moment: moment[:3]):
+            if self.mission.end is not None:
+                break
+            self._run_until(at_s)
+            self._apply(fault, begins)
+        for name in ("link", "field", "rover", "ground"):
+            self._start(name, torn=False)
+        self._set_link(LinkChange(conditions=LinkConditions(), contact_as_scheduled=True))
+        self._command(CommandKind.RESUME)
+
+    def _run_until(self, at_s: float) -> None:
+        until = self.scenario.start_ns + round(at_s * SECOND)
+        self.simulation.run(until=until, stop=lambda: self.mission.end is not None)
+
+    def _apply(self, fault: Fault, begins: bool) -> None:
+        match fault.kind:
+            case FaultKind.KILL if begins:
+                self.simulation.kill(fault.who)
+            case FaultKind.CRASH if begins:
+                self.simulation.crash_next(fault.who)
+            case FaultKind.KILL | FaultKind.CRASH:
+                self._start(fault.who, fault.torn)
+            case FaultKind.COMMAND:
+                self._command(CommandKind.PAUSE if begins else CommandKind.RESUME)
+            case kind if kind in LINK_FAULTS:
+                self._set_link(link_change(fault, begins, LIGHT_TIME_S))
+
+    def _start(self, name: str, torn: bool) -> None:
+        if not self.simulation.alive(name):
+            self.simulation.restart(self._built(name), TORN if torn else b"")
+
+    def _set_link(self, change: LinkChange) -> None:
+        if self.simulation.alive("link"):
+            self.simulation.ask(LINK_SET, change)
+
+    def _command(self, kind: CommandKind) -> None:
+        if self.simulation.alive("ground"):
+            name = f"{kind.value}-{self.simulation.now}"
+            self.simulation.ask(ISSUE_COMMAND, Telecommand(command_id=name, kind=kind))
+
+    # --- judgement ----------------------------------------------------------------------------------------------
+
+    def judge(self, outcome: Outcome) -> None:
+        """Fill in what is wrong with the mission, now that it is over."""
+        track = self.simulation.ask(TRACK, NoParameters())
+        times = Counter(sample.sample_id for sample in track.samples)
+        twice = sorted(name for name, count in times.items() if count > 1)
+        told_twice = sorted(name for name, told in self.reported.items() if len(told) > 1)
+        if twice or told_twice:
+            outcome.doubled = True
+            outcome.why.append(f"in the map twice: {twice}, measured or reported twice: {told_twice}")
+        missing = sorted(self.reported.keys() - times.keys())
+        if missing or len(times) != self.scenario.samples:
+            outcome.lost = True
+            outcome.why.append(f"{len(times)} of {self.scenario.samples} samples in the map, missing {missing}")
+        self._compare_maps(outcome)
+
+    def _compare_maps(self, outcome: Outcome) -> None:
+        shown: Any = self.simulation.snapshots["ground"]
+        replayed = self.simulation.replayed_snapshot(self._built("ground"))
+        for name in ("mean_ppb", "std_ppb"):
+            if getattr(replayed, name).tobytes() != getattr(shown, name).tobytes():
+                outcome.unequal = True
+                outcome.why.append(f"{name}: a restart from the journals gives other bytes")
+        status = self.mission.status
+        if status is None or status.kernel is None:
+            return
+        kernel = status.kernel
+        fitted = Hyperparameters(
+            kernel_from(kernel.name, kernel.parameters), kernel.noise_std_ppb, kernel.mean_ppb, kernel.scale_ppb
+        )
+        places = np.array([(sample.x_m, sample.y_m) for sample in shown.samples])
+        values = np.array([sample.helium3_ppb for sample in shown.samples])
+        faultless = GridPosterior.build(shown.grid, fitted, places, values)
+        for name, there, here in (
+            ("mean", faultless.mean_ppb, shown.mean_ppb),
+            ("std", faultless.std_ppb, shown.std_ppb),
+        ):
+            worst = float(np.abs(there - here).max())
+            if not worst <= MAP_TOLERANCE_PPB:
+                outcome.unequal = True
+                outcome.why.append(f"{name}: differs by {worst:.2g} ppb from the map without faults")
+
+
+if __name__ == "__main__":
+    sys.exit(0 if run(runs=int(sys.argv[1]) if len(sys.argv) > 1 else 100) else 1)

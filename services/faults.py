@@ -1,0 +1,128 @@
+"""Random fault schedules: what may go wrong with a mission, when, and for how long; pure and seeded.
+
+A schedule is a list of faults in order of time. It ends: after the last fault the mission has all it needs, so it must
+come to its end with every sample in the map exactly once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from schemas.commands import CommandKind
+from schemas.link import AtEdge, LinkChange
+
+SERVICES = ("rover", "ground", "link", "field")
+
+
+class FaultKind(StrEnum):
+    KILL = "kill"
+    """A process ends at an instant, and is started again later."""
+    CRASH = "crash"
+    """A process ends right after it has written its journal, before it does what follows."""
+    BLACKOUT = "blackout"
+    LOSS = "loss"
+    DUPLICATION = "duplication"
+    REORDERING = "reordering"
+    CORRUPTION = "corruption"
+    THIN = "thin"
+    """The rate collapses to a few hundred bit/s."""
+    FAR = "far"
+    """The light time grows."""
+    COMMAND = "command"
+    """An operator pauses the mission, and resumes it later."""
+
+
+LINK_FAULTS = (
+    FaultKind.BLACKOUT,
+    FaultKind.LOSS,
+    FaultKind.DUPLICATION,
+    FaultKind.REORDERING,
+    FaultKind.CORRUPTION,
+    FaultKind.THIN,
+    FaultKind.FAR,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that goes wrong, from `at_s` of mission time for `lasts_s`."""
+
+    kind: FaultKind
+    at_s: float
+    lasts_s: float
+    who: str = ""
+    amount: float = 0.0
+    torn: bool = False
+    """The process leaves the beginning of an unfinished record in its journal."""
+
+    def __str__(self) -> str:
+        who = f" {self.who}" if self.who else ""
+        amount = f" {self.amount:g}" if self.amount else ""
+        return f"{self.kind.value}{who}{amount} at {self.at_s:.3f} s for {self.lasts_s:.3f} s{' torn' * self.torn}"
+
+
+Schedule = tuple[Fault, ...]
+
+
+def random_schedule(rng: np.random.Generator, horizon_s: float, most: int = 8) -> Schedule:
+    """Up to `most` faults that begin within `horizon_s` of mission time, in order of time."""
+    faults = [_random_fault(rng, horizon_s) for _ in range(int(rng.integers(1, most + 1)))]
+    return tuple(sorted(faults, key=lambda fault: fault.at_s))
+
+
+def _random_fault(rng: np.random.Generator, horizon_s: float) -> Fault:
+    at_s = float(rng.uniform(0, horizon_s))
+    choice = rng.random()
+    if choice < 0.5:
+        kind = FaultKind.KILL if rng.random() < 0.6 else FaultKind.CRASH
+        lasts_s = float(rng.choice([0.0, 1.0, 30.0, 600.0, 7200.0])) * float(rng.uniform(0.5, 1.5))
+        return Fault(kind, at_s, lasts_s, who=str(rng.choice(SERVICES)), torn=bool(rng.random() < 0.5))
+    if choice < 0.6:
+        return Fault(FaultKind.COMMAND, at_s, float(rng.uniform(10, 3600)), who=CommandKind.PAUSE.value)
+    link_fault = LINK_FAULTS[int(rng.integers(len(LINK_FAULTS)))]
+    lasts_s = float(rng.uniform(5, 7200))
+    amounts = {
+        FaultKind.LOSS: float(rng.uniform(0.05, 0.7)),
+        FaultKind.DUPLICATION: float(rng.uniform(0.05, 0.5)),
+        FaultKind.REORDERING: float(rng.uniform(0.05, 0.5)),
+        FaultKind.CORRUPTION: float(rng.uniform(0.05, 0.5)),
+        FaultKind.THIN: float(rng.choice([125.0, 700.0, 2000.0])),
+        FaultKind.FAR: float(rng.choice([3.0, 10.0, 60.0])),
+        FaultKind.BLACKOUT: float(rng.random() < 0.5),
+    }
+    return Fault(link_fault, at_s, lasts_s, amount=amounts[link_fault])
+
+
+def link_change(fault: Fault, begins: bool, light_time_s: float) -> LinkChange:
+    """What is set on the link when that fault begins, and when it ends."""
+    match fault.kind:
+        case FaultKind.BLACKOUT:
+            edge = AtEdge.DROP if begins and fault.amount else AtEdge.HOLD
+            return LinkChange(contact=not begins, at_edge=edge)
+        case FaultKind.LOSS:
+            return LinkChange(loss=fault.amount if begins else 0.0)
+        case FaultKind.DUPLICATION:
+            return LinkChange(duplicate=fault.amount if begins else 0.0)
+        case FaultKind.REORDERING:
+            return LinkChange(reorder=fault.amount if begins else 0.0)
+        case FaultKind.CORRUPTION:
+            return LinkChange(corrupt=fault.amount if begins else 0.0)
+        case FaultKind.THIN:
+            return LinkChange(rate_bit_s=fault.amount) if begins else LinkChange(unlimited_rate=True)
+        case FaultKind.FAR:
+            return LinkChange(one_way_light_time_s=fault.amount if begins else light_time_s)
+    raise ValueError(f"expected a fault of the link, got {fault.kind.value}")
+
+
+def shrunk(schedule: Schedule, fails: Callable[[Schedule], bool]) -> Schedule:
+    """The schedule with every fault left out that the failure does not need."""
+    smaller = schedule
+    for fault in schedule:
+        without = tuple(other for other in smaller if other is not fault)
+        if without and fails(without):
+            smaller = without
+    return smaller
