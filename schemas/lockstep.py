@@ -10,19 +10,25 @@ from schemas.wire import Identifier, MissionTimeNs, Text, Wire
 
 Count = Annotated[int, Field(ge=0)]
 
+ProcessId = Identifier
+"""Tells one start of a service from every other: what a process that is gone was owed, its successor does not wait
+for."""
+
 
 class Join(Wire):
-    """A process takes part: what it hears and serves, so that every message can be accounted for."""
+    """A process takes part, or asks whether it still does: what it hears and serves, so that every message counts."""
 
     name: Identifier
-    process: Text
-    """Tells one start of it from another, so that a join asked twice is taken once."""
+    process: ProcessId
     hears: tuple[tuple[Text, Text], ...]
     """(topic, side) of every message that reaches it."""
-    serves: tuple[Text, ...]
-    """Topics of the questions that it answers."""
+    serves: tuple[tuple[Text, Text], ...]
+    """(topic, side) of the questions that it answers."""
     next_wake: MissionTimeNs | None
     """When it wants to act first; None: when something reaches it."""
+    now: MissionTimeNs = 0
+    """Where it stands, from its journal or from a time keeper that is gone; time goes on from no earlier."""
+    step: Count = 0
 
 
 class Joined(Wire):
@@ -30,46 +36,55 @@ class Joined(Wire):
 
     now: MissionTimeNs
     step: Count
+    starts: Annotated[int, Field(ge=1)]
+    """How many processes of that name have taken part, this one included."""
 
 
 class Grant(Wire):
-    """It is `at`: those named act once everything sent to them in earlier steps has reached them."""
+    """It is `at`: the one whom this is for acts once all that was sent to it in the step before has reached it."""
 
     step: Annotated[int, Field(ge=1)]
     at: MissionTimeNs
-    expects: dict[str, int]
-    """How many messages each of those who act now has to take in."""
+    process: ProcessId
+    """Who acts; an earlier process of the same name must not."""
+    expects: dict[str, Count]
+    """How many messages, questions and answers, by sender; one's own name for questions that nobody answers."""
 
 
 class StepDone(Wire):
     """A process has acted in a step."""
 
     name: Identifier
+    process: ProcessId
     step: Count
     next_wake: MissionTimeNs | None
     published: tuple[tuple[Text, Text, Count], ...] = ()
     """(topic, side, how many)."""
-    asked: tuple[Text, ...] = ()
-    """Topic of each question put."""
-    answered: tuple[Text, ...] = ()
+    asked: tuple[tuple[Text, Text], ...] = ()
+    """(topic, side) of each question put."""
+    answered: tuple[ProcessId, ...] = ()
     """Who asked, for each question answered."""
     finished: Text | None = None
     """Why the process has nothing left to do, once it says so."""
-    ok: bool = True
 
 
 class StepBusy(Wire):
-    """A process cannot finish a step until its computations end."""
+    """A process cannot act yet, and why."""
 
     name: Identifier
+    process: ProcessId
     step: Count
-    computing: tuple[Text, ...]
+    computing: tuple[Text, ...] = ()
+    """Computations whose end has come and that are still at work."""
+    lacks: Annotated[dict[str, Count], Field(default_factory=dict)]
+    """How many inputs have not come, by sender."""
 
 
 class Poke(Wire):
     """Somebody from outside, an operator say, has put something to a process: let it act now."""
 
     name: Identifier
+    process: ProcessId
 
 
 class TimeControl(Wire):
@@ -90,11 +105,17 @@ class TimeStatus(Wire):
     """Where virtual time stands, and who or what it waits for."""
 
     now: MissionTimeNs
+    start_ns: MissionTimeNs
     step: Count
+    next_at: MissionTimeNs | None
+    """The next instant at which something happens; None while that is not known, or when nothing ever will."""
     paused: bool
     rate: float | None
     until: MissionTimeNs | None
+    steps_left: Count | None
     members: tuple[Text, ...]
     waits_for: tuple[Text, ...]
+    """Who is missing, or else who has not finished the present step."""
     finished: dict[str, str]
     detail: Text = ""
+    """What is wrong, in one line; empty while nothing is."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 
 from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
@@ -176,6 +176,11 @@ def topic_of(key: str, mission: str) -> Topic | None:
     """The topic that a key expression belongs to in that mission, or None."""
     prefix = f"{KEY_ROOT}/{mission}/"
     return BY_NAME.get(key.removeprefix(prefix)) if key.startswith(prefix) else None
+
+
+def addressed(topic: Topic, name: str) -> Topic:
+    """That topic's messages to one process alone, on a key of their own."""
+    return replace(topic, name=f"{topic.name}/{name}")
 
 
 def crossing(direction: Direction) -> tuple[Topic, ...]:

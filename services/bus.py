@@ -23,6 +23,9 @@ from services.node import MissionTime, Silence
 CLOSE_WITHIN_S = 1.0
 """Closing a session on a bad link can take 10 s; nobody waits longer than this for it."""
 
+ALIVE = "alive"
+"""Register of all processes."""
+
 OnPayload = Callable[[bytes, bytes], None]
 """Called with payload and attachment (empty when there is none)."""
 
@@ -64,6 +67,10 @@ class Question:
     def reply(self, payload: bytes, attachment: bytes | None = None, encoding: zenoh.Encoding | None = None) -> None:
         encoding = encoding or zenoh.Encoding.APPLICATION_JSON
         self.query.reply(self.query.key_expr, payload, encoding=encoding, attachment=attachment)
+        self.query.drop()  # type: ignore[no-untyped-call]
+
+    def leave(self) -> None:
+        """Let it end without an answer from here."""
         self.query.drop()  # type: ignore[no-untyped-call]
 
     def refuse(self, why: str, attachment: bytes | None = None) -> None:
@@ -115,44 +122,44 @@ class Bus:
         attachment: bytes | None = None,
     ) -> None:
         """Ask, and call `on_end` exactly once: with the answer, or with why there is none and what was said."""
-        outcome: list[tuple[bytes | Silence, str, bytes]] = []
+        ended: list[bool] = []
+
+        def end(answer: bytes | Silence, said: str, attachment: bytes) -> None:
+            if not ended:  # the first answer counts; others who could have answered may be slow to say that they do not
+                ended.append(True)
+                on_end(answer, said, attachment)
 
         def on_reply(reply: zenoh.Reply) -> None:
-            if outcome:
-                return
             if reply.ok is not None:
-                outcome.append((reply.ok.payload.to_bytes(), "", _attachment(reply.ok)))
+                end(reply.ok.payload.to_bytes(), "", _attachment(reply.ok))
                 return
             said = reply.err.payload.to_bytes() if reply.err is not None else b""
             if said == b"Timeout":
-                outcome.append((Silence.TIMEOUT, f"within {timeout_s:g} s", b""))
+                end(Silence.TIMEOUT, f"within {timeout_s:g} s", b"")
             else:
-                outcome.append((Silence.REFUSED, *_refusal(said)))
-
-        def on_done() -> None:
-            on_end(*(outcome[0] if outcome else (Silence.NO_ROUTE, "", b"")))
+                end(Silence.REFUSED, *_refusal(said))
 
         self._session.get(
             topic.key(self._mission),
-            handler=zenoh.handlers.Callback(on_reply, on_done),
+            handler=zenoh.handlers.Callback(on_reply, lambda: end(Silence.NO_ROUTE, "", b"")),
             payload=payload,
             encoding=zenoh.Encoding.APPLICATION_JSON,
             timeout=timeout_s,
             attachment=attachment,
         )
 
-    def announce(self, name: str, side: Side) -> None:
-        """Show this process as alive for as long as its session lives."""
-        self._held.append(self._session.liveliness().declare_token(alive_key(self._mission, side, name)))
+    def announce(self, name: str, side: Side, register: str = ALIVE) -> None:
+        """Show this process as alive, in that register, for as long as its session lives."""
+        self._held.append(self._session.liveliness().declare_token(alive_key(self._mission, side, name, register)))
 
-    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
-        """Call `on_change(name, alive)` for every process that is alive now, appears, or is gone."""
+    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None], register: str = ALIVE) -> None:
+        """Call `on_change(name, alive)` for every process of that register that is alive, appears, or is gone."""
 
         def hand_over(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr).rsplit("/", 1)[-1]
             on_change(name, _is_put(sample))
 
-        key = alive_key(self._mission, side, "*")
+        key = alive_key(self._mission, side, "*", register)
         self._held.append(self._session.liveliness().declare_subscriber(key, hand_over, history=True))
 
     def close(self) -> None:
@@ -168,9 +175,9 @@ class Bus:
             return  # it is going away anyway
 
 
-def alive_key(mission: str, side: Side, name: str) -> str:
+def alive_key(mission: str, side: Side, name: str, register: str = ALIVE) -> str:
     """Key of the liveliness token of a process; the one key that is not a topic, as it carries no message."""
-    return f"{KEY_ROOT}/{mission}/{side.value}/alive/{name}"
+    return f"{KEY_ROOT}/{mission}/{side.value}/{register}/{name}"
 
 
 def open_session(side: Side, role: str, endpoint: str) -> zenoh.Session:

@@ -37,6 +37,8 @@ from services.stamp import read_stamp
 from services.trace import EventLog
 
 CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
+ONLOOKERS = "onlooker"
+"""Register of those for whom virtual time never waits."""
 IDLE_S = 0.5
 """The longest that the loop sleeps: it looks at the parent and the clock at least as often."""
 
@@ -158,6 +160,8 @@ class Process:
             return False
         for side, bus in self.buses.items():
             bus.announce(interface.name, side)
+            if self._service.onlooker:
+                bus.announce(interface.name, side, ONLOOKERS)
         self.log.info("ready", sides="+".join(side.value for side in interface.sides), pid=os.getpid())
         return True
 

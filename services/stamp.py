@@ -12,17 +12,31 @@ class Stamp:
     """What travels beside a message in virtual time: who sent it as its how-manieth, in which step, at what time."""
 
     sender: str
+    process: str
+    """Which start of the sender."""
     number: int
     step: int
     at: MissionTime
 
     def encode(self) -> bytes:
-        return f"{self.sender}\t{self.number}\t{self.step}\t{self.at}".encode()
+        return f"{self.sender}\t{self.process}\t{self.number}\t{self.step}\t{self.at}".encode()
 
 
 def read_stamp(attachment: bytes) -> Stamp | None:
-    """The stamp, or None for a message from outside."""
-    parts = attachment.decode(errors="replace").split("\t")
-    if len(parts) != 4 or not all(part.isdigit() for part in parts[1:]):
+    """The stamp, or None for a message from outside, whatever it carries."""
+    if not attachment or len(attachment) > _MOST_BYTES:
         return None
-    return Stamp(parts[0], int(parts[1]), int(parts[2]), int(parts[3]))
+    try:
+        sender, process, number, step, at = attachment.decode("ascii").split("\t")
+        return Stamp(sender, process, _natural(number), _natural(step), _natural(at)) if sender else None
+    except ValueError:
+        return None
+
+
+_MOST_BYTES = 250
+
+
+def _natural(digits: str) -> int:
+    if not digits.isdigit():
+        raise ValueError(f"expected digits, got {digits!r}")
+    return int(digits)

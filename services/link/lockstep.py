@@ -12,21 +12,22 @@ import queue
 import time
 from functools import partial
 
-from he3.errors import He3Error
+from he3.errors import He3Error, InvalidInput
 from schemas.link import ClockMode, ClockState
-from schemas.lockstep import Joined, Poke, StepBusy, StepDone, TimeStatus
-from schemas.topics import TIME_CONTROL, Side, Topic
-from schemas.wire import Refused, Wire, decode, encode
+from schemas.lockstep import Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
+from schemas.topics import TIME_CONTROL, Side, Topic, addressed
+from schemas.wire import Refused, decode, encode
 from services.bus import Bus, Question, open_session
+from services.link.pace import Pace
 from services.link.timekeeper import TimeKeeper
-from services.lockstep import GRANT, JOIN, TO_KEEPER, LockstepProcess, StoppedWaiting
-from services.node import SECOND, MissionTime
+from services.lockstep import GRANT, JOIN, MEMBERS, TO_KEEPER, LockstepProcess
+from services.node import MissionTime
 from services.options import Options
 from services.questions import request_of
-from services.run import CLOCKS, Service, Stop
+from services.run import CLOCKS, ONLOOKERS, Service, Stop
 
 SHOW_TIME_EVERY_S = 0.1
-HANGS_AFTER_S = 10.0
+HANGS_AFTER_S = 5.0
 """A process that is not computing and has not finished a step for so long is named."""
 COMPUTES_LONG_S = 120.0
 """A process that has been computing for so long is named."""
@@ -37,17 +38,15 @@ class LockstepLinkProcess(LockstepProcess):
 
     def __init__(self, service: Service, options: Options, stop: Stop) -> None:
         super().__init__(service, options, stop)
-        start = options.scenario.start_ns
-        self.keeper = TimeKeeper(start, frozenset(options.wait_for) | {service.name})
-        self._paused = False
-        self._steps_left: int | None = None
-        self._until: MissionTime | None = None
-        self._rate: float | None = None
-        self._paced_from: tuple[float, MissionTime] = (time.monotonic(), start)
+        self.keeper = TimeKeeper(options.scenario.start_ns, frozenset(options.wait_for) | {service.name})
+        self.pace = Pace()
+        self._over = options.stop_when is None
+        self._homes: dict[str, Side] = {}
+        self._known: set[str] = set()
+        self._join_questions: dict[str, tuple[Side, Question]] = {}
+        self._busy: dict[str, StepBusy] = {}
         self._shown = 0.0
-        self._granted_at = 0.0
-        self._computing: dict[str, tuple[str, ...]] = {}
-        self._named = False
+        self._began_step = 0.0
         self._detail = ""
 
     def open(self, side: Side, endpoint: str) -> Bus | None:
@@ -56,16 +55,21 @@ class LockstepLinkProcess(LockstepProcess):
 
     def take_part(self) -> bool:
         """Be the one whom the others join."""
-        self._last = self.keeper.now
+        self.keeper.join(self.part.join())
+        self.keeper.admit()
+        self._joined = True
+        self.part.start(max(self._incarnation, self.keeper.starts(self.name)))
         self._show_time()
         for side, bus in self.buses.items():
             bus.serve(CLOCKS[side], lambda question: question.reply(self._clock_message()))
             bus.serve(JOIN[side], partial(self._join_asked, side))
             for family in TO_KEEPER:
                 bus.subscribe(family[side], partial(self._heard, family[side]))
-            bus.watch_alive(side, lambda name, alive: self.later(partial(self._seen, name, alive)))
+            bus.watch_alive(
+                side, lambda process, alive: self.later(partial(self._member_seen, process, alive)), MEMBERS
+            )
+            bus.watch_alive(side, lambda name, alive: self.later(partial(self._onlooker_seen, name, alive)), ONLOOKERS)
         self.buses[Side.EARTH].serve(TIME_CONTROL, lambda question: self.later(partial(self._control, question)))
-        self.keeper.join(self.join_request())
         missing = self.keeper.missing()
         if missing:
             self.log.info("mission time waits", for_=", ".join(missing))
@@ -75,85 +79,144 @@ class LockstepLinkProcess(LockstepProcess):
 
     def _loop(self) -> None:
         while not self.stop.event.is_set():
-            self.heartbeat.beat(time.monotonic(), self._last)
-            if self.keeper.outstanding:
-                self._wait_for_reports()
-                continue
-            instant = self.keeper.next_instant()
-            hold_s = self._hold_s(instant)
-            if instant is None or hold_s > 0:
+            self.go_on()
+            if not self.keeper.outstanding:
+                self._admit()
+            wall_s = time.monotonic()
+            self.heartbeat.beat(wall_s, self._last)
+            if wall_s - self._shown >= SHOW_TIME_EVERY_S:
                 self._show_time()
-                self._take_one(min(hold_s, SHOW_TIME_EVERY_S) if instant is not None else SHOW_TIME_EVERY_S)
-                continue
-            self._begin_step(instant)
+            instant = self.keeper.next_instant()
+            if instant is None:
+                self._name_the_late(wall_s)
+                self._take_in(SHOW_TIME_EVERY_S)
+            elif self._may_go(instant, wall_s):
+                self._take_in(0.0)  # steps of the link alone must not keep an operator waiting
+                self._begin_step(instant)
+            else:
+                self._take_in(self.pace.wait_s(instant, wall_s, SHOW_TIME_EVERY_S))
+
+    def _may_go(self, instant: MissionTime, wall_s: float) -> bool:
+        """Whether time may move there now. What happens now happens, paused or not: else no command was answered."""
+        now = self.keeper.now
+        if instant > now:
+            self._stop_when_over()
+            self.keeper.advance(self.pace.latest(instant, now, wall_s))
+            if self.keeper.now < instant:
+                return False
+            self.pace.stepped()
+        return True
 
     def _begin_step(self, instant: MissionTime) -> None:
-        if self._steps_left is not None and instant > self.keeper.now:
-            self._steps_left -= 1
-        grant = self.keeper.grant(instant)
-        self._granted_at = time.monotonic()
-        self._computing.clear()
-        self._named = False
-        payload = encode(self._header(), grant)
-        if any(name != self.name for name in grant.expects):
-            for side, bus in self.buses.items():
-                bus.publish(GRANT[side], payload)
-        if self.name in grant.expects:
-            with contextlib.suppress(StoppedWaiting):
-                self.keeper.done(self.act(grant))
-        else:
-            self._step, self._last = grant.step, max(self._last, grant.at)
-        if time.monotonic() - self._shown > SHOW_TIME_EVERY_S:
-            self._show_time()
+        if self.keeper.next_instant() != instant:
+            return  # what was taken in meanwhile changes who acts when
+        self._all_is_well()
+        self._began_step = time.monotonic()
+        self._busy.clear()
+        for name, grant in self.keeper.grant(instant).items():
+            if name == self.name:
+                self.part.grant(grant)
+            else:
+                side = self._homes[name]
+                self.buses[side].publish(addressed(GRANT[side], name), encode(self.header(), grant))
+        self._last = max(self._last, instant)
 
     def report(self, done: StepDone) -> None:
         """Its own reports it takes directly."""
         self.keeper.done(done)
 
     def poke(self) -> None:
-        self.keeper.poke(self.name)
+        self.keeper.poke(self.name, self.process_id)
 
-    def _wait_for_reports(self) -> None:
-        self._take_one(SHOW_TIME_EVERY_S)
-        waited = time.monotonic() - self._granted_at
-        bound = COMPUTES_LONG_S if self.keeper.outstanding <= self._computing.keys() else HANGS_AFTER_S
-        if waited > bound and not self._named:
-            self._named = True
-            self._detail = f"step {self.keeper.step}: {self._who_is_late()} not finished for {waited:.0f} s"
-            self.log.warning(self._detail)
-
-    def _who_is_late(self) -> str:
-        late = sorted(self.keeper.outstanding)
-        doing = [f"{name} (computing {', '.join(self._computing[name])})" for name in late if name in self._computing]
-        return ", ".join([*(name for name in late if name not in self._computing), *doing])
-
-    def _is_over(self) -> bool:
-        member = self.keeper.members.get(self.options.stop_when or "")
-        return member is not None and member.finished is not None
-
-    def _take_one(self, patience_s: float) -> None:
+    def _take_in(self, patience_s: float) -> None:
         with contextlib.suppress(queue.Empty):
-            self.stop.inbox.get(timeout=patience_s)()
+            self.stop.inbox.get(timeout=patience_s)() if patience_s > 0 else self.stop.inbox.get_nowait()()
+            while True:
+                self.stop.inbox.get_nowait()()
 
-    def _hold_s(self, instant: MissionTime | None) -> float:
-        """How long [s of wall time] the next instant has to wait because an operator said so."""
-        if instant is None:
-            return 0.0
-        moves = instant > self.keeper.now
-        if not moves:
-            return 0.0  # what happens now happens, paused or not: otherwise no command would ever be answered
-        if self._is_over():
-            return SHOW_TIME_EVERY_S
-        if self._until is not None and instant > self._until:
-            self._paused, self._until = True, None
-        if self._steps_left is not None and self._steps_left <= 0:
-            self._paused, self._steps_left = True, None
-        if self._paused:
-            return SHOW_TIME_EVERY_S
-        if self._rate is None:
-            return 0.0
-        wall_s, mission_ns = self._paced_from
-        return wall_s + (instant - mission_ns) / SECOND / self._rate - time.monotonic()
+    def _stop_when_over(self) -> None:
+        """Pause once, when the service that decides is finished; an operator may go on."""
+        if self._over:
+            return
+        member = self.keeper.members.get(self.options.stop_when or "")
+        if member is not None and member.finished is not None:
+            self._over = True
+            self.pace.pause()
+            self.log.info(f"mission time stands: {member.name} is finished ({member.finished})")
+
+    # --- who is late --------------------------------------------------------------------------------------------
+
+    def _name_the_late(self, wall_s: float) -> None:
+        late = self.keeper.outstanding
+        waited = wall_s - self._began_step
+        computing = {name for name in late if name in self._busy and self._busy[name].computing}
+        bound = COMPUTES_LONG_S if late <= computing else HANGS_AFTER_S
+        if not late or waited <= bound or self._detail:
+            return
+        self._detail = (
+            f"step {self.keeper.step}: not finished by {', '.join(map(self._in_words, sorted(late)))} "
+            f"within {bound:g} s; mission time stands"
+        )
+        self.log.warning(self._detail)
+
+    def _in_words(self, name: str) -> str:
+        busy = self._busy.get(name)
+        if busy is None:
+            return name
+        lacks = [f"{count} from {sender}" for sender, count in sorted(busy.lacks.items())]
+        if lacks:
+            return f"{name} (has not received {', '.join(lacks)})"
+        return f"{name} (computing {', '.join(busy.computing)})"
+
+    def _all_is_well(self) -> None:
+        if self._detail:
+            self._detail = ""
+            self.log.info("mission time goes on")
+
+    # --- who takes part -----------------------------------------------------------------------------------------
+
+    def _join_asked(self, side: Side, question: Question) -> None:
+        self.later(partial(self._take_join, side, question))
+
+    def _take_join(self, side: Side, question: Question) -> None:
+        try:
+            _, joining = decode(JOIN[side], question.payload or b"", self.mission)
+            self.keeper.join(joining)
+        except (Refused, InvalidInput) as refusal:
+            question.refuse(str(refusal))
+            return
+        self._join_questions[joining.name] = (side, question)
+
+    def _admit(self) -> None:
+        """Between two steps: take in who asked for it, and tell them where time stands."""
+        for joining in self.keeper.admit():
+            side, question = self._join_questions.pop(joining.name, (None, None))
+            if side is None or question is None:
+                continue
+            self._homes[joining.name] = side
+            starts = self.keeper.starts(joining.name)
+            question.reply(encode(self.header(), Joined(now=self.keeper.now, step=self.keeper.step, starts=starts)))
+            if joining.process not in self._known:
+                self._known.add(joining.process)
+                missing = ", ".join(self.keeper.missing())
+                self.log.info(f"{joining.name} takes part", process=joining.process, waits_for=missing or "nobody")
+
+    def _member_seen(self, process: str, alive: bool) -> None:
+        if alive:
+            return  # it asks to take part by itself
+        at_work = self.keeper.outstanding
+        name = self.keeper.leave(process)
+        if name is None:
+            return
+        self._known.discard(process)
+        where = f" in step {self.keeper.step}" if name in at_work else ""
+        follows = "stands until it is back" if name in self.keeper.required else "goes on without it"
+        self._detail = f"{name} ({process}) is gone{where}; mission time {follows}"
+        self.log.warning(self._detail)
+
+    def _onlooker_seen(self, name: str, alive: bool) -> None:
+        if alive:
+            self.keeper.excuse(name)
 
     # --- what comes in ------------------------------------------------------------------------------------------
 
@@ -166,38 +229,13 @@ class LockstepLinkProcess(LockstepProcess):
         except Refused as refusal:
             self.log.warning(f"refused: {refusal}")
             return
-        self._take_in(word)
-
-    def _take_in(self, word: Wire) -> None:
         match word:
             case StepDone():
-                self._computing.pop(word.name, None)
                 self.keeper.done(word)
-            case StepBusy():
-                self._computing[word.name] = word.computing
+            case StepBusy() if word.step == self.keeper.step:
+                self._busy[word.name] = word
             case Poke():
-                self.keeper.poke(word.name)
-
-    def _join_asked(self, side: Side, question: Question) -> None:
-        self.later(partial(self._take_join, side, question))
-
-    def _take_join(self, side: Side, question: Question) -> None:
-        try:
-            _, joining = decode(JOIN[side], question.payload or b"", self.mission)
-        except Refused as refusal:
-            question.refuse(str(refusal))
-            return
-        self.keeper.join(joining)
-        question.reply(encode(self._header(), Joined(now=self.keeper.now, step=self.keeper.step)))
-        missing = self.keeper.missing()
-        self.log.info(f"{joining.name} takes part", waits_for=", ".join(missing) or "nobody")
-
-    def _seen(self, name: str, alive: bool) -> None:
-        if not alive and name in self.keeper.members and name != self.name:
-            at_work = f" in step {self.keeper.step}" if name in self.keeper.outstanding else ""
-            self.keeper.leave(name)
-            self._detail = f"{name} is gone{at_work}; mission time stands until it is back"
-            self.log.warning(self._detail)
+                self.keeper.poke(word.name, word.process)
 
     def _control(self, question: Question) -> None:
         payload = question.payload
@@ -209,35 +247,29 @@ class LockstepLinkProcess(LockstepProcess):
         except (He3Error, Refused) as error:
             question.refuse(str(error))
             return
-        if control.paused is not None:
-            self._paused = control.paused
-            self._steps_left = self._until = None
-        if control.steps is not None:
-            self._paused, self._steps_left = False, control.steps
-        if control.until is not None:
-            self._paused, self._until = False, control.until
-        if control.rate is not None or control.unlimited:
-            self._rate = None if control.unlimited else control.rate
-        self._paced_from = (time.monotonic(), self.keeper.now)
-        self._show_time()
+        if control != TimeControl():
+            self.pace.control(control, self.keeper.now, time.monotonic())
+            self._show_time()
         status = self._status()
-        question.reply(status.model_dump_json().encode() if payload is None else encode(self._header(), status))
+        question.reply(status.model_dump_json().encode() if payload is None else encode(self.header(), status))
 
     # --- what onlookers see -------------------------------------------------------------------------------------
 
     def _status(self) -> TimeStatus:
-        keeper = self.keeper
-        waits_for = keeper.missing() or sorted(keeper.outstanding)
+        keeper, pace = self.keeper, self.pace
         return TimeStatus(
             now=keeper.now,
+            start_ns=self.options.scenario.start_ns,
             step=keeper.step,
-            paused=self._paused,
-            rate=self._rate,
-            until=self._until,
+            next_at=keeper.next_instant(),
+            paused=pace.paused,
+            rate=pace.rate,
+            until=pace.until,
+            steps_left=pace.steps_left,
             members=tuple(sorted(keeper.members)),
-            waits_for=tuple(waits_for),
+            waits_for=tuple(keeper.missing() or sorted(keeper.outstanding)),
             finished={name: member.finished for name, member in keeper.members.items() if member.finished is not None},
-            detail=self._detail if waits_for else "",
+            detail=self._detail,
         )
 
     def _show_time(self) -> None:
@@ -254,4 +286,4 @@ class LockstepLinkProcess(LockstepProcess):
 
     def _clock_message(self) -> bytes:
         assert self.clock is not None, "the time is shown before anybody can ask"
-        return encode(self._header(), self.clock)
+        return encode(self.header(), self.clock)

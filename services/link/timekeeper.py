@@ -1,104 +1,189 @@
 """The time keeper's core: conservative synchronisation by counting messages, without I/O.
 
-Virtual time goes in steps. A grant names those who act at an instant, and how many messages each must have taken in
-before it does; they report what they sent, from which follows who acts in the next step. Time moves only when every
-process is idle and every message has been received, and then to the earliest instant at which anybody wants to act.
-So no grant is ever early, and nothing that a process could still receive lies before the time it is granted.
+Virtual time goes in steps. A step is one instant and those who act at it; each of them is granted it together with the
+number of inputs, by sender, that it must have taken in first. They report what they sent, and from that follows who
+acts in the next step. Time moves only when every process is idle and every message has been received, and then to the
+earliest instant at which anybody wants to act. So no grant is ever early, and nothing that a process could still
+receive lies before the time it is granted.
+
+Every input is handled in the step after the one in which it was sent. So what is counted never outlives a step, and
+what a process that is gone has left behind is never mistaken for what its successor sends.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
+from he3.errors import InvalidInput
 from schemas.lockstep import Grant, Join, StepDone
 from services.node import MissionTime
 
 
 @dataclass(slots=True)
-class _Member:
+class Member:
+    """A process that takes part."""
+
+    name: str
     process: str
     hears: frozenset[tuple[str, str]]
-    serves: frozenset[str]
+    serves: frozenset[tuple[str, str]]
     next_wake: MissionTime | None
-    expects: int = 0
     poked: bool = True
+    inputs: Counter[str] = field(default_factory=Counter)
+    """What it has been sent in the last step, by sender."""
     finished: str | None = None
 
+    @property
+    def wants_now(self) -> bool:
+        """Whether it has to act in the very next step."""
+        return self.poked or bool(self.inputs)
 
-@dataclass(slots=True)
+
 class TimeKeeper:
     """Who takes part, where each stands, and what the next step is."""
 
-    now: MissionTime
-    required: frozenset[str]
-    """Time does not move before these have joined."""
-    step: int = 0
-    members: dict[str, _Member] = field(default_factory=dict)
-    outstanding: set[str] = field(default_factory=set)
-    """Who has been granted a step and has not finished it."""
+    def __init__(self, now: MissionTime, required: frozenset[str]) -> None:
+        """required: time does not move while one of these does not take part."""
+        self.now = now
+        self.step = 0
+        self.required = required
+        self.members: dict[str, Member] = {}
+        self.outstanding: set[str] = set()
+        """Who has been granted the present step and has not finished it."""
+        self._candidates: dict[str, Join] = {}
+        self._starts: dict[str, list[str]] = {}
+
+    # --- who takes part -----------------------------------------------------------------------------------------
 
     def join(self, joining: Join) -> None:
-        """Take a process in, or take it in again after a restart; it acts in the next step."""
+        """A process wants to take part, or asks whether it still does; `admit` takes it in between two steps.
+
+        An earlier process of that name is given up. Raises InvalidInput when somebody else serves what it serves:
+        nobody could say then whom a question reaches.
+        """
+        for other in self.members.values():
+            both = other.serves & frozenset(joining.serves)
+            if other.name != joining.name and both:
+                topic, side = min(both)
+                raise InvalidInput(
+                    f"{joining.name}: expected to serve what nobody serves, got {topic} on {side}, "
+                    f"which {other.name} serves"
+                )
         member = self.members.get(joining.name)
-        if member is not None and member.process == joining.process:
-            return
-        self.members[joining.name] = _Member(
-            joining.process, frozenset(joining.hears), frozenset(joining.serves), joining.next_wake
-        )
-        self.outstanding.discard(joining.name)
+        if member is not None and member.process != joining.process:
+            self.leave(member.process)
+        self._candidates[joining.name] = joining
 
-    def leave(self, name: str) -> None:
-        """A process is gone; nobody waits for it any more, and time stands until it is back if it is required."""
-        self.members.pop(name, None)
-        self.outstanding.discard(name)
+    def admit(self) -> list[Join]:
+        """Take in everybody who wants to take part, unless a step is under way; returns whom to tell so.
 
-    def poke(self, name: str) -> None:
-        """Something from outside waits for that process."""
-        if name in self.members:
-            self.members[name].poked = True
+        Only between two steps is it certain which messages reach a newcomer: all of those sent from now on.
+        """
+        if self.outstanding:
+            return []
+        admitted = list(self._candidates.values())
+        self._candidates.clear()
+        for joining in admitted:
+            if joining.name in self.members:
+                continue
+            self.now, self.step = max(self.now, joining.now), max(self.step, joining.step)
+            self.members[joining.name] = Member(
+                joining.name, joining.process, frozenset(joining.hears), frozenset(joining.serves), joining.next_wake
+            )
+            processes = self._starts.setdefault(joining.name, [])
+            if joining.process not in processes:
+                processes.append(joining.process)
+        return admitted
 
-    def done(self, report: StepDone) -> None:
-        """Take in what a process did in the present step."""
-        member = self.members.get(report.name)
-        if member is None or report.step != self.step or report.name not in self.outstanding:
-            return  # of a step that ended when the process was given up
-        self.outstanding.discard(report.name)
-        member.next_wake = report.next_wake
-        member.finished = report.finished if report.finished is not None else member.finished
-        for topic, side, count in report.published:
-            for name, other in self.members.items():
-                if name != report.name and (topic, side) in other.hears:
-                    other.expects += count
-        for topic in report.asked:
-            server = next((name for name, other in self.members.items() if topic in other.serves), report.name)
-            self.members[server].expects += 1
-        for asker in report.answered:
-            if asker in self.members:
-                self.members[asker].expects += 1
+    def starts(self, name: str) -> int:
+        """How many processes of that name have taken part."""
+        return len(self._starts.get(name, ()))
+
+    def leave(self, process: str) -> str | None:
+        """That process is gone: nobody waits for it any more. Its name, or None if it did not take part.
+
+        What it sent in a step that it did not finish nobody has counted. It is there before whatever comes next, so
+        everybody acts in the next step, and handles it then.
+        """
+        for joining in [each for each in self._candidates.values() if each.process == process]:
+            del self._candidates[joining.name]
+        member = next((each for each in self.members.values() if each.process == process), None)
+        if member is None:
+            return None
+        del self.members[member.name]
+        self.outstanding.discard(member.name)
+        for other in self.members.values():
+            other.poked = True
+        return member.name
+
+    def excuse(self, name: str) -> None:
+        """That one only looks on: time need not wait for it."""
+        self.required -= {name}
 
     def missing(self) -> list[str]:
-        """Who is required and has not joined."""
+        """Who is required and does not take part."""
         return sorted(self.required - self.members.keys())
+
+    # --- steps --------------------------------------------------------------------------------------------------
+
+    def poke(self, name: str, process: str) -> None:
+        """Something that nobody has counted waits for that process."""
+        member = self.members.get(name)
+        if member is not None and member.process == process:
+            member.poked = True
+
+    def done(self, report: StepDone) -> bool:
+        """Take in what a process did in the present step. Whether that was expected of it."""
+        member = self.members.get(report.name)
+        if member is None or member.process != report.process:
+            return False  # of somebody who was given up
+        if report.step != self.step or report.name not in self.outstanding:
+            return False
+        self.outstanding.discard(report.name)
+        member.next_wake = report.next_wake
+        member.finished = report.finished
+        for topic, side, count in report.published:
+            for other in self.members.values():
+                if other is not member and (topic, side) in other.hears:
+                    other.inputs[report.name] += count
+        for question in report.asked:
+            self._server_of(question, member).inputs[report.name] += 1
+        for process in report.answered:
+            asker = next((other for other in self.members.values() if other.process == process), None)
+            if asker is not None:
+                asker.inputs[report.name] += 1
+        return True
 
     def next_instant(self) -> MissionTime | None:
         """When the next step can be: now, later, or None while a step is under way, somebody is missing, or no one
         wants to act ever again."""
         if self.outstanding or self.missing():
             return None
-        if any(member.expects or member.poked for member in self.members.values()):
+        if any(member.wants_now for member in self.members.values()):
             return self.now
         wakes = [member.next_wake for member in self.members.values() if member.next_wake is not None]
         return max(self.now, min(wakes)) if wakes else None
 
-    def grant(self, at: MissionTime) -> Grant:
-        """Begin the next step at that instant, which `next_instant` named."""
+    def advance(self, to: MissionTime) -> None:
+        """Let time pass in which nothing happens, up to the next instant at most."""
+        instant = self.next_instant()
+        if not self.outstanding:
+            self.now = max(self.now, to if instant is None else min(to, instant))
+
+    def grant(self, at: MissionTime) -> dict[str, Grant]:
+        """Begin the next step at that instant, which `next_instant` named: what to tell whom."""
         self.now = at
         self.step += 1
-        expects = {}
+        grants = {}
         for name, member in self.members.items():
-            if member.expects or member.poked or (member.next_wake is not None and member.next_wake <= at):
-                expects[name] = member.expects
-                member.expects = 0
+            if member.wants_now or (member.next_wake is not None and member.next_wake <= at):
+                grants[name] = Grant(step=self.step, at=at, process=member.process, expects=dict(member.inputs))
+                member.inputs.clear()
                 member.poked = False
-        self.outstanding = set(expects)
-        return Grant(step=self.step, at=at, expects=expects)
+        self.outstanding = set(grants)
+        return grants
+
+    def _server_of(self, question: tuple[str, str], asker: Member) -> Member:
+        """Who has to take the question in; the asker himself, to whom silence comes, if nobody serves it."""
+        return next((other for other in self.members.values() if question in other.serves), asker)
