@@ -2,8 +2,8 @@
 
 Time jumps from event to event. What happens at one instant happens in rounds: in each, every node handles what the
 previous round sent it, in a fixed order (messages by sender and order of sending, then questions, answers, results and
-timers), and what it sends is there in the next. So the order of the nodes does not matter, and a mission is the same, event
-for event, whether its nodes share a process or run lockstep in many.
+timers), and what it sends is there in the next. So the order of the nodes does not matter, and a mission is the same,
+event for event, whether its nodes share a process or run lockstep in many.
 """
 
 from __future__ import annotations
