@@ -1,0 +1,266 @@
+"""Real services, as processes of their own on free loopback ports: started, watched, ended, and all of it in time.
+
+Nothing here sleeps and hopes: every wait is for a line, a message or an end, with a bound.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from schemas.topics import Side, Topic
+from schemas.wire import Header
+from services.bus import Client
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+READY_WITHIN_S = 45.0
+"""From the start of a process to its first line 'ready': imports, a region, a session; on a machine that is busy."""
+GONE_WITHIN_S = 2.0
+"""From the first signal to the end of the process."""
+
+
+class Process:
+    """One service's process, its lines on standard error, and its end."""
+
+    def __init__(self, name: str, command: Sequence[str]) -> None:
+        self.name = name
+        self.lines: list[str] = []
+        self._news = threading.Condition()
+        self._ended = False
+        self.popen = subprocess.Popen(
+            command,
+            cwd=CHECKOUT,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            process_group=0,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"},
+        )
+        self._reader = threading.Thread(target=self._read, name=f"lines of {name}", daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.popen.stdout is not None
+        with self.popen.stdout as stream:
+            for line in stream:
+                with self._news:
+                    self.lines.append(line.rstrip("\n"))
+                    self._news.notify_all()
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    @property
+    def pid(self) -> int:
+        return self.popen.pid
+
+    @property
+    def running(self) -> bool:
+        return self.popen.poll() is None
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.lines)
+
+    def line(self, part: str, within_s: float = READY_WITHIN_S, after: int = 0) -> str:
+        """The first line from number `after` on that contains `part`, as soon as it is there."""
+
+        def found() -> str | None:
+            return next((line for line in self.lines[after:] if part in line), None)
+
+        with self._news:
+            self._news.wait_for(lambda: found() is not None or self._ended, within_s)
+            line = found()
+        if line is None:
+            ended = f"; it ended with {self.popen.wait(5)}" if self._ended else ""
+            pytest.fail(f"{self.name}: no line with '{part}' within {within_s:g} s{ended}:\n{self.text}")
+        return line
+
+    def send(self, number: int) -> None:
+        self.popen.send_signal(number)
+
+    def end(self, within_s: float = GONE_WITHIN_S) -> int:
+        """The exit code, once it has ended; fails the test, and kills it, when it takes longer."""
+        try:
+            code = self.popen.wait(within_s)
+        except subprocess.TimeoutExpired:
+            self.popen.kill()
+            self.popen.wait()
+            pytest.fail(f"{self.name}: not gone within {within_s:g} s:\n{self.text}")
+        self._reader.join(5)
+        return code
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """The exit code after that signal."""
+        if self.running:
+            self.send(number)
+        return self.end()
+
+    def kill(self) -> None:
+        """End it as a power failure would."""
+        self.popen.kill()
+        self.popen.wait()
+        self._reader.join(5)
+
+
+class Heard(NamedTuple):
+    """A message and when it came, in wall time [ns]."""
+
+    header: Header
+    body: Any
+    wall_ns: int
+
+
+class Listener:
+    """Every message of one topic that reaches a client."""
+
+    def __init__(self, client: Client, topic: Topic) -> None:
+        self.heard: list[Heard] = []
+        self._news = threading.Condition()
+        self._topic = topic
+        client.subscribe(topic, self._take)
+
+    def _take(self, header: Header, body: Any) -> None:
+        with self._news:
+            self.heard.append(Heard(header, body, time.time_ns()))
+            self._news.notify_all()
+
+    def wait(self, wanted: Callable[[Header, Any], bool] = lambda *_: True, within_s: float = 20.0) -> Heard:
+        """The first message that is wanted, of those that came and those that come."""
+
+        def found() -> Heard | None:
+            return next((each for each in self.heard if wanted(each.header, each.body)), None)
+
+        with self._news:
+            self._news.wait_for(lambda: found() is not None, within_s)
+            each = found()
+        if each is None:
+            last = self.heard[-1].body if self.heard else None
+            pytest.fail(f"{self._topic.name}: not heard within {within_s:g} s; {len(self.heard)} came, last {last}")
+        return each
+
+    def wait_for_count(self, count: int, within_s: float = 20.0) -> list[Heard]:
+        """All messages, as soon as there are that many."""
+        with self._news:
+            self._news.wait_for(lambda: len(self.heard) >= count, within_s)
+            if len(self.heard) < count:
+                pytest.fail(f"{self._topic.name}: {len(self.heard)} of {count} messages within {within_s:g} s")
+            return list(self.heard)
+
+
+class Mission:
+    """The processes of one mission, on ports of its own."""
+
+    def __init__(self, scenario: str, flags: Sequence[str] = (), name: str | None = None) -> None:
+        self.scenario = scenario
+        self.name = name or Path(scenario).stem
+        self.moon, self.earth = free_endpoints()
+        self._flags = tuple(flags)
+        self.processes: dict[str, Process] = {}
+        self.past: list[Process] = []
+        self._clients: list[Client] = []
+
+    def start(self, *names: str, flags: Sequence[str] = ()) -> None:
+        """Start those services, at once, without waiting for any of them."""
+        for name in names:
+            if name in self.processes:
+                self.past.append(self.processes[name])
+            command = [sys.executable, "-m", f"services.{name}", self.scenario, "--moon", self.moon]
+            self.processes[name] = Process(name, [*command, "--earth", self.earth, *self._flags, *flags])
+
+    def ready(self, *names: str) -> None:
+        """Wait until those services (all, if none is named) take part."""
+        for name in names or tuple(self.processes):
+            self.processes[name].line(" ready")
+
+    def __getitem__(self, name: str) -> Process:
+        return self.processes[name]
+
+    def client(self, side: Side = Side.EARTH, name: str = "operator") -> Client:
+        """A session on that side, closed with the mission; the router must be there."""
+        client = Client(self.earth if side is Side.EARTH else self.moon, self.name, name, side)
+        self._clients.append(client)
+        return client
+
+    def close_clients(self) -> None:
+        while self._clients:
+            self._clients.pop().close()
+
+    def stop(self, number: int = signal.SIGTERM) -> dict[str, int]:
+        """The exit code of every service that still ran, after that signal to all of them."""
+        self.close_clients()
+        running = {name: process for name, process in self.processes.items() if process.running}
+        for process in running.values():
+            process.send(number)
+        return {name: process.end() for name, process in running.items()}
+
+    def close(self) -> None:
+        """End what is left; fails when anything of it broke."""
+        try:
+            codes = self.stop()
+        finally:
+            for process in self.processes.values():
+                if process.running:
+                    process.kill()
+        for process in [*self.past, *self.processes.values()]:
+            assert "Traceback" not in process.text, f"{process.name}:\n{process.text}"
+        assert set(codes.values()) <= {0}, f"expected exit code 0 of all, got {codes}"
+
+
+def free_endpoints() -> tuple[str, str]:
+    """Two endpoints on loopback that nobody listens on."""
+    with socket.socket() as first, socket.socket() as second:
+        for each in (first, second):
+            each.bind(("127.0.0.1", 0))
+        return tuple(f"tcp/127.0.0.1:{each.getsockname()[1]}" for each in (first, second))  # type: ignore[return-value]
+
+
+Missions = Callable[..., Mission]
+
+
+def _missions() -> Iterator[Missions]:
+    made: list[Mission] = []
+
+    def make(scenario: str, *flags: str, name: str | None = None) -> Mission:
+        mission = Mission(scenario, flags, name)
+        made.append(mission)
+        return mission
+
+    yield make
+    problems = []
+    for mission in made:
+        try:
+            mission.close()
+        except (AssertionError, pytest.fail.Exception) as problem:
+            problems.append(str(problem))
+    assert not problems, "\n".join(problems)
+
+
+@pytest.fixture
+def missions() -> Iterator[Missions]:
+    """Makes missions of a scenario and flags; all of their processes are gone, in order, when the test ends."""
+    yield from _missions()
+
+
+@pytest.fixture(scope="module")
+def shared_missions() -> Iterator[Missions]:
+    """The same for a whole module."""
+    yield from _missions()
+
+
+@pytest.fixture
+def listen() -> Callable[[Client, Topic], Listener]:
+    """Collects a topic's messages at a client."""
+    return Listener
