@@ -11,7 +11,7 @@ import typer
 
 from he3.errors import He3Error, InvalidInput
 from services.console.app import build
-from services.console.interruption import Terminated, end_on_signals
+from services.console.interruption import Terminated, ending_on_signals
 
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 TRACEBACK = "HE3_TRACEBACK"
@@ -24,7 +24,11 @@ _UsageError: Any = typer.BadParameter.__bases__[0]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    end_on_signals()
+    with ending_on_signals():
+        return _run(words)
+
+
+def _run(words: list[str]) -> int:
     try:
         result = build()(words, prog_name="he3", standalone_mode=False)
     except _UsageError as error:

@@ -13,26 +13,32 @@ class Terminated(BaseException):
     """SIGTERM came: like KeyboardInterrupt, not to be caught on the way to the process's edge."""
 
 
-def end_on_signals() -> None:
-    """Make SIGTERM unwind the main thread as Ctrl-C does, and Ctrl-C itself even where a shell had it ignored."""
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, _raise_terminated)
-
-
-def _raise_terminated(*_: Any) -> None:
-    raise Terminated
+@contextmanager
+def ending_on_signals() -> Iterator[None]:
+    """Within, SIGTERM unwinds the main thread as Ctrl-C does, and Ctrl-C itself even where a shell had it ignored."""
+    with _handlers({signal.SIGINT: signal.default_int_handler, signal.SIGTERM: _raise_terminated}):
+        yield
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """No Ctrl-C and no SIGTERM within: for ending what was begun."""
-    if threading.current_thread() is not threading.main_thread():
+    with _handlers({signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_IGN}):
+        yield
+
+
+@contextmanager
+def _handlers(wanted: dict[signal.Signals, Any]) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # which alone may say what signals do
         yield
         return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _raise_terminated(*_: Any) -> None:
+    raise Terminated

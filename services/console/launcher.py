@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -149,7 +150,8 @@ class Launcher:
             lines = (self._logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
         except OSError:
             return ""
-        return f": {lines[-1]}" if lines else ""
+        telling = [line for line in lines if _TELLING.match(line)] or lines
+        return f": {telling[-1]}" if telling else ""
 
 
 def _ending_with_parent() -> Callable[[], None] | None:
@@ -159,6 +161,9 @@ def _ending_with_parent() -> Callable[[], None] | None:
     prctl = ctypes.CDLL(None, use_errno=True).prctl
     return partial(prctl, _PR_SET_PDEATHSIG, int(signal.SIGTERM))
 
+
+_TELLING = re.compile(r"he3 \w+: |[\w.]+(Error|Exception)\b")
+"""A log line that says why a service ended: its own last line, or the last line of a traceback."""
 
 _PR_SET_PDEATHSIG = 1
 _END_WITH_PARENT = _ending_with_parent()
