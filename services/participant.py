@@ -79,7 +79,7 @@ class Participant:
             process=self.process,
             hears=tuple((topic.name, side.value) for topic, side in host.heard_topics()),
             serves=tuple((topic.name, side.value) for topic, side in host.served_topics()),
-            next_wake=self.seat.next_wake(),
+            next_wake=self._next_wake(),
             now=self.now,
             step=self.step,
         )
@@ -172,12 +172,16 @@ class Participant:
             self._perform(action, transport)
         return self._report()
 
+    def _next_wake(self) -> MissionTime | None:
+        wake = self.seat.next_wake()
+        return None if wake is None else max(self.now, wake)
+
     def _report(self) -> StepDone:
         done = StepDone(
             name=self.name,
             process=self.process,
             step=self.step,
-            next_wake=self.seat.next_wake(),
+            next_wake=self._next_wake(),
             published=tuple((topic, side, count) for (topic, side), count in self._published.items()),
             asked=tuple(self._asked),
             answered=tuple(self._answered),

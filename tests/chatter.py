@@ -1,0 +1,162 @@
+"""Nodes that say, ask, answer, compute and wait at random: what any two drivers of virtual time must agree on.
+
+Everything that a node does follows from its seed and from the order and time of what reaches it, so the smallest
+difference between two drivers grows into another history at once. Also a program, for a chatter in its own process:
+``python chatter.py NAME SEED SCENARIO [options of a service]``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from random import Random
+from time import sleep
+
+from schemas.telemetry import EventKind, RoverEvent
+from schemas.topics import Query, Side, Topic
+from services.node import (
+    SECOND,
+    Answer,
+    Ask,
+    Asked,
+    Compute,
+    Due,
+    Effect,
+    Event,
+    Finish,
+    Interface,
+    Refuse,
+    Send,
+    Started,
+    WakeAt,
+)
+
+NEWS = {side: tuple(Topic(f"{side.value}/test/news{i}", RoverEvent) for i in range(3)) for side in Side}
+QUESTIONS = {
+    side: tuple(
+        Topic(f"{side.value}/test/question{i}", RoverEvent, service=Query(), reply=RoverEvent) for i in range(3)
+    )
+    for side in Side
+}
+NAMES = ("link", "anna", "ben", "cleo", "dora")
+"""The link is the only one on both sides, and in separate processes it keeps the time."""
+
+
+def said(number: int) -> RoverEvent:
+    return RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=number)
+
+
+def cubed(number: int) -> int:
+    return number**3
+
+
+class Chatter:
+    """A node that reacts to everything at random, until its budget of effects is spent."""
+
+    def __init__(self, interface: Interface, seed: str, budget: int) -> None:
+        self.interface = interface
+        self.history: list[tuple[int, str]] = []
+        self._random = Random(seed)
+        self._left = budget
+        self._open: list[int] = []
+        self._names = 0
+
+    def handle(self, event: Event, now: int) -> Iterable[Effect]:
+        self.history.append((now, type(event).__name__))
+        if isinstance(event, Asked):
+            self._open.append(event.token)
+        if isinstance(event, Started):
+            yield WakeAt("again", now + self._delay())
+        for _ in range(self._random.choice((0, 1, 1, 2, 3))):
+            if self._left > 0:
+                self._left -= 1
+                yield self._effect(now)
+        if isinstance(event, Due) and event.timer == "again" and self._left > 0:
+            yield WakeAt("again", now + self._delay())
+        if isinstance(event, Due) or self._random.random() < 0.5:  # else answered later, or at the end of the budget
+            yield from self._answers()
+        if self._left <= 0:
+            yield Finish(True, f"said all after {len(self.history)}")
+
+    def _effect(self, now: int) -> Effect:
+        dice = self._random
+        side = dice.choice(self.interface.sides)
+        self._names += 1
+        match dice.randrange(10):
+            case 0 | 1 | 2 | 3:
+                return Send(dice.choice(NEWS[side]), said(dice.randrange(1000)))
+            case 4 | 5:
+                return Ask(dice.choice(QUESTIONS[side]), said(dice.randrange(1000)), f"question{self._names}")
+            case 6:
+                takes_s = dice.choice((0.0, 1e-9, 0.5, 7.0))
+                return Compute(f"job{self._names}", cubed, (dice.randrange(99),), takes_s)
+            case 7:
+                return WakeAt(f"timer{dice.randrange(3)}", None)
+            case _:
+                return WakeAt(f"timer{dice.randrange(3)}", now + self._delay())
+
+    def _delay(self) -> int:
+        return self._random.choice((-5, 0, 1, SECOND // 3, SECOND, SECOND, 7 * SECOND))
+
+    def _answers(self) -> Iterable[Effect]:
+        for token in self._open:
+            number = self._random.randrange(1000)
+            yield Refuse(token, "not today") if number % 4 == 0 else Answer(token, said(number))
+        self._open.clear()
+
+
+def interfaces(seed: int) -> list[Interface]:
+    """Who there is, hears what and serves what: at random, each question served by one or by nobody."""
+    dice = Random(f"interfaces/{seed}")
+    sides = {name: (dice.choice(tuple(Side)),) for name in NAMES}
+    sides["link"] = tuple(Side)
+    server = {topic: dice.choice((*NAMES, "nobody")) for topics in QUESTIONS.values() for topic in topics}
+    return [
+        Interface(
+            name,
+            sides[name],
+            subscribes=tuple(t for side in sides[name] for t in NEWS[side] if dice.random() < 0.6),
+            serves=tuple(topic for topic, who in server.items() if who == name),
+            custody=False,
+        )
+        for name in NAMES[: dice.randint(2, len(NAMES))]
+    ]
+
+
+def chatters(seed: int, budget: int = 40) -> list[Chatter]:
+    """The same nodes, each in its first state, every time."""
+    return [Chatter(interface, f"{seed}/{interface.name}", budget) for interface in interfaces(seed)]
+
+
+class DawdlingExecutor:
+    """Computes in other threads, and takes its time."""
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(2)
+
+    def submit(self, function: object, /, *arguments: object) -> Future[object]:
+        def late() -> object:
+            sleep(0.02)
+            return function(*arguments)  # type: ignore[operator]
+
+        return self._pool.submit(late)
+
+    def close(self) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+
+def main(name: str, seed: str, *arguments: str) -> int:
+    """One chatter in this process."""
+    from services.link.lockstep import LockstepLinkProcess
+    from services.lockstep import LockstepProcess
+    from services.run import Service
+    from services.serve import serve
+
+    node = next(each for each in chatters(int(seed)) if each.interface.name == name)
+    service = Service(name, lambda options: node, executor=DawdlingExecutor, journals=False)
+    return serve(service, arguments, in_lockstep=LockstepLinkProcess if name == "link" else LockstepProcess)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
