@@ -1,0 +1,216 @@
+"""What light time and black-outs cost: mission time and error of the map, stop-and-wait beside pipelined.
+
+The same mission, from the same seed, for each light time (0 s, the Moon at 1.28 s, studied relays at 3 and 5 s, Mars at
+20 min) and for each share of the time without contact; each flown twice: stop-and-wait, where every round waits for the
+samples of the last to be in the map, and pipelined, where the next rounds are on board before it ends. All in virtual
+time, with the real nodes, custody and link, so that light time is exact.
+
+    mission_time_s   until the last sample is in the map
+    rmse_ppb         of the final map against the reference, all cells
+    blackout         share of the time without contact, in periods of four hours; what is sent then waits
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from he3.errors import He3Error, InvalidInput
+from schemas.ground import MissionPhase
+from services.ground.planner_process import PlannerProcess
+from services.mission import InProcessMission
+from services.scenario import Scenario, checked_scenario
+
+MOON_S = 1.282
+"""Light time of the black-out rows: the Moon at its mean distance."""
+LIGHT_TIMES_S = (0.0, MOON_S, 3.0, 5.0, 1200.0)
+BLACKOUTS = (0.25, 0.5)
+PERIOD_S = 4 * 3600.0
+"""A black-out of half the time lasts two hours."""
+SLACK_S = 60 * 86400.0
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One mission of the study."""
+
+    light_time_s: float
+    blackout: float
+    pipeline: int
+    planner: str
+    region: str
+    seed: int
+    rounds: int
+
+
+def run(
+    json: Path | None = None,
+    out: Path | None = None,
+    light_times: Sequence[float] = LIGHT_TIMES_S,
+    blackouts: Sequence[float] = BLACKOUTS,
+    pipeline: int = 2,
+    planner: str = "rrtstar",
+    region: str = "t1",
+    seed: int = 1,
+    rounds: int = 30,
+    jobs: int = 2,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """A row for each light time and black-out, stop-and-wait and pipelined; printed, written, and drawn as `delay.png`.
+
+    Raises InvalidInput for a depth that is no pipeline, a black-out that never ends, or no light time to compare.
+    """
+    if pipeline < 1 or jobs < 1:
+        raise InvalidInput(f"expected a pipeline of one round and one job at least, got {pipeline} and {jobs}")
+    if any(not 0 <= share < 1 for share in blackouts):
+        raise InvalidInput(f"expected black-outs from 0 to below 1 of the time, got {', '.join(map(str, blackouts))}")
+    if 0.0 not in light_times:
+        raise InvalidInput(f"expected a light time of 0 to compare with, got {', '.join(map(str, light_times))}")
+    conditions = [(light_time, 0.0) for light_time in light_times] + [(MOON_S, share) for share in blackouts if share]
+    cases = [
+        Case(light_time, share, depth, planner, region, seed, rounds)
+        for light_time, share in conditions
+        for depth in (0, pipeline)
+    ]
+    say(
+        f"{'light time':>10} {'black-out':>9} {'pipeline':>8} {'mission time':>13} {'ratio':>8} "
+        f"{'RMSE':>8} {'samples':>7}"
+    )
+    rows: list[Row] = []
+    for row in _flown(cases, jobs):
+        rows.append(row)
+        base = next(each for each in rows if each["pipeline"] == row["pipeline"])
+        say(
+            f"{row['light_time_s']:>8g} s {row['blackout']:>9.0%} {row['pipeline']:>8} "
+            f"{row['mission_time_s'] / 3600:>11.3f} h {row['mission_time_s'] / base['mission_time_s']:>8.4f} "
+            f"{row['rmse_ppb']:>8.4f} {row['samples']:>7}"
+        )
+    if json is not None:
+        json.write_text(json_format.dumps({"rows": rows}, indent=2) + "\n", encoding="utf-8")
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        say(str(_drawn(rows, out / "delay.png")))
+    return rows
+
+
+def _flown(cases: Sequence[Case], jobs: int) -> Iterator[Row]:
+    if jobs == 1:
+        yield from map(fly, cases)
+        return
+    with ProcessPoolExecutor(min(jobs, len(cases)), mp_context=get_context("spawn")) as pool:
+        yield from pool.map(fly, cases)
+
+
+def scenario_of(case: Case) -> Scenario:
+    """The mission of that case: nothing but light time, contact and pipeline differs from one to the other."""
+    link: dict[str, Any] = {way: {"one_way_light_time_s": case.light_time_s} for way in ("up", "down")}
+    if case.blackout:
+        link["duty_cycle"] = {"period_s": PERIOD_S, "contact_s": round(PERIOD_S * (1 - case.blackout), 3)}
+    return checked_scenario(
+        {
+            "name": "delay",
+            "region": case.region,
+            "seed": case.seed,
+            "rounds": case.rounds,
+            "samples_per_round": 5,
+            # Reported once an hour: what is of no use here need not be simulated.
+            "rover": {"state_period_s": 3600.0},
+            "ground": {"planner": case.planner, "pipeline": case.pipeline, "status_period_s": 3600.0},
+            "link": link,
+        },
+        "delay",
+    )
+
+
+def fly(case: Case) -> Row:
+    """The row of that case; raises He3Error if its mission does not come to its end with all samples."""
+    scenario = scenario_of(case)
+    began = time.monotonic()
+    with PlannerProcess(parallel=1) as planners:
+        mission = InProcessMission(scenario, planners)
+        end = mission.run(until_s=SLACK_S)
+    status = mission.status
+    assert status is not None, "a mission that has ended has said so"
+    if end is not MissionPhase.COMPLETED or status.samples != scenario.samples or status.score is None:
+        raise He3Error(f"light time {case.light_time_s:g} s, pipeline {case.pipeline}: {end.value}: {mission.why()}")
+    return {
+        "light_time_s": case.light_time_s,
+        "blackout": case.blackout,
+        "pipeline": case.pipeline,
+        "mission_time_s": mission.mission_time_s,
+        "rmse_ppb": status.score.rmse_ppb,
+        "samples": status.samples,
+        "path_length_m": status.driven_m,
+        "planner": case.planner,
+        "region": case.region,
+        "seed": case.seed,
+        "wall_time_s": time.monotonic() - began,
+    }
+
+
+# --- the picture ------------------------------------------------------------------------------------------------
+
+
+def _drawn(rows: Sequence[Row], path: Path) -> Path:
+    """The file in which it is drawn: hours and error over light time, and over the share without contact."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context({"font.size": 9.0, "axes.titlesize": 10.0, "legend.frameon": False}):
+        figure = Figure(figsize=(9.2, 5.6), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(2, 2, sharex="col", sharey="row", gridspec_kw={"width_ratios": [3, 2]})
+        by_light_time = [row for row in rows if not row["blackout"]]
+        by_blackout = [row for row in rows if row["light_time_s"] == MOON_S]
+        for column, (some, key) in enumerate(((by_light_time, "light_time_s"), (by_blackout, "blackout"))):
+            for style, few in _kinds(some):
+                few = sorted(few, key=lambda row: float(row[key]))
+                places = range(len(few)) if column == 0 else [100 * row["blackout"] for row in few]
+                axes[0][column].plot(places, [row["mission_time_s"] / 3600 for row in few], **style)
+                axes[1][column].plot(places, [row["rmse_ppb"] for row in few], **style)
+        times = sorted({row["light_time_s"] for row in by_light_time})
+        axes[1][0].set_xticks(range(len(times)), [_duration(seconds) for seconds in times])
+        axes[1][0].set_xlabel("one-way light time")
+        axes[1][1].set_xlabel(f"share of the time without contact [%], periods of {PERIOD_S / 3600:g} h")
+        axes[0][0].set_ylabel("mission time [h]")
+        axes[1][0].set_ylabel("RMSE [ppb]")
+        axes[0][0].set_title("Light time, always in contact")
+        axes[0][1].set_title(f"Black-outs at {MOON_S:g} s")
+        for row in axes:
+            for axis in row:
+                axis.set_ylim(bottom=0)
+                axis.grid(color="#d9dde2", linewidth=0.6)
+                axis.spines[["top", "right"]].set_visible(False)
+        axes[0][0].legend(loc="lower left")
+        figure.suptitle(f"{rows[0]['samples']} samples on {rows[0]['region']}, planner {rows[0]['planner']}")
+        figure.savefig(path, dpi=150)
+    return path
+
+
+def _kinds(rows: Iterable[Row]) -> Iterator[tuple[dict[str, Any], list[Row]]]:
+    waiting = [row for row in rows if not row["pipeline"]]
+    ahead = [row for row in rows if row["pipeline"]]
+    if waiting:
+        yield {"color": "#c2410c", "marker": "s", "linestyle": "--", "label": "stop-and-wait"}, waiting
+    if ahead:
+        depth = ahead[0]["pipeline"]
+        label = f"pipelined, {depth} round{'s' * (depth > 1)} on board"
+        yield {"color": "#1d4ed8", "marker": "o", "linestyle": "-", "label": label}, ahead
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 60:g} min" if seconds >= 60 else f"{seconds:g} s"
+
+
+if __name__ == "__main__":
+    run()
