@@ -1,0 +1,262 @@
+"""How exactly the link keeps its light time at rate 1, between separate processes, before and after a live change.
+
+The real link runs as a process of its own with its two routers. A process on Earth sends telecommands up and a process
+on the Moon sends sample reports down, at the same time; each takes the mission time at which a message reaches it. The
+error of a message is
+
+    error = (mission time at its arrival - the `made_at` of its header) - light time
+
+so it holds everything that the light time does not: both hops over Zenoh, the link's queue and its timers. Then an
+operator sets the light time to 3.0 s while all of it runs, and what follows is measured again.
+
+    owlt_s          the one-way light time that was asked for [s]
+    messages        how many arrived, of as many sent
+    error_p50_s, error_p99_s, error_max_s     median, 99th percentile and largest of the absolute errors [s]
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.commands import CommandKind, Telecommand
+from schemas.link import ClockState, LinkChange, LinkStatus
+from schemas.telemetry import SampleReport
+from schemas.topics import COMMAND, EARTH_CLOCK, LINK_SET, MOON_CLOCK, SAMPLE, Side, Topic
+from schemas.wire import Header, Wire, decode, encode
+from services.bus import Bus, Client, open_session
+from services.clock import mission_time
+from services.console.joining import join_when_up
+from services.console.launcher import free_endpoints
+from services.deployment import find_scenario
+from services.node import SECOND
+from services.scenario import load_scenario
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+SETTLING_S = 30.0
+"""How long the processes may take to start, and the last message may take beyond its light time."""
+
+Row = dict[str, Any]
+
+
+def run(
+    messages: int = 250,
+    interval_s: float = 0.02,
+    changed_to_s: float = 3.0,
+    scenario: str = "t1-nominal",
+    json: Path | str | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """A row for each direction, and for both together, before and after the change; printed, and written to ``json``.
+
+    messages: sent each way. interval_s: between two of them. Raises InvalidInput for figures that make no sense.
+    """
+    if messages < 1 or interval_s < 0 or not 0 <= changed_to_s <= 86_400:
+        raise InvalidInput(
+            f"expected messages of at least 1, an interval of 0 s or more and a light time from 0 to 86400 s, "
+            f"got {messages}, {interval_s:g} and {changed_to_s:g}"
+        )
+    path = find_scenario(scenario)
+    mission = load_scenario(path)
+    endpoints = free_endpoints()
+    where = ["--moon", endpoints.moon, "--earth", endpoints.earth]
+    say(f"{'light time':>10} {'direction':<9} {'messages':>8} {'median':>10} {'99 %':>10} {'largest':>10}")
+    rows: list[Row] = []
+    with ExitStack() as ends:
+        link = _Ended(ends, "services.link", str(path), "--rate", "1", "--log-level", "warning", *where)
+        client = ends.enter_context(join_when_up(endpoints.earth, mission.name, link.check))
+        sides = [
+            _Ended(ends, "benchmarks.link_timing", side.value, getattr(endpoints, side.value), mission.name)
+            for side in Side
+        ]
+        for owlt_s in (None, changed_to_s):
+            change = LinkChange() if owlt_s is None else LinkChange(one_way_light_time_s=owlt_s)
+            status = _changed(client, change, link.check)
+            rows += _measured(sides, status, messages, interval_s)
+            for row in rows[-3:]:
+                say(
+                    f"{row['owlt_s']:>8.3f} s {row['direction']:<9} {row['messages']:>8} {_ms(row['error_p50_s'])} "
+                    f"{_ms(row['error_p99_s'])} {_ms(row['error_max_s'])}"
+                )
+    if json is not None:
+        whole = next(row for row in rows if row["direction"] == "both")
+        document = {**whole, "rows": rows, "interval_s": interval_s, "machine": _machine()}
+        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return rows
+
+
+def _changed(client: Client, change: LinkChange, check: Callable[[], None]) -> LinkStatus:
+    """The link's word on a change of it; its routers are there a moment before it answers."""
+    give_up = time.monotonic() + SETTLING_S
+    while True:
+        check()
+        try:
+            status: LinkStatus = client.query(LINK_SET, change)
+            return status
+        except PeerUnreachable:
+            if time.monotonic() > give_up:
+                raise
+        time.sleep(0.05)
+
+
+def _measured(sides: Sequence[_Ended], status: LinkStatus, messages: int, interval_s: float) -> list[Row]:
+    light = {"up": status.conditions.up.one_way_light_time_s, "down": status.conditions.down.one_way_light_time_s}
+    longest_s = messages * interval_s + max(light.values()) + SETTLING_S
+    for side in sides:
+        side.ask(f"{messages} {interval_s} {longest_s}")
+    delays = {"up": np.array(sides[0].answer(longest_s)), "down": np.array(sides[1].answer(longest_s))}
+    errors = {direction: np.abs(delays[direction] / SECOND - light[direction]) for direction in delays}
+    for direction, came in errors.items():
+        if len(came) != messages:
+            raise He3Error(f"link: expected {messages} messages {direction}, got {len(came)}")
+    both = np.concatenate(list(errors.values()))
+    owlt_s = {**light, "both": sum(light.values()) / 2}
+    return [
+        {
+            "owlt_s": owlt_s[direction],
+            "direction": direction,
+            "messages": len(came),
+            "error_p50_s": float(np.quantile(came, 0.5)),
+            "error_p99_s": float(np.quantile(came, 0.99)),
+            "error_max_s": float(came.max()),
+            "load": os.getloadavg()[0],
+        }
+        for direction, came in {**errors, "both": both}.items()
+    ]
+
+
+class _Ended:
+    """A process that is told something by a line, answers with a line of JSON, and ends with the benchmark."""
+
+    def __init__(self, ends: ExitStack, module: str, *arguments: str) -> None:
+        self._module = module
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            cwd=CHECKOUT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            process_group=0,
+        )
+        ends.callback(self._end)
+
+    def check(self) -> None:
+        code = self._process.poll()
+        if code is not None:
+            raise He3Error(f"{self._module}: ended by itself with exit code {code}")
+
+    def ask(self, line: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+
+    def answer(self, within_s: float) -> Any:
+        assert self._process.stdout is not None
+        giving_up = threading.Timer(within_s + SETTLING_S, self._process.kill)
+        giving_up.start()
+        try:
+            line = self._process.stdout.readline()
+        finally:
+            giving_up.cancel()
+        if not line:
+            raise He3Error(f"{self._module}: no answer within {within_s + SETTLING_S:g} s")
+        return json_format.loads(line)
+
+    def _end(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+
+
+def _machine() -> dict[str, Any]:
+    return {"cpus": os.cpu_count(), "load": os.getloadavg()[0]}
+
+
+def _ms(seconds: float) -> str:
+    return f"{seconds * 1e3:>7.3f} ms"
+
+
+# --- one side of the link, in a process of its own --------------------------------------------------------------
+
+SENDS: dict[Side, Topic] = {Side.MOON: SAMPLE, Side.EARTH: COMMAND}
+HEARS: dict[Side, Topic] = {Side.MOON: COMMAND, Side.EARTH: SAMPLE}
+CLOCKS: dict[Side, Topic] = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
+
+
+def _one_side(side: Side, endpoint: str, mission: str) -> None:
+    """Send and hear as each line on standard input says; the delays [ns] of what came, as a line of JSON."""
+    sys.setswitchinterval(0.0005)
+    with Client(endpoint, mission, "bench", side) as client:
+        bus = Bus(open_session(side, "client", endpoint), mission)
+        came: list[tuple[bytes, int]] = []
+        news = threading.Condition()
+
+        def take(payload: bytes, _attachment: bytes) -> None:
+            at = time.time_ns()
+            with news:
+                came.append((payload, at))
+                news.notify_all()
+
+        bus.subscribe(HEARS[side], take)
+        clock: ClockState = client.latest(CLOCKS[side])[1]
+        number = 0
+        for line in sys.stdin:
+            messages, interval_s, longest_s = line.split()
+            began = time.monotonic()
+            for _ in range(int(messages)):
+                now = mission_time(clock, time.time_ns())
+                header = Header(mission=mission, source="bench", incarnation=1, sequence=number, made_at=now)
+                bus.publish(SENDS[side], encode(header, _body(side, number, now)))
+                number += 1
+                time.sleep(max(0.0, began + (number % int(messages)) * float(interval_s) - time.monotonic()))
+            with news:
+                news.wait_for(lambda: len(came) >= int(messages), float(longest_s))
+                heard, came[:] = list(came), []
+            delays = [
+                mission_time(clock, at) - decode(HEARS[side], payload, mission)[0].made_at for payload, at in heard
+            ]
+            sys.stdout.write(json_format.dumps(delays) + "\n")
+            sys.stdout.flush()
+        bus.close()
+
+
+def _body(side: Side, number: int, now: int) -> Wire:
+    if side is Side.EARTH:
+        return Telecommand(command_id=f"bench-{number}", kind=CommandKind.PAUSE)
+    return SampleReport(
+        sample_id=f"bench-{number}",
+        round=1,
+        plan_revision=1,
+        x_m=25.0,
+        y_m=25.0,
+        depth_m=0.1,
+        helium3_ppb=8.0,
+        noise_std_ppb=0.1,
+        measured_at=now,
+        driven_m=0.0,
+    )
+
+
+if __name__ == "__main__":
+    if len(sys.argv) == 4:
+        _one_side(Side(sys.argv[1]), sys.argv[2], sys.argv[3])
+    else:
+        run()
