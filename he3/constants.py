@@ -6,6 +6,7 @@ Sources:
   ALMANAC    the Moon's distance over a lunation, centre to centre, as in the astronomical almanacs
   PRODUCTS   the labels of the Kaguya MI mineral maps and of SLDEM2015, which share a grid
   FA-JIN     Fa and Jin, regression of helium-3 on TiO2, solar wind and maturity, as the paper uses it
+  SOURCEBOOK Carrier, Olhoeft and Mendell in the Lunar Sourcebook (1991), section 9.1.4
   PAPER      the publication whose system this project rebuilds
   ASSUMED    a working figure that nobody has verified
 """
@@ -39,6 +40,9 @@ PUBLISHED_FLUX: Final = MappingProxyType({"apollo-11": 0.50, "apollo-15": 0.51, 
 
 PERTURBATION: Final = 0.05  # 1, relative standard deviation of the sub-pixel variation of FeO and OMAT, PAPER
 CORRELATION_LENGTH_M: Final = 25.0  # m, e-folding length of that variation, PAPER
+
+# Mean over the upper 60 cm. It is 1500 in the upper 15 cm and 1740 between 30 and 60 cm, each give or take 50.
+REGOLITH_BULK_DENSITY_KG_M3: Final = 1660.0  # kg/m^3, SOURCEBOOK
 
 ROVER_SLOPE_NOMINAL_DEG: Final = 15.0  # deg, what a VIPER-like rover is planned on, ASSUMED
 ROVER_SLOPE_LIMIT_DEG: Final = 20.0  # deg, what it can hold at all, ASSUMED

@@ -10,6 +10,30 @@ from pydantic import Field
 from schemas.wire import MissionTimeNs, PositionM, Wire
 
 Count = Annotated[int, Field(ge=0)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+Ppb = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+AsOf = Annotated[str, Field(max_length=40, pattern=r"^(\d{1,19}|\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d(\.\d{1,9})?)?Z?)$")]
+"""Which map is meant: a revision, or a mission time as 2030-01-01T06:00:00Z or in nanoseconds since 1970.
+
+Answered from the last revision that is not later; the answer says which one that is.
+"""
+
+PolygonText = Annotated[str, Field(max_length=10_000, pattern=r"^\s*-?[\d.eE+-]+(\s*,\s*-?[\d.eE+-]+)+\s*$")]
+"""Corners of an area as 'x,y,x,y,...' [m]."""
+
+
+class MapFormat(StrEnum):
+    """How an answer is written. All but JSON come as they are, with a `MapAbout` as their attachment."""
+
+    JSON = "json"
+    NPY = "npy"
+    """NumPy's own format, float32 or uint8, row 0 in the south."""
+    PNG = "png"
+    """A picture, north up."""
+    TIFF = "tiff"
+    """GeoTIFF, float32 or uint8, north up, in metres of IAU_2015:30110."""
+    CSV = "csv"
 
 
 class MapPointQuery(Wire):
@@ -17,6 +41,9 @@ class MapPointQuery(Wire):
 
     x: PositionM
     y: PositionM
+    threshold: Ppb | None = None
+    """Ask also for the probability that there is more helium-3 than that [ppb]."""
+    as_of: AsOf | None = None
 
 
 class MapPoint(Wire):
@@ -33,12 +60,28 @@ class MapPoint(Wire):
     """Measurements that the map holds."""
     mission_time_ns: MissionTimeNs
     """Mission time of that revision."""
+    information_nats: Annotated[float, Field(ge=0)] | None = None
+    """What one measurement there would tell about the field."""
+    exceedance: Probability | None = None
+    """Probability that there is more than the threshold, if one was given."""
 
 
 class MapLayer(StrEnum):
     MEAN = "mean"
     STD = "std"
     TRAVERSABLE = "traversable"
+    INFORMATION = "information"
+    """What one measurement at the place would tell about the field [nat]."""
+    EXCEEDANCE = "exceedance"
+    """Probability that there is more than `threshold`."""
+    SAMPLES = "samples"
+    """A table: what was measured, and where."""
+    PLAN = "plan"
+    """A table: the corners of what is driven and what is planned."""
+
+
+RASTERS: tuple[MapLayer, ...] = tuple(MapLayer)[:5]
+"""The layers with a value in every cell."""
 
 
 class MapLayerQuery(Wire):
@@ -46,6 +89,25 @@ class MapLayerQuery(Wire):
 
     layer: MapLayer
     step: Annotated[int, Field(ge=1, le=500)] = 1
+    threshold: Ppb | None = None
+    """Of the exceedance [ppb]."""
+    as_of: AsOf | None = None
+    format: MapFormat = MapFormat.JSON
+
+
+class MapBoxQuery(Wire):
+    """A part of a layer, its edges in metres, at the resolution that is wanted (the map's own if none is given)."""
+
+    layer: MapLayer
+    x_min: PositionM
+    y_min: PositionM
+    x_max: PositionM
+    y_max: PositionM
+    resolution_m: Annotated[float, Field(gt=0, le=1e5)] | None = None
+    """Side of a cell of the answer; each holds the map's value at its centre."""
+    threshold: Ppb | None = None
+    as_of: AsOf | None = None
+    format: MapFormat = MapFormat.JSON
 
 
 class MapRaster(Wire):
@@ -61,6 +123,29 @@ class MapRaster(Wire):
     revision: Count
     samples: Count
     mission_time_ns: MissionTimeNs
+    x_min_m: float = 0.0
+    y_min_m: float = 0.0
+    threshold_ppb: float | None = None
+
+
+class MapAbout(Wire):
+    """What a picture or an array shows; travels as the attachment of answers that are not JSON."""
+
+    layer: MapLayer
+    format: MapFormat
+    rows: Count
+    columns: Count
+    resolution_m: float
+    x_min_m: float
+    y_min_m: float
+    unit: str
+    low: float
+    high: float
+    """Smallest and largest value."""
+    revision: Count
+    samples: Count
+    mission_time_ns: MissionTimeNs
+    threshold_ppb: float | None = None
 
 
 class MapScore(Wire):
@@ -75,3 +160,109 @@ class MapScore(Wire):
     revision: Count
     samples: Count
     mission_time_ns: MissionTimeNs
+
+
+class MapTrackQuery(Wire):
+    """Samples and paths, as they are or as they were."""
+
+    as_of: AsOf | None = None
+
+
+class MapRevision(Wire):
+    """A map that can still be asked for."""
+
+    revision: Count
+    samples: Count
+    mission_time_ns: MissionTimeNs
+    mean_std_ppb: Annotated[float, Field(ge=0)]
+
+
+class MapSite(Wire):
+    """The ground that the map is of."""
+
+    rows: Count
+    columns: Count
+    resolution_m: float
+    origin_lat_deg: float | None
+    """Of the south-west corner; None where the region does not say where on the Moon it lies."""
+    origin_lon_deg: float | None
+    noise_std_ppb: float
+    """Standard deviation of a measurement, as the belief has it."""
+
+
+class MapHistory(Wire):
+    """The site, and the revisions that are held, oldest first; the last is the map as it is."""
+
+    site: MapSite
+    revisions: tuple[MapRevision, ...]
+
+
+class ResourceQuery(Wire):
+    """How much helium-3 there is in an area. Without a polygon the whole site is meant."""
+
+    polygon: PolygonText | None = None
+    cutoff_ppb: Ppb = 8.0
+    """Ground with more than that is worth digging."""
+    probability: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    """Of the credible intervals, and what a cell above the cut-off must have to count as confident."""
+    as_of: AsOf | None = None
+
+
+class Interval(Wire):
+    """Expectation, and an interval that holds the truth with the probability asked for."""
+
+    expected: float
+    low: float
+    high: float
+
+
+class ResourceEstimate(Wire):
+    """Helium-3 in an area, a metre deep, with intervals from the joint posterior of all its cells."""
+
+    area_m2: Annotated[float, Field(ge=0)]
+    cells: Count
+    mean_ppb: Interval
+    """Of the abundance over the area."""
+    mean_std_ppb: float
+    """Standard deviation of that mean."""
+    mass_kg_per_m: Interval
+    """Helium-3 per metre of depth, at that bulk density, as if the abundance did not change with depth."""
+    bulk_density_kg_m3: float
+    cutoff_ppb: float
+    area_above_m2: Interval
+    """Area that holds more than the cut-off."""
+    confident_area_m2: float
+    """Area of the cells that are each above the cut-off with at least `probability`."""
+    probability: float
+    quadrature_m: float
+    """Spacing of the places at which the correlation with the samples was integrated."""
+    quadrature_error_ppb: float
+    """How far the mean's standard deviation moves when that spacing is doubled."""
+    revision: Count
+    samples: Count
+    mission_time_ns: MissionTimeNs
+
+
+class FrameKind(StrEnum):
+    KEY = "key"
+    """The whole map."""
+    DELTA = "delta"
+    """What is different from the frame before."""
+
+
+class MapFrame(Wire):
+    """The head of a frame of the map's feed; numbers follow it, see services/mapfeed.py."""
+
+    kind: FrameKind
+    epoch: Count
+    """Which start of the feed; frames of another epoch do not fit together."""
+    sequence: Count
+    """Grows by one with every change of the feed; a delta fits on the frame with one less."""
+    rows: Count
+    columns: Count
+    resolution_m: float
+    revision: Count
+    samples: Count
+    mission_time_ns: MissionTimeNs
+    checksum: Annotated[int, Field(ge=0, lt=2**32)]
+    """CRC-32 of mean, std (little-endian float32) and traversable (bytes), as they are after this frame."""

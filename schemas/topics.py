@@ -9,7 +9,19 @@ from schemas.commands import CommandList, CommandReport, CommandStatus, NoParame
 from schemas.ground import GroundStatus, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
 from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
-from schemas.maps import MapLayerQuery, MapPoint, MapPointQuery, MapRaster, MapScore
+from schemas.maps import (
+    MapBoxQuery,
+    MapFrame,
+    MapHistory,
+    MapLayerQuery,
+    MapPoint,
+    MapPointQuery,
+    MapRaster,
+    MapScore,
+    MapTrackQuery,
+    ResourceEstimate,
+    ResourceQuery,
+)
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.plans import MissionPlan
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
@@ -115,7 +127,12 @@ COMMAND_STATUS = Topic("earth/ground/command-status", CommandStatus, recorded=Tr
 MAP_POINT = Topic("earth/map/point", MapPointQuery, service=Query(), reply=MapPoint)
 MAP_LAYER = Topic("earth/map/layer", MapLayerQuery, service=Query(), reply=MapRaster, max_reply_bytes=33_554_432)
 MAP_SCORE = Topic("earth/map/score", NoParameters, service=Query(), reply=MapScore)
-TRACK = Topic("earth/map/track", NoParameters, service=Query(), reply=MissionTrack, max_reply_bytes=33_554_432)
+TRACK = Topic("earth/map/track", MapTrackQuery, service=Query(), reply=MissionTrack, max_reply_bytes=33_554_432)
+MAP_BOX = Topic("earth/map/box", MapBoxQuery, service=Query(), reply=MapRaster, max_reply_bytes=33_554_432)
+MAP_RESOURCE = Topic("earth/map/resource", ResourceQuery, service=Query(), reply=ResourceEstimate)
+MAP_HISTORY = Topic("earth/map/history", NoParameters, service=Query(), reply=MapHistory)
+MAP_FEED = Topic("earth/map/feed", MapFrame, max_bytes=67_108_864)
+"""Not an envelope: head and numbers, as services/mapfeed.py writes them. Asked for on the same key: a key frame."""
 
 MOON_JOIN = Topic("moon/time/join", Join, service=Query(), reply=Joined, max_bytes=65_536)
 MOON_GRANT = Topic("moon/time/grant", Grant)
@@ -155,6 +172,10 @@ TOPICS: tuple[Topic, ...] = (
     MAP_LAYER,
     MAP_SCORE,
     TRACK,
+    MAP_BOX,
+    MAP_RESOURCE,
+    MAP_HISTORY,
+    MAP_FEED,
     MOON_JOIN,
     MOON_GRANT,
     MOON_DONE,

@@ -15,7 +15,7 @@ import numpy as np
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
-from he3.gp import Hyperparameters, fit_hyperparameters
+from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
 from he3.gridposterior import GridPosterior, MapSnapshot
 from he3.kernels import AUTO, kernel_from
 from he3.trend import OrbitalTrend
@@ -93,6 +93,11 @@ class Belief:
     @property
     def hyperparameters(self) -> Hyperparameters:
         return self._posterior.hyperparameters
+
+    @property
+    def process(self) -> GaussianProcess:
+        """The same belief at arbitrary places: immutable."""
+        return self._posterior.process
 
     @property
     def map(self) -> MapSnapshot:

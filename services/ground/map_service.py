@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from base64 import b64encode
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 import numpy as np
 
 from he3.errors import InvalidInput, OutsideRegion
 from schemas.ground import MissionTrack
-from schemas.maps import MapLayer, MapLayerQuery, MapPoint, MapPointQuery, MapRaster, MapScore
-from schemas.topics import MAP_LAYER, MAP_POINT, MAP_SCORE, TRACK, Topic
+from schemas.maps import (
+    MapBoxQuery,
+    MapHistory,
+    MapLayerQuery,
+    MapPoint,
+    MapPointQuery,
+    MapRaster,
+    MapRevision,
+    MapScore,
+    MapSite,
+    ResourceEstimate,
+    ResourceQuery,
+)
+from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
 from schemas.wire import Wire
+from services.ground.history import as_of, revisions
+from services.ground.layers import Cells, box, whole_layer
+from services.ground.resources import estimate
 from services.ground.snapshot import MapSnapshot
 
-MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK)
+MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX, MAP_RESOURCE, MAP_HISTORY)
 """The topics that are answered from a snapshot, by whichever thread holds one."""
-
-_UNITS = {MapLayer.MEAN: "ppb", MapLayer.STD: "ppb", MapLayer.TRAVERSABLE: "1"}
 
 
 def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
@@ -26,15 +42,13 @@ def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
     """
     if snapshot is None:
         raise InvalidInput("map: there is none yet; ask again when the ground has begun")
-    if topic is MAP_POINT and isinstance(request, MapPointQuery):
-        return point(request, snapshot)
-    if topic is MAP_LAYER and isinstance(request, MapLayerQuery):
-        return layer(request, snapshot)
-    if topic is MAP_SCORE:
-        return score(snapshot)
-    if topic is TRACK:
-        return track(snapshot)
-    raise InvalidInput(f"map: expected a query of {', '.join(known.name for known in MAP_TOPICS)}, got {topic.name}")
+    how = _ANSWERS.get(topic)
+    if how is None:
+        raise InvalidInput(
+            f"map: expected a query of {', '.join(known.name for known in MAP_TOPICS)}, got {topic.name}"
+        )
+    reply: Wire = how(request, as_of(snapshot, getattr(request, "as_of", None)))
+    return reply
 
 
 def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
@@ -48,39 +62,51 @@ def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
         )
     row = min(int(y / grid.resolution_m), grid.rows - 1)
     column = min(int(x / grid.resolution_m), grid.columns - 1)
+    mean, std = snapshot.mean_ppb.item(row, column), snapshot.std_ppb.item(row, column)
+    above = None
+    if request.threshold is not None:
+        above = 0.5 * math.erfc((request.threshold - mean) / (max(std, 1e-12) * math.sqrt(2)))
     return MapPoint(
         x_m=x,
         y_m=y,
-        mean_ppb=snapshot.mean_ppb.item(row, column),
-        std_ppb=snapshot.std_ppb.item(row, column),
+        mean_ppb=mean,
+        std_ppb=std,
         traversable=snapshot.traversable.item(row, column),
         revision=snapshot.revision,
         samples=len(snapshot.samples),
         mission_time_ns=snapshot.mission_time_ns,
+        information_nats=0.5 * math.log1p((std / snapshot.noise_std_ppb) ** 2),
+        exceedance=above,
     )
 
 
 def layer(request: MapLayerQuery, snapshot: MapSnapshot) -> MapRaster:
     """A layer, or every `step`-th cell of it from the south-west corner on, as little-endian numbers in base64."""
-    whole = {
-        MapLayer.MEAN: snapshot.mean_ppb,
-        MapLayer.STD: snapshot.std_ppb,
-        MapLayer.TRAVERSABLE: snapshot.traversable,
-    }[request.layer]
-    cells = np.ascontiguousarray(whole[:: request.step, :: request.step])
-    flags = cells.dtype == np.bool_
-    cells = cells.view(np.uint8) if flags else cells.astype("<f4", copy=False)
+    return raster(whole_layer(request, snapshot), snapshot)
+
+
+def part(request: MapBoxQuery, snapshot: MapSnapshot) -> MapRaster:
+    """A part of a layer at the resolution asked for, as little-endian numbers in base64."""
+    return raster(box(request, snapshot), snapshot)
+
+
+def raster(cells: Cells, snapshot: MapSnapshot) -> MapRaster:
+    """Those cells as a message."""
+    rows, columns = cells.values.shape
     return MapRaster(
-        layer=request.layer,
-        rows=cells.shape[0],
-        columns=cells.shape[1],
-        resolution_m=snapshot.grid.resolution_m * request.step,
-        dtype="|u1" if flags else "<f4",
-        data_base64=b64encode(cells.tobytes()).decode("ascii"),
-        unit=_UNITS[request.layer],
+        layer=cells.layer,
+        rows=rows,
+        columns=columns,
+        resolution_m=cells.resolution_m,
+        dtype="|u1" if cells.values.dtype == np.uint8 else "<f4",
+        data_base64=b64encode(cells.values.tobytes()).decode("ascii"),
+        unit=cells.unit,
         revision=snapshot.revision,
         samples=len(snapshot.samples),
         mission_time_ns=snapshot.mission_time_ns,
+        x_min_m=cells.x_min_m,
+        y_min_m=cells.y_min_m,
+        threshold_ppb=cells.threshold_ppb,
     )
 
 
@@ -100,3 +126,44 @@ def track(snapshot: MapSnapshot) -> MissionTrack:
         score_history=snapshot.score_history,
         plan_ends=snapshot.plan_ends,
     )
+
+
+def resource(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
+    """Helium-3 in an area."""
+    return estimate(request, snapshot)
+
+
+def history(snapshot: MapSnapshot) -> MapHistory:
+    """The site, and the revisions that can be asked for."""
+    grid = snapshot.grid
+    lat, lon = snapshot.origin_deg or (None, None)
+    return MapHistory(
+        site=MapSite(
+            rows=grid.rows,
+            columns=grid.columns,
+            resolution_m=grid.resolution_m,
+            origin_lat_deg=lat,
+            origin_lon_deg=lon,
+            noise_std_ppb=snapshot.noise_std_ppb,
+        ),
+        revisions=tuple(
+            MapRevision(
+                revision=each.revision,
+                samples=len(each.samples),
+                mission_time_ns=each.mission_time_ns,
+                mean_std_ppb=each.mean_std_ppb,
+            )
+            for each in revisions(snapshot)
+        ),
+    )
+
+
+_ANSWERS: Final[Mapping[Topic, Callable[[Any, MapSnapshot], Wire]]] = {
+    MAP_POINT: point,
+    MAP_LAYER: layer,
+    MAP_BOX: part,
+    MAP_RESOURCE: resource,
+    MAP_SCORE: lambda _, snapshot: score(snapshot),
+    TRACK: lambda _, snapshot: track(snapshot),
+    MAP_HISTORY: lambda _, snapshot: history(snapshot),
+}

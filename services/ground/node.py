@@ -72,7 +72,15 @@ _AWAY = frozenset({CommandKind.GO_TO, CommandKind.RETURN_TO_START})
 class GroundNode:
     """Belief, director, commands and live map, wired to the topics."""
 
-    def __init__(self, scenario: Scenario, director: Director, scorer: Scorer | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        director: Director,
+        scorer: Scorer | None = None,
+        origin_deg: tuple[float, float] | None = None,
+    ) -> None:
+        """origin_deg: latitude and longitude of the site's south-west corner, where they are known."""
+        self._origin_deg = origin_deg
         self._scenario = scenario
         self._director = director
         self._scorer = scorer
@@ -276,6 +284,8 @@ class GroundNode:
             mission_time_ns=self._map_time,
             score=self._score,
             score_history=self._history,
+            process=director.belief.process,
+            origin_deg=self._origin_deg,
         )
         yield Show(self._snapshot)
 
@@ -354,4 +364,6 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     mean_slope = float(region.slope_deg[terrain.traversable].mean())
     open_area = float(terrain.traversable.sum()) * region.grid.resolution_m**2
     director = Director(scenario, region.grid, belief, terrain, Budget(scenario, open_area, mean_slope), planner)
-    return GroundNode(scenario, director, Scorer(region.he3_ppb) if ground.score else None)
+    lat, lon = region.origin_lat_deg, region.origin_lon_deg
+    origin = None if lat is None or lon is None else (lat, lon)
+    return GroundNode(scenario, director, Scorer(region.he3_ppb) if ground.score else None, origin)

@@ -10,9 +10,28 @@ import pytest
 
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
+from he3.gp import GaussianProcess, Hyperparameters
+from he3.kernels import kernel_from
 from schemas.commands import NoParameters
-from schemas.maps import MapLayer, MapLayerQuery, MapPointQuery, MapScore
-from schemas.topics import GROUND_STATUS, MAP_LAYER, MAP_POINT, MAP_SCORE, TRACK
+from schemas.maps import (
+    MapBoxQuery,
+    MapLayer,
+    MapLayerQuery,
+    MapPointQuery,
+    MapScore,
+    MapTrackQuery,
+    ResourceQuery,
+)
+from schemas.topics import (
+    GROUND_STATUS,
+    MAP_BOX,
+    MAP_HISTORY,
+    MAP_LAYER,
+    MAP_POINT,
+    MAP_RESOURCE,
+    MAP_SCORE,
+    TRACK,
+)
 from services.ground.map_service import MAP_TOPICS, answer, layer, point, score
 from services.ground.scoring import Scorer
 from services.ground.snapshot import MapSnapshot
@@ -28,6 +47,7 @@ def snapshot(scored: MapScore | None = None) -> MapSnapshot:
     return MapSnapshot(
         grid=GRID, mean_ppb=mean, std_ppb=std, traversable=traversable, samples=(), driven_path_m=((1.0, 2.0),),
         planned_path_m=(), plan_ends=None, revision=7, mission_time_ns=123, score=scored, score_history=(),
+        process=GaussianProcess(Hyperparameters(kernel_from("matern52"), 0.1, 8.0, 1.0)),
     )  # fmt: skip
 
 
@@ -72,7 +92,10 @@ def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() ->
         MAP_POINT: MapPointQuery(x=1.0, y=1.0),
         MAP_LAYER: MapLayerQuery(layer=MapLayer.STD),
         MAP_SCORE: NoParameters(),
-        TRACK: NoParameters(),
+        TRACK: MapTrackQuery(),
+        MAP_BOX: MapBoxQuery(layer=MapLayer.MEAN, x_min=0.0, y_min=0.0, x_max=10.0, y_max=10.0),
+        MAP_RESOURCE: ResourceQuery(),
+        MAP_HISTORY: NoParameters(),
     }
     assert set(requests) == set(MAP_TOPICS)
     for topic, request in requests.items():
