@@ -67,7 +67,7 @@ class Network:
         part = Participant(Seat(host, LateExecutor(self)), f"{name}.{self._starts[name]}")
         part.start(self._starts[name])
         self.parts[part.name] = part
-        self.later(lambda: self.keeper.join(part.join()))
+        self.later(lambda: self.keeper.join(part.join()) if self.parts.get(name) is part else None)
 
     def kill(self, name: str) -> None:
         """End a process: what it sent is under way, what is sent to it is lost, who asked it hears nothing."""
@@ -146,14 +146,16 @@ class Carrier:
 
     def ask(self, action: PutQuestion, stamp: Stamp) -> None:
         network = self._network
-        for part in network.parts.values():
-            if (action.topic, action.side) in part.seat.host.served_topics() and part.name in network.keeper.members:
-                token = next(_TOKENS)
-                network.questions[token] = (self._sender, part.process, action, stamp)
-                given = Input("ask", (action.topic, action.payload, token))
-                network.to(part, lambda: part.take_question(given, token, stamp))
-                return
-        network.silence(self._sender, action, stamp)
+        wanted = (action.topic, action.side)
+        taking_part = [part for name, part in network.parts.items() if name in network.keeper.members]
+        server = next((part for part in taking_part if wanted in part.seat.host.served_topics()), None)
+        if server is None:
+            network.silence(self._sender, action, stamp)
+            return
+        token = next(_TOKENS)
+        network.questions[token] = (self._sender, server.process, action, stamp)
+        given = Input("ask", (action.topic, action.payload, token))
+        network.to(server, lambda: server.take_question(given, token, stamp))
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
         asker, _, question, asked = self._network.questions.pop(action.token)
