@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import json as json_format
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -29,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.peer import SETTLING_S, Peer, answer_line
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import ClockState, LinkChange, LinkStatus
@@ -42,10 +42,6 @@ from services.console.launcher import free_endpoints
 from services.deployment import find_scenario
 from services.node import SECOND
 from services.scenario import load_scenario
-
-CHECKOUT = Path(__file__).resolve().parent.parent
-SETTLING_S = 30.0
-"""How long the processes may take to start, and the last message may take beyond its light time."""
 
 Row = dict[str, Any]
 
@@ -75,10 +71,10 @@ def run(
     say(f"{'light time':>10} {'direction':<9} {'messages':>8} {'median':>10} {'99 %':>10} {'largest':>10}")
     rows: list[Row] = []
     with ExitStack() as ends:
-        link = _Ended(ends, "services.link", str(path), "--rate", "1", "--log-level", "warning", *where)
+        link = Peer(ends, "services.link", str(path), "--rate", "1", "--log-level", "warning", *where)
         client = ends.enter_context(join_when_up(endpoints.earth, mission.name, link.check))
         sides = [
-            _Ended(ends, "benchmarks.link_timing", side.value, getattr(endpoints, side.value), mission.name)
+            Peer(ends, "benchmarks.link_timing", side.value, getattr(endpoints, side.value), mission.name)
             for side in Side
         ]
         for owlt_s in (None, changed_to_s):
@@ -111,11 +107,11 @@ def _changed(client: Client, change: LinkChange, check: Callable[[], None]) -> L
         time.sleep(0.05)
 
 
-def _measured(sides: Sequence[_Ended], status: LinkStatus, messages: int, interval_s: float) -> list[Row]:
+def _measured(sides: Sequence[Peer], status: LinkStatus, messages: int, interval_s: float) -> list[Row]:
     light = {"up": status.conditions.up.one_way_light_time_s, "down": status.conditions.down.one_way_light_time_s}
     longest_s = messages * interval_s + max(light.values()) + SETTLING_S
     for side in sides:
-        side.ask(f"{messages} {interval_s} {longest_s}")
+        side.tell(f"{messages} {interval_s} {longest_s}")
     delays = {"up": np.array(sides[0].answer(longest_s)), "down": np.array(sides[1].answer(longest_s))}
     errors = {direction: np.abs(delays[direction] / SECOND - light[direction]) for direction in delays}
     for direction, came in errors.items():
@@ -137,55 +133,6 @@ def _measured(sides: Sequence[_Ended], status: LinkStatus, messages: int, interv
     ]
 
 
-class _Ended:
-    """A process that is told something by a line, answers with a line of JSON, and ends with the benchmark."""
-
-    def __init__(self, ends: ExitStack, module: str, *arguments: str) -> None:
-        self._module = module
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            cwd=CHECKOUT,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            process_group=0,
-        )
-        ends.callback(self._end)
-
-    def check(self) -> None:
-        code = self._process.poll()
-        if code is not None:
-            raise He3Error(f"{self._module}: ended by itself with exit code {code}")
-
-    def ask(self, line: str) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
-
-    def answer(self, within_s: float) -> Any:
-        assert self._process.stdout is not None
-        giving_up = threading.Timer(within_s + SETTLING_S, self._process.kill)
-        giving_up.start()
-        try:
-            line = self._process.stdout.readline()
-        finally:
-            giving_up.cancel()
-        if not line:
-            raise He3Error(f"{self._module}: no answer within {within_s + SETTLING_S:g} s")
-        return json_format.loads(line)
-
-    def _end(self) -> None:
-        self._process.terminate()
-        try:
-            self._process.wait(5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                stream.close()
-
-
 def _machine() -> dict[str, Any]:
     return {"cpus": os.cpu_count(), "load": os.getloadavg()[0]}
 
@@ -204,38 +151,53 @@ CLOCKS: dict[Side, Topic] = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
 def _one_side(side: Side, endpoint: str, mission: str) -> None:
     """Send and hear as each line on standard input says; the delays [ns] of what came, as a line of JSON."""
     sys.setswitchinterval(0.0005)
+    came = _Arrivals()
     with Client(endpoint, mission, "bench", side) as client:
-        bus = Bus(open_session(side, "client", endpoint), mission)
-        came: list[tuple[bytes, int]] = []
-        news = threading.Condition()
-
-        def take(payload: bytes, _attachment: bytes) -> None:
-            at = time.time_ns()
-            with news:
-                came.append((payload, at))
-                news.notify_all()
-
-        bus.subscribe(HEARS[side], take)
+        client.subscribe_raw(HEARS[side], came.take)
         clock: ClockState = client.latest(CLOCKS[side])[1]
-        number = 0
-        for line in sys.stdin:
-            messages, interval_s, longest_s = line.split()
-            began = time.monotonic()
-            for _ in range(int(messages)):
-                now = mission_time(clock, time.time_ns())
-                header = Header(mission=mission, source="bench", incarnation=1, sequence=number, made_at=now)
-                bus.publish(SENDS[side], encode(header, _body(side, number, now)))
-                number += 1
-                time.sleep(max(0.0, began + (number % int(messages)) * float(interval_s) - time.monotonic()))
-            with news:
-                news.wait_for(lambda: len(came) >= int(messages), float(longest_s))
-                heard, came[:] = list(came), []
-            delays = [
-                mission_time(clock, at) - decode(HEARS[side], payload, mission)[0].made_at for payload, at in heard
-            ]
-            sys.stdout.write(json_format.dumps(delays) + "\n")
-            sys.stdout.flush()
-        bus.close()
+        bus = Bus(open_session(side, "client", endpoint), mission)
+        try:
+            first = 0
+            for line in sys.stdin:
+                messages, interval_s, longest_s = line.split()
+                numbers = range(first, first + int(messages))
+                _send(bus, side, mission, clock, numbers, float(interval_s))
+                first = numbers.stop
+                heard = came.wait(int(messages), float(longest_s))
+                made = [decode(HEARS[side], payload, mission)[0].made_at for payload, _ in heard]
+                answer_line([mission_time(clock, at) - made_at for (_, at), made_at in zip(heard, made, strict=True)])
+        finally:
+            bus.close()
+
+
+def _send(bus: Bus, side: Side, mission: str, clock: ClockState, numbers: range, interval_s: float) -> None:
+    began = time.monotonic()
+    for number in numbers:
+        time.sleep(max(0.0, began + (number - numbers.start) * interval_s - time.monotonic()))
+        now = mission_time(clock, time.time_ns())
+        header = Header(mission=mission, source="bench", incarnation=1, sequence=number, made_at=now)
+        bus.publish(SENDS[side], encode(header, _body(side, number, now)))
+
+
+class _Arrivals:
+    """Payloads and the wall times [ns] at which they came."""
+
+    def __init__(self) -> None:
+        self._came: list[tuple[bytes, int]] = []
+        self._news = threading.Condition()
+
+    def take(self, payload: bytes) -> None:
+        at = time.time_ns()
+        with self._news:
+            self._came.append((payload, at))
+            self._news.notify_all()
+
+    def wait(self, count: int, within_s: float) -> list[tuple[bytes, int]]:
+        """What came, once that many have come or the time is over; it is forgotten."""
+        with self._news:
+            self._news.wait_for(lambda: len(self._came) >= count, within_s)
+            came, self._came = self._came, []
+            return came
 
 
 def _body(side: Side, number: int, now: int) -> Wire:

@@ -1,0 +1,75 @@
+"""Processes that a benchmark starts beside itself, and that end with it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from he3.errors import He3Error
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+SETTLING_S = 30.0
+"""How long a process may take to start, and to answer beyond what it was asked to do."""
+
+
+class Peer:
+    """A module run as a process: told something by a line, it answers with a line of JSON; it ends with `ends`."""
+
+    def __init__(self, ends: ExitStack, module: str, *arguments: str) -> None:
+        self._module = module
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            cwd=CHECKOUT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            process_group=0,
+        )
+        ends.callback(self._end)
+
+    def check(self) -> None:
+        """Raise He3Error when it has ended by itself."""
+        code = self._process.poll()
+        if code is not None:
+            raise He3Error(f"{self._module}: ended by itself with exit code {code}")
+
+    def tell(self, line: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+
+    def answer(self, within_s: float = 0.0) -> Any:
+        """What it answers; raises He3Error when nothing comes in that time and the settling."""
+        assert self._process.stdout is not None
+        longest_s = within_s + SETTLING_S
+        giving_up = threading.Timer(longest_s, self._process.kill)
+        giving_up.start()
+        try:
+            line = self._process.stdout.readline()
+        finally:
+            giving_up.cancel()
+        if not line:
+            raise He3Error(f"{self._module}: no answer within {longest_s:g} s")
+        return json.loads(line)
+
+    def _end(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+
+
+def answer_line(answer: object) -> None:
+    """Answer, from within a peer."""
+    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.flush()
