@@ -92,24 +92,28 @@ class Process:
         self._resume: list[Action] = []
         self._incarnation = 1
         self._counter = 0
-        self._snapshot: object | None = None
-        self._answers: SnapshotServer | None = None
-        if service.answers is not None:
-            self._answers = SnapshotServer(
-                service.answers, service.name, self.mission, lambda: self._snapshot, self._now_or_none
-            )
+        self.events: EventLog | None = None
         self.log = Log(service.name, self._now_or_none, options.level, options.log_json)
+        self._answers = self._answering(service)
+
+    def _answering(self, service: Service) -> SnapshotServer | AnsweringProcess | None:
+        """Who answers operators, if anybody is to."""
+        if service.answers is None:
+            return None
+        if service.answers.module is None:
+            return SnapshotServer(service.answers, service.name, self.mission, self._now_or_none)
+        earth = self.options.scenario.network.earth
+        return AnsweringProcess(service.answers.module, Side.EARTH, earth, self.mission, self.log.warning)
 
     # --- life ---------------------------------------------------------------------------------------------------
 
     def run(self) -> int:
         executor: OwnedExecutor | InlineExecutor | None = None
-        events: EventLog | None = None
         try:
             executor = self._service.executor() if self._service.executor else InlineExecutor()
             node = self._service.build(self.options)
-            events = EventLog(self.options.events) if self.options.events else None
-            host = Host(node, self.mission, events, custody_config(self.options.scenario.link, node.interface))
+            self.events = EventLog(self.options.events) if self.options.events else None
+            host = Host(node, self.mission, self.events, custody_config(self.options.scenario.link, node.interface))
             self.seat = self._seated(host, _Waking(executor, self.stop.inbox))
             if not self._connect(host):
                 return 0
@@ -117,8 +121,10 @@ class Process:
             self._loop()
             return 0
         finally:
-            if events is not None:
-                events.close()
+            if self.events is not None:
+                self.events.close()
+            if self._answers is not None:
+                self._answers.close()
             for bus in self.buses.values():
                 bus.close()
             if executor is not None and not isinstance(executor, InlineExecutor):

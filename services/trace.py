@@ -18,11 +18,16 @@ class EventLog:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
             raise InvalidInput(f"{path}: cannot write the event log: {error.strerror}") from None
+        self.active = True
+        """Whether events are written. What is asked once the mission is over, for its report, is no part of it."""
 
     def __call__(self, now: MissionTime, name: str, what: str) -> None:
-        self._file.write(f"{now}\t{name}\t{what}\n")
+        if self.active:
+            self._file.write(f"{now}\t{name}\t{what}\n")
 
     def close(self) -> None:
+        """Write what is left; nothing is written afterwards."""
+        self.active = False
         self._file.close()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,14 +13,17 @@ from services.console.outputs import Outputs, recording_file, write_outcome
 from services.console.progress import Moment, Progress, moment_of
 from services.console.reporting import Run, gather
 from services.mission import InProcessMission
+from services.trace import EventLog, merge_event_logs
 
 if TYPE_CHECKING:
     from schemas.report import MissionReport
     from services.scenario import Scenario
 
 
-def run_in_process(scenario: Scenario, where: Outputs, progress: Progress) -> tuple[MissionReport, list[Path]]:
-    """The report of the mission, run to its end, and the files written.
+def run_in_process(
+    scenario: Scenario, where: Outputs, progress: Progress, events: Path | None = None
+) -> tuple[MissionReport, list[Path]]:
+    """The report of the mission, run to its end, and the files written. events: where the event log goes.
 
     Raises InvalidInput before anything is written, He3Error when the mission fails.
     """
@@ -34,14 +37,19 @@ def run_in_process(scenario: Scenario, where: Outputs, progress: Progress) -> tu
         stream = stack.enter_context(recording_file(where))
         sink = None if stream is None else stack.enter_context(RecordingWriter(stream, scenario.name))
         planners = stack.enter_context(PlannerProcess())
-        mission = InProcessMission(scenario, planners, sink)
+        log = None if events is None else stack.enter_context(closing(EventLog(events)))
+        mission = InProcessMission(scenario, planners, sink, log)
         stack.enter_context(progress)
         end = mission.run(lambda: progress.show(lambda: _moment(mission)))
+        if log is not None and events is not None:
+            log.close()  # what is asked below for the report is no part of the mission
+            merge_event_logs([events], events)
         if mission.status is None or end is not MissionPhase.COMPLETED:
             raise He3Error(f"the mission failed {mission.mission_time_s:.0f} s after its beginning: {mission.why()}")
         run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
         outcome = gather(mission.ask, scenario, mission.status, run)
-    return outcome.report, write_outcome(outcome, region, where)
+    files = write_outcome(outcome, region, where)
+    return outcome.report, files if events is None else [*files, events]
 
 
 def _moment(mission: InProcessMission) -> Moment:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,32 +12,49 @@ from typing import TYPE_CHECKING
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase
 from services.console.joining import Watcher, join_when_up
-from services.console.launcher import Endpoints, Launcher, free_endpoints
+from services.console.launcher import SERVICES, Endpoints, Launcher, free_endpoints
 from services.console.outputs import Outputs, make_folder, write_outcome
 from services.console.progress import Progress
 from services.console.reporting import Outcome, Run, gather
 from services.console.runfile import RunningMission, announced
 from services.regions import load_region
+from services.trace import merge_event_logs
 
 if TYPE_CHECKING:
     from schemas.report import MissionReport
     from services.console.scenarios import Chosen
+
+ACTING = tuple(name for name in SERVICES if name != "recorder")
+"""The services whose events make the mission; the recorder only looks on."""
 
 LOOK_EVERY_S = 0.1
 """How long the end of a service or of the mission may go unnoticed."""
 
 
 def run_separate(
-    chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool = False
+    chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool = False, events: Path | None = None
 ) -> tuple[MissionReport, list[Path]]:
     """The report of the mission, run to its end in separate processes, and the files written.
 
+    events: where the merged event logs of all services go.
     Raises InvalidInput before anything is started, He3Error when a service dies or the mission fails.
     """
+    if events is None:
+        return _run_separate(chosen, where, progress, lockstep, None)
+    with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
+        report, files = _run_separate(chosen, where, progress, lockstep, Path(parts))
+        merge_event_logs(Path(parts).iterdir(), events)
+    return report, [*files, events]
+
+
+def _run_separate(
+    chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool, events: Path | None
+) -> tuple[MissionReport, list[Path]]:
     scenario = chosen.scenario
     region = load_region(scenario.region, scenario.field.field_seed)
     began = time.monotonic()
-    with services_of(chosen, where, free_endpoints(), lockstep=lockstep) as (launcher, endpoints):  # noqa: SIM117 - two things end apart
+    services = services_of(chosen, where, free_endpoints(), lockstep=lockstep, events=events)
+    with services as (launcher, endpoints):  # noqa: SIM117 - two things end apart
         with join_when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
             watcher = Watcher(client, scenario.start_ns)
             watcher.catch_up()
@@ -53,7 +70,13 @@ def run_separate(
 
 @contextmanager
 def services_of(
-    chosen: Chosen, where: Outputs, endpoints: Endpoints, *, lockstep: bool = False, log_to_terminal: bool = False
+    chosen: Chosen,
+    where: Outputs,
+    endpoints: Endpoints,
+    *,
+    lockstep: bool = False,
+    events: Path | None = None,
+    log_to_terminal: bool = False,
 ) -> Iterator[tuple[Launcher, Endpoints]]:
     """All services of the scenario, running and announced on this machine; all gone afterwards.
 
@@ -70,12 +93,26 @@ def services_of(
             for old in logs.glob("*.log"):
                 old.unlink()
         flags = (*chosen.flags, *(("--lockstep",) if lockstep else ()))
-        launcher = stack.enter_context(Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs))
+        service_flags = _service_flags(lockstep, events)
+        launcher = stack.enter_context(
+            Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs, service_flags=service_flags)
+        )
         running = RunningMission(
             chosen.scenario.name, str(chosen.path), endpoints.moon, endpoints.earth, launcher.own_pid, launcher.pids
         )
         stack.enter_context(announced(running))
         yield launcher, endpoints
+
+
+def _service_flags(lockstep: bool, events: Path | None) -> dict[str, Sequence[str]]:
+    """What only some services are told: in lockstep, who ends the mission; who writes which part of the event log."""
+    flags: dict[str, list[str]] = {name: [] for name in ACTING}
+    if lockstep:
+        flags["link"] += ["--stop-when", "ground"]
+    if events is not None:
+        for name in ACTING:
+            flags[name] += ["--events", str(events / f"{name}.log")]
+    return dict(flags)
 
 
 def _watched_to_its_end(watcher: Watcher, launcher: Launcher, progress: Progress) -> GroundStatus:

@@ -142,6 +142,8 @@ class LockstepLinkProcess(LockstepProcess):
         if member is not None and member.finished is not None:
             self._over = True
             self.pace.pause()
+            if self.events is not None:
+                self.events.active = False
             self.log.info(f"mission time stands: {member.name} is finished ({member.finished})")
 
     # --- who is late --------------------------------------------------------------------------------------------
@@ -249,6 +251,8 @@ class LockstepLinkProcess(LockstepProcess):
             return
         if control != TimeControl():
             self.pace.control(control, self.keeper.now, time.monotonic())
+            if self.events is not None:
+                self.events.active = True
             self._show_time()
         status = self._status()
         question.reply(status.model_dump_json().encode() if payload is None else encode(self.header(), status))

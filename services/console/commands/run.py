@@ -33,6 +33,10 @@ Examples:
   he3 run short --in-process --set link.down.loss=0.3 --json
 """
 
+EventsFile = Annotated[
+    Path | None,
+    typer.Option("--events", metavar="FILE", help="A line for each event, in virtual time: the same for every driver."),
+]
 InProcess = Annotated[
     bool, typer.Option("--in-process", help="All services in this process, in virtual time: exact, and the fastest.")
 ]
@@ -48,6 +52,7 @@ def run(
     settings: Settings = None,
     report: ReportFile = None,
     out: OutFolder = None,
+    events: EventsFile = None,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -56,13 +61,24 @@ def run(
 
     if sum((in_process, lockstep, rate is not None)) > 1:
         raise InvalidInput("expected one of --in-process, --lockstep and --rate, got more")
+    if events is not None and not (in_process or lockstep):
+        raise InvalidInput(
+            "--events: expected it with --in-process or --lockstep, where every event has its exact time"
+        )
     chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
     driver = "in-process" if in_process else "lockstep" if lockstep else "zenoh"
-    run_and_report(chosen, driver, out, report, json=json, quiet=quiet)
+    run_and_report(chosen, driver, out, report, json=json, quiet=quiet, events=events)
 
 
 def run_and_report(
-    chosen: Chosen, driver: str, out: Path | None, report: Path | None, *, json: bool, quiet: bool
+    chosen: Chosen,
+    driver: str,
+    out: Path | None,
+    report: Path | None,
+    *,
+    json: bool,
+    quiet: bool,
+    events: Path | None = None,
 ) -> None:
     """Run the chosen scenario over that driver, show its progress, write its files, print what came of it."""
     from services.console.outputs import outputs
@@ -81,9 +97,9 @@ def run_and_report(
     if driver == "in-process":
         from services.console.in_process import run_in_process
 
-        done, files = run_in_process(mission, where, progress)
+        done, files = run_in_process(mission, where, progress, events)
     else:
         from services.console.separate import run_separate
 
-        done, files = run_separate(chosen, where, progress, lockstep=driver == "lockstep")
+        done, files = run_separate(chosen, where, progress, driver == "lockstep", events)
     typer.echo(done.model_dump_json(indent=2) if json else "\n".join(summary_lines(done, files)))
