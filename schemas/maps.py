@@ -248,6 +248,8 @@ class FrameKind(StrEnum):
     """The whole map."""
     DELTA = "delta"
     """What is different from the frame before."""
+    BEAT = "beat"
+    """No numbers: where the feed stands, now and then, so that who missed the last frame learns of it."""
 
 
 class MapFrame(Wire):
@@ -265,4 +267,4 @@ class MapFrame(Wire):
     samples: Count
     mission_time_ns: MissionTimeNs
     checksum: Annotated[int, Field(ge=0, lt=2**32)]
-    """CRC-32 of mean, std (little-endian float32) and traversable (bytes), as they are after this frame."""
+    """CRC-32 of mean, std (little-endian float32) and traversable (bytes), after this frame; 0 in a beat."""

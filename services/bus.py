@@ -64,8 +64,8 @@ class Question:
         parameters: Any = self.query.parameters
         return dict(parameters)
 
-    def reply(self, payload: bytes, attachment: bytes | None = None, encoding: zenoh.Encoding | None = None) -> None:
-        encoding = encoding or zenoh.Encoding.APPLICATION_JSON
+    def reply(self, payload: bytes, attachment: bytes | None = None, media_type: str = "application/json") -> None:
+        encoding = zenoh.Encoding(media_type)
         self.query.reply(self.query.key_expr, payload, encoding=encoding, attachment=attachment)
         self.query.drop()  # type: ignore[no-untyped-call]
 
@@ -86,12 +86,15 @@ class Bus:
         self._mission = mission
         self._held: list[Any] = []
         self._kept: dict[Topic, bytes] = {}
+        self._publishers: dict[Topic, zenoh.Publisher] = {}
 
-    def publish(self, topic: Topic, payload: bytes, attachment: bytes | None = None) -> None:
+    def publish(
+        self, topic: Topic, payload: bytes, attachment: bytes | None = None, media_type: str = "application/json"
+    ) -> None:
         self._session.put(
             topic.key(self._mission),
             payload,
-            encoding=zenoh.Encoding.APPLICATION_JSON,
+            encoding=zenoh.Encoding(media_type),
             congestion_control=zenoh.CongestionControl.BLOCK,
             attachment=attachment,
         )
@@ -100,6 +103,12 @@ class Bus:
             self._kept[topic] = payload
             if first:
                 self.serve(topic, lambda question: question.reply(self._kept[topic]))
+
+    def listened(self, topic: Topic) -> bool:
+        """Whether anybody is known to subscribe to that topic."""
+        if topic not in self._publishers:
+            self._publishers[topic] = self._session.declare_publisher(topic.key(self._mission))
+        return bool(self._publishers[topic].matching_status.matching)
 
     def subscribe(self, topic: Topic, on_payload: OnPayload) -> None:
         def hand_over(sample: zenoh.Sample) -> None:

@@ -21,6 +21,7 @@ from schemas.wire import Header, Refused, Wire, decode, encode, one_line
 from services.bus import Bus, Question
 from services.node import MissionTime
 
+JSON = "application/json"
 MAX_WAITING = 10_000
 """Questions that may wait; more are refused, so that a flood costs no memory."""
 
@@ -35,13 +36,36 @@ def request_of(topic: Topic, parameters: dict[str, str]) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
+class Encoded:
+    """An answer in a format of its own, with what it shows (JSON) as its attachment."""
+
+    payload: bytes
+    media_type: str
+    about: bytes
+
+
+def _nothing_else(_topic: Topic, _request: Any, _snapshot: Any) -> Encoded | None:
+    return None
+
+
+def _as_it_is(shown: Any, _before: Any) -> Any:
+    return shown
+
+
+@dataclass(frozen=True, slots=True)
 class SnapshotService:
     """Answers questions of some topics from the latest snapshot: a pure function, in threads of its own."""
 
     topics: tuple[Topic, ...]
     answer: Callable[[Topic, Any, Any], Wire]
     """(topic, request, snapshot) -> reply; raises He3Error with one line."""
+    render: Callable[[Topic, Any, Any], Encoded | None] = _nothing_else
+    """(topic, request, snapshot) -> the answer where it is not to be JSON, else None; raises He3Error."""
+    keep: Callable[[Any, Any | None], Any] = _as_it_is
+    """(what is shown, what was answered from before) -> what is answered from now on."""
     threads: int = 2
+    module: str | None = None
+    """Module to run as the process that answers (see services/answering.py); None: threads of the service's own."""
 
 
 class SnapshotServer:
@@ -52,17 +76,24 @@ class SnapshotServer:
         service: SnapshotService,
         name: str,
         mission: str,
-        snapshot: Callable[[], object | None],
-        now: Callable[[], MissionTime | None],
+        now: Callable[[], MissionTime | None] = lambda: None,
     ) -> None:
         self._service = service
         self._name = name
         self._mission = mission
-        self._snapshot = snapshot
+        self._snapshot: object | None = None
         self._now = now
         self._waiting: queue.Queue[tuple[Topic, Question]] = queue.Queue(MAX_WAITING)
         for number in range(service.threads):
             threading.Thread(target=self._work, name=f"questions-{number}", daemon=True).start()
+
+    def show(self, snapshot: object) -> object:
+        """Answer from that snapshot from now on; returns what is kept of it and of those before."""
+        self._snapshot = self._service.keep(snapshot, self._snapshot)
+        return self._snapshot
+
+    def close(self) -> None:
+        """Nothing to end: the threads end with the process."""
 
     def serve(self, topic: Topic, bus: Bus) -> None:
         """Answer that topic's questions on that bus from now on."""
@@ -78,22 +109,26 @@ class SnapshotServer:
         while True:
             topic, question = self._waiting.get()
             try:
-                question.reply(self.reply(topic, question.payload, question.parameters))
+                answer = self.reply(topic, question.payload, question.parameters)
+                question.reply(answer.payload, answer.about or None, answer.media_type)
             except (He3Error, Refused) as error:
                 question.refuse(str(error))
 
-    def reply(self, topic: Topic, payload: bytes | None, parameters: dict[str, str]) -> bytes:
-        """The answer in bytes; raises He3Error or Refused with one line."""
+    def reply(self, topic: Topic, payload: bytes | None, parameters: dict[str, str]) -> Encoded:
+        """The answer; raises He3Error or Refused with one line."""
         if payload is None:
             request = request_of(topic, parameters)
         else:
             _, request = decode(topic, payload, self._mission)
-        snapshot = self._snapshot()
+        snapshot = self._snapshot
         if snapshot is None:
             raise InvalidInput(f"{topic.name}: there is no map yet; ask again in a moment")
+        rendered = self._service.render(topic, request, snapshot)
+        if rendered is not None:
+            return rendered
         reply = self._service.answer(topic, request, snapshot)
         if payload is None:
-            return reply.model_dump_json().encode()
-        made_at = self._now() or 0
+            return Encoded(reply.model_dump_json().encode(), JSON, b"")
+        made_at = self._now() or getattr(snapshot, "mission_time_ns", 0)
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=made_at)
-        return encode(header, reply)
+        return Encoded(encode(header, reply), JSON, b"")

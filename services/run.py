@@ -22,6 +22,7 @@ from schemas.link import ClockState
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
 from schemas.wire import Refused, Wire, decode
 from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.answering import AnsweringProcess
 from services.bus import Bus, Question, open_client
 from services.clock import mission_time, wall_time
 from services.desk import custody_config
@@ -92,7 +93,6 @@ class Process:
         self._resume: list[Action] = []
         self._incarnation = 1
         self._counter = 0
-        self.events: EventLog | None = None
         self.log = Log(service.name, self._now_or_none, options.level, options.log_json)
         self._answers = self._answering(service)
 
@@ -109,11 +109,12 @@ class Process:
 
     def run(self) -> int:
         executor: OwnedExecutor | InlineExecutor | None = None
+        events: EventLog | None = None
         try:
             executor = self._service.executor() if self._service.executor else InlineExecutor()
             node = self._service.build(self.options)
-            self.events = EventLog(self.options.events) if self.options.events else None
-            host = Host(node, self.mission, self.events, custody_config(self.options.scenario.link, node.interface))
+            events = EventLog(self.options.events) if self.options.events else None
+            host = Host(node, self.mission, events, custody_config(self.options.scenario.link, node.interface))
             self.seat = self._seated(host, _Waking(executor, self.stop.inbox))
             if not self._connect(host):
                 return 0
@@ -121,8 +122,8 @@ class Process:
             self._loop()
             return 0
         finally:
-            if self.events is not None:
-                self.events.close()
+            if events is not None:
+                events.close()
             if self._answers is not None:
                 self._answers.close()
             for bus in self.buses.values():
@@ -164,6 +165,9 @@ class Process:
             self._listen(host, side, bus)
         if not self.learn_time():
             return False
+        if isinstance(self._answers, AnsweringProcess) and not self._resume:
+            # Nobody waits for a process that goes on; for a new one the mission waits, and so may operators.
+            self._answers.wait_until_ready(self.stop.event)
         for side, bus in self.buses.items():
             bus.announce(interface.name, side)
             if self._service.onlooker:
@@ -178,7 +182,8 @@ class Process:
         for topic in host.interface.serves:
             if side in topic.sides:
                 if self._answers is not None and self._service.answers and topic in self._service.answers.topics:
-                    self._answers.serve(topic, bus)
+                    if isinstance(self._answers, SnapshotServer):
+                        self._answers.serve(topic, bus)
                 else:
                     bus.serve(topic, partial(self._asked, topic))
 
@@ -262,7 +267,8 @@ class Process:
             case ReplyError(token, _, why):
                 self._question_of(token, lambda question: question.refuse(why))
             case Show(snapshot):
-                self._snapshot = snapshot
+                if self._answers is not None:
+                    self._answers.show(snapshot)
             case Note():
                 self.log.write(action, self._last)
             case Finish(ok, why):

@@ -2,12 +2,11 @@
 
 import sys
 
-from services.ground.map_service import MAP_TOPICS, answer
+from services.ground.map_process import map_answers
 from services.ground.node import build_node
 from services.ground.planner_process import PlannerProcess
 from services.node import Node
 from services.options import Options
-from services.questions import SnapshotService
 from services.run import Service
 from services.serve import serve
 
@@ -17,7 +16,5 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
-    service = Service(
-        "ground", build, executor=PlannerProcess, answers=SnapshotService(MAP_TOPICS, answer), journals=True
-    )
+    service = Service("ground", build, executor=PlannerProcess, answers=map_answers(), journals=True)
     sys.exit(serve(service))

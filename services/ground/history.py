@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 
+import numpy as np
+
 from he3.errors import InvalidInput
 from services.ground.snapshot import MapSnapshot
 from services.node import SECOND, MissionTime
@@ -21,6 +23,12 @@ def remembering(shown: MapSnapshot, before: MapSnapshot | None) -> MapSnapshot:
     """The snapshot that is shown now, holding what the one before held, and that one too if the map has changed."""
     if before is None:
         return shown
+    # What both have is held once.
+    if np.array_equal(shown.traversable, before.traversable):
+        shown = replace(shown, traversable=before.traversable)
+    known = len(before.samples)
+    if shown.samples[:known] == before.samples:
+        shown = replace(shown, samples=(*before.samples, *shown.samples[known:]))
     held = before.earlier
     if before.revision != shown.revision:
         held = _thinned((*held, replace(before, earlier=())))

@@ -1,0 +1,52 @@
+"""The colours of maps, the same in every picture: 17 stops each, straight lines between them.
+
+viridis and magma are Smith and van der Walt's, made for the eye and dedicated to the public domain (CC0). They are even
+in lightness, so that they read the same in grey and to the colour-blind.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_STOPS: Final = MappingProxyType(
+    {
+        "viridis": "44015448186a472d7b4240863b528b33638d2c728e26828e21918c"
+        "1fa08828ae803fbc735ec96284d44baddc30d8e219fde725",
+        "magma": "0000040a08221d114736106b51127c6a1c818326819c2e7fb73779"
+        "d0416fe75263f56b5cfc8961fea772fec488fde2a3fcfdbf",
+        "open": "5b2c2c5b2c2c5b2c2c5b2c2c5b2c2c5b2c2c5b2c2c5b2c2cd9d4c7"
+        "d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7",
+    }
+)
+
+OF_LAYER: Final = MappingProxyType(
+    {"mean": "viridis", "std": "magma", "information": "magma", "exceedance": "viridis", "traversable": "open"}
+)
+"""Which colours a layer is shown in."""
+
+
+def stops(name: str) -> list[str]:
+    """The colours of a map from lowest to highest as '#rrggbb'."""
+    packed = _STOPS[name]
+    return ["#" + packed[start : start + 6] for start in range(0, len(packed), 6)]
+
+
+@cache
+def table(name: str) -> NDArray[np.uint8]:
+    """256 colours (256, 3) from lowest to highest."""
+    fixed = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops(name)], dtype=np.float64)
+    places = np.linspace(0, len(fixed) - 1, 256)
+    colours = np.stack([np.interp(places, np.arange(len(fixed)), fixed[:, channel]) for channel in range(3)], axis=1)
+    return colours.round().astype(np.uint8)
+
+
+def shaded(values: NDArray[np.floating], low: float, high: float, name: str) -> NDArray[np.uint8]:
+    """The values (rows, columns) as colours (rows, columns, 3): `low` and less the first, `high` and more the last."""
+    span = high - low if high > low else 1.0
+    shades = np.clip((values - low) * (255.0 / span), 0, 255).astype(np.uint8)
+    return table(name)[shades]
