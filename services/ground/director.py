@@ -28,15 +28,19 @@ from services.ground.ledger import Ledger, RoundRecord
 from services.ground.planners import planner_named
 from services.ground.planning import PlannedRound, Planner, PlannerOptions, PlanningRequest
 from services.ground.terrain import GroundTerrain, interest_weights
-from services.node import Compute, Effect, Finish, Level, MissionTime, Note, Send, seconds
+from services.node import Compute, Effect, Finish, Level, MissionTime, Note, Send, WakeAt, seconds
 from services.scenario import Scenario
 
 Place = tuple[float, float]
 
 MOST_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
-MOST_ROUNDS_TIMES, MOST_ROUNDS_MORE = 2, 10  # rounds in all, those included that make up for what was missed
+MOST_FRUITLESS = 40  # rounds in a row from which no sample came
+MOST_ROUNDS = 9_000  # in all; a plan can number 10,000
+REPLAN_TIMER = "replan"
+REJECTED_WAIT_S, MOST_WAIT_S = 30.0, 3600.0  # between a second rejection in a row and the next planning, and at most
 MOST_REJECTIONS = 10  # plans in a row that the rover may reject
 OBSTACLE_MARGIN_M = 1.5  # radius of what is closed around an obstacle that was met: it is seen from one side only
+MOST_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came
 OBSTACLE_REACH_M = 8.0  # obstacles met within this distance of each other are taken for one
 START_TOLERANCE_M = 0.5  # how far from where it was asked to begin a planned round may begin
 _NOTHING_TO_DO = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
@@ -106,12 +110,13 @@ class Director:
         self._attempt = 0
         self._rejections = 0
         self._last_sent = False
-        self._rover_done = False
+        self._completed = 0
         self._exhausted = ""
         self._failed = False
         self._heard_at: MissionTime = -1
         self._on_the_move: set[str] = set()
         self._met: list[Place] = []
+        self._not_before: MissionTime = 0
 
     # --- what the mission is made of --------------------------------------------------------------------------------
 
@@ -123,7 +128,7 @@ class Director:
     # --- events -----------------------------------------------------------------------------------------------------
 
     def begin(self, now: MissionTime) -> list[Effect]:
-        """The mission begins."""
+        """The mission begins, or what had to wait need not wait any longer."""
         return self._advance(now)
 
     def state(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> list[Effect]:
@@ -167,6 +172,7 @@ class Director:
         except He3Error as error:
             return [_warning(f"sample {report.sample_id} is left out of the map: {error}")]
         record.settled.add(report.sample_id)
+        record.arrived += 1
         self.driven_m = max(self.driven_m, report.driven_m)
         effects = self._begun(record)
         record.note_place(place)
@@ -182,13 +188,12 @@ class Director:
         self.heard(place, event.driven_m, event.at)
         match event.kind:
             case EventKind.PLAN_ACCEPTED:
-                self._rejections = 0
+                self._rejections, self._not_before = 0, 0
                 return []
             case EventKind.PLAN_REJECTED:
                 return self._plan_rejected(event, now)
             case EventKind.MISSION_COMPLETED:
-                # Of an older plan it says nothing: a newer one is on its way, with more to do.
-                self._rover_done = self._last_sent and event.plan_revision in (0, self.revision)
+                self._completed = max(self._completed, event.plan_revision)
                 return self._advance(now)
             case EventKind.BLOCKED if event.round == 0:  # on an errand of the operator's
                 self._close_off(event)
@@ -287,6 +292,7 @@ class Director:
         if not self.ledger.begin(record):
             return []
         # The rover had begun a version that was to be replaced: what comes after it must fit its end.
+        self._last_sent = False
         self.in_work = None
         self._origin = None
         return [
@@ -315,7 +321,7 @@ class Director:
             # Met again nearby, it is larger than was thought.
             met = sum(hypot(x - event.obstacle_m[0], y - event.obstacle_m[1]) < OBSTACLE_REACH_M for x, y in self._met)
             self._met.append(event.obstacle_m)
-            self.terrain.block(event.obstacle_m, OBSTACLE_MARGIN_M * min(2**met, 4))
+            self.terrain.block(event.obstacle_m, OBSTACLE_MARGIN_M * min(2**met, 4), (event.x_m, event.y_m))
 
     def _plan_rejected(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
         if event.plan_revision < self.revision or self.ended is not None:
@@ -329,14 +335,17 @@ class Director:
             self._failed = True
         elif not self.ledger.chain or self.ledger.chain[-1].ended or self.ledger.chain[-1].closed:
             self._origin = (event.x_m, event.y_m)
-        return [note, *self._advance(now)]
+        if self._rejections == 1:
+            return [note, *self._advance(now)]
+        # It knows something that has not come down yet: the next plan waits for it, longer each time.
+        self._not_before = now + seconds(min(REJECTED_WAIT_S * 2 ** (self._rejections - 2), MOST_WAIT_S))
+        return [note, WakeAt(REPLAN_TIMER, self._not_before), *self._advance(now)]
 
     def _drop(self, records: Iterable[RoundRecord]) -> None:
         """Take back rounds that have not begun, and whatever is being planned to follow them."""
         self.ledger.drop(list(records))
         self.in_work = None
         self._last_sent = False
-        self._rover_done = False
         self._exhausted = ""
         self._failed = False
         self._attempt = 0
@@ -366,10 +375,11 @@ class Director:
         effects = self._next_fit()
         if effects:
             return effects
-        if self.in_work is not None or self._on_the_move:
+        if self.in_work is not None:
             return []
         if not self._exhausted and self.samples_wanted > 0:
-            if len(self.ledger.open_rounds) > self.scenario.ground.pipeline:
+            enough = len(self.ledger.open_rounds) > self.scenario.ground.pipeline
+            if enough or self._on_the_move or now < self._not_before:
                 return []
             effects = self._next_plan(now)
             if effects:
@@ -391,9 +401,9 @@ class Director:
         pending = self.ledger.pending
         allowance = self._budget.left(now, self.driven_m, self._committed(), self.samples_wanted)
         number = self.ledger.next_number
-        most = MOST_ROUNDS_TIMES * self.scenario.rounds + MOST_ROUNDS_MORE
-        if allowance.samples < 1 or number > most:
-            self._exhausted = allowance.why or f"after {most} rounds, samples are still missing"
+        fruitless = self.ledger.fruitless
+        if allowance.samples < 1 or fruitless >= MOST_FRUITLESS or number > MOST_ROUNDS:
+            self._exhausted = allowance.why or f"{fruitless} rounds in a row brought no sample, of {number - 1}"
             return []
         start = self._origin or (self.ledger.chain[-1].end_m if self.ledger.chain else self.place_m)
         samples = min(self.scenario.samples_per_round, allowance.samples)
@@ -413,7 +423,7 @@ class Director:
         seed = np.random.SeedSequence((self.scenario.seed, _PLAN, number, self.revision + 1, self._attempt))
         request = PlanningRequest(
             grid=self.grid,
-            traversable=self.terrain.open_from(start),
+            traversable=self.terrain.open_from(start, self.ledger.paths()[0][-MOST_BACK:]),
             start_m=start,
             observed_m=np.vstack((self.belief.places_m, ahead)),
             std_ppb=self.belief.map.std_ppb,
@@ -434,7 +444,6 @@ class Director:
         self.ledger.append(planned, revision)
         self._origin = None
         self._attempt = 0
-        self._rover_done = False
         self._last_sent = work.samples_left <= len(planned.samples)
         plan = MissionPlan(
             revision=revision,
@@ -487,8 +496,10 @@ class Director:
     # --- the end ----------------------------------------------------------------------------------------------------
 
     def _end_if_over(self) -> list[Effect]:
-        if self.ledger.open_rounds or not (self._exhausted or self._rover_done):
+        if self.ledger.open_rounds:
             return []
+        if self._last_sent and not self._exhausted and self._completed < self.ledger.chain[-1].introduced:
+            return []  # the rover has still to say that it is through
         taken, total = len(self.belief), self.scenario.samples
         why = f"{taken} of {total} samples are in the map"
         if taken < total:

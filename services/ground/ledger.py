@@ -33,6 +33,8 @@ class RoundRecord:
     """When it ended early."""
     settled: set[str] = field(default_factory=set)
     """Samples that arrived or were skipped."""
+    arrived: int = 0
+    """How many of them arrived."""
     done: set[str] = field(default_factory=set)
     """Samples that the rover reported as measured when the round ended."""
     reached_m: float = 0.0
@@ -158,6 +160,12 @@ class Ledger:
     def completed(self) -> int:
         """Rounds that are over, as far as the ground knows, each with all of its samples here."""
         return sum(record.begun and record.closed for record in self.chain)
+
+    @property
+    def fruitless(self) -> int:
+        """How many of the last rounds that are over brought no sample."""
+        over = [record for record in self.chain if record.begun and record.closed]
+        return next((n for n, record in enumerate(reversed(over)) if record.arrived), len(over))
 
     def paths(self) -> tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]]:
         """Where the rover is known to have driven, joined over the rounds, and what is planned beyond that.

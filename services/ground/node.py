@@ -31,7 +31,7 @@ from schemas.wire import Header
 from services.ground.allowance import Budget
 from services.ground.belief import Belief
 from services.ground.commands import ENDS, LOOK_AGAIN_S, CommandBook
-from services.ground.director import Director
+from services.ground.director import REPLAN_TIMER, Director
 from services.ground.map_service import MAP_TOPICS, answer
 from services.ground.planning import Planner
 from services.ground.scoring import Scorer
@@ -155,6 +155,8 @@ class GroundNode:
             case Due(timer) if timer == STATUS_TIMER:
                 yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
                 yield from self._listen_for_silence(now)
+            case Due(timer) if timer == REPLAN_TIMER:
+                yield from self._director.begin(now)
             case Due(timer) if timer == LOOK_TIMER:
                 yield from self._look_for_commands()
             case Answered(_, question, LinkStatus() as link) if question == LOOK:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from math import ceil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from math import ceil, hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ BoolArray = NDArray[np.bool_]
 Place = tuple[float, float]
 
 _BOUNDARY_STEP_CELLS = 0.25  # a polygon's edge is followed in such steps, so that it misses corners of cells at most
+BESIDE_TRACK_M = 2.5  # no further from the end of its known track, a rover is taken to stand on it
 _SQUARE = np.ones((3, 3), dtype=np.bool_)
 
 
@@ -38,6 +40,7 @@ class GroundTerrain:
             f"scenario-{number}": touched_by(grid, polygon) for number, polygon in enumerate(keep_outs, 1)
         }
         self._obstacles: dict[tuple[float, float, float], BoolArray] = {}
+        self._met = np.zeros_like(self._orbital)
         self._bare: BoolArray = self._orbital
         self._open: BoolArray = self._orbital
         self._recompute()
@@ -60,34 +63,56 @@ class GroundTerrain:
             self._areas[area_id] = touched_by(self.grid, polygon_m)
         self._recompute()
 
-    def block(self, place_m: Place, radius_m: float) -> None:
-        """Close the disc around an obstacle that was met; its own cell always."""
-        disc = within(self.grid, place_m, radius_m)
-        row, column = cell_of(self.grid, place_m)
-        disc[row, column] = True
-        self._obstacles[(*place_m, radius_m)] = disc
+    def block(self, met_m: Place, radius_m: float, seen_from_m: Place | None = None) -> None:
+        """Close a disc at an obstacle that was met: it begins at the place met and lies behind it, as it was seen.
+
+        Seen from nowhere in particular, the disc is centred on that place.
+        """
+        self._met[cell_of(self.grid, met_m)] = True
+        centre = met_m
+        if seen_from_m is not None and (away := hypot(met_m[0] - seen_from_m[0], met_m[1] - seen_from_m[1])) > 0.0:
+            centre = (
+                met_m[0] + (met_m[0] - seen_from_m[0]) / away * radius_m,
+                met_m[1] + (met_m[1] - seen_from_m[1]) / away * radius_m,
+            )
+        self._obstacles[(*centre, radius_m)] = within(self.grid, centre, radius_m)
         self._recompute()
 
-    def open_from(self, start_m: Place) -> BoolArray:
+    def open_from(self, start_m: Place, came_by_m: Sequence[Place] = ()) -> BoolArray:
         """Where the rover may go from the place where it stands, (rows, columns), read-only.
 
         A rover that stands where its centre should not be (beside an obstacle that it met, within an area just closed)
-        is let out: what is really open, or at least not closed by the orbital terrain, is lent to it up to the nearest
-        place from which it can go on.
+        is let out: the way that it came by is lent to it, back to where it may be; failing that, ground that is really
+        open, or open but for what it met, up to the nearest place from which it can go on.
         """
-        row, column = cell_of(self.grid, start_m)
-        if self._open[row, column]:
+        cell = cell_of(self.grid, start_m)
+        if self._open[cell]:
             return self._open
-        for lent in (self._bare, self._orbital, np.ones_like(self._orbital)):
-            if not lent[row, column]:
-                continue
-            way_out = self._way_out(start_m, lent)
-            if way_out is not None:
-                way_out.setflags(write=False)
-                return way_out
-        return self._open
+        way_out = self._way_back(start_m, came_by_m)
+        for lent in (self._bare, self._orbital & ~self._met, self._orbital, np.ones_like(self._orbital)):
+            if way_out is None and lent[cell]:
+                way_out = self._nearest_way_out(start_m, lent)
+        if way_out is None:
+            return self._open
+        way_out.setflags(write=False)
+        return way_out
 
-    def _way_out(self, start_m: Place, lent: BoolArray) -> BoolArray | None:
+    def _way_back(self, start_m: Place, came_by_m: Sequence[Place]) -> BoolArray | None:
+        """The open cells and those of the way back to them, with what is open beside it; None if it leads to none."""
+        if not came_by_m or hypot(came_by_m[-1][0] - start_m[0], came_by_m[-1][1] - start_m[1]) > BESIDE_TRACK_M:
+            return None
+        track = np.zeros_like(self._open)
+        for x, y in _along((start_m, *reversed(came_by_m)), _BOUNDARY_STEP_CELLS * self.grid.resolution_m):
+            if not self.grid.contains(np.array([(x, y)]))[0]:
+                return None
+            cell = cell_of(self.grid, (x, y))
+            if self._open[cell]:
+                beside = ndimage.binary_dilation(track, structure=_SQUARE)
+                return self._open | track | (beside & self._bare)
+            track[cell] = True
+        return None
+
+    def _nearest_way_out(self, start_m: Place, lent: BoolArray) -> BoolArray | None:
         """The open cells and the nearest lent ones that join the start to them; None if the lent ones lead nowhere."""
         if not self._open.any():
             return None
@@ -105,7 +130,7 @@ class GroundTerrain:
 
     def _recompute(self) -> None:
         bare = self._orbital.copy()
-        for closed in (*self._areas.values(), *self._obstacles.values()):
+        for closed in (*self._areas.values(), *self._obstacles.values(), self._met):
             bare &= ~closed
         self._bare = bare
         self._open = ~ndimage.binary_dilation(~bare, structure=self._footprint) if self._footprint.size > 1 else bare
@@ -164,6 +189,15 @@ def interest_weights(grid: SiteGrid, regions: Sequence[tuple[Sequence[Place], fl
         weights[inside(grid, polygon)] = weight
     weights.setflags(write=False)
     return weights
+
+
+def _along(path_m: Sequence[Place], step_m: float) -> Iterator[Place]:
+    """Places along the polyline from its first vertex on, no further apart than the step."""
+    yield path_m[0]
+    for (ax, ay), (bx, by) in pairwise(path_m):
+        steps = max(1, ceil(hypot(bx - ax, by - ay) / step_m))
+        for number in range(1, steps + 1):
+            yield ax + (bx - ax) * number / steps, ay + (by - ay) * number / steps
 
 
 def _footprint(radius_cells: float) -> BoolArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -155,6 +156,8 @@ class Rover:
             why = "stale"
         rounds = [planned for planned in body.rounds if planned.round > self.begun]
         end = self.executing.path_m[-1] if self.executing else self.place
+        if why is None and not rounds:
+            why = "all have begun"
         if why is None and np.hypot(rounds[0].path_m[0][0] - end[0], rounds[0].path_m[0][1] - end[1]) > 2.0:
             why = "it begins elsewhere"
         if why is not None:
@@ -393,6 +396,40 @@ def test_a_rover_that_rejects_everything_ends_the_mission_with_the_reason() -> N
     assert "not today" in end.why
     assert len(mission.rover.plans) == 11
     assert mission.status.phase is MissionPhase.FAILED
+
+
+def test_a_rover_that_goes_on_rejecting_is_given_more_time_each_time() -> None:
+    mission = Mission(scenario())
+    mission.rover.reject = lambda plan: "I am elsewhere"
+    mission.run()
+    at = [when / SECOND for when, _ in mission.rover.plans]
+    waits = [later - earlier for earlier, later in pairwise(at)]
+    assert waits[:4] == [32.0, 62.0, 92.0, 152.0]
+    assert max(waits) == 3600.0 + 32.0
+    assert mission.status.detail.startswith("0 of 12 samples are in the map; 11 plans in a row were rejected")
+
+
+def test_rounds_that_bring_nothing_are_tried_again_but_not_for_ever() -> None:
+    mission = Mission(scenario(top={"samples_per_round": 1}), round_s=600.0)
+    mission.rover.skip = {f"r{number:02d}s1" for number in range(3, 10_000)}
+    end = mission.run()
+    assert len(mission.snapshot.samples) == 2
+    assert "40 rounds in a row brought no sample" in end.why
+
+
+def test_when_the_last_round_ran_from_an_older_plan_the_mission_still_ends() -> None:
+    mission = Mission(scenario(top={"rounds": 2}, ground={"pipeline": 1}), light_s=1200.0)
+    mission.simulation.run_for(4000.0)
+    second = mission.rover.on_board[0]
+    assert second.round == 2
+    mission.simulation.run_for(900.0)  # it is executing round 2, and the ground cannot know
+    assert mission.rover.executing is second
+    x, y = second.path_m[-1]
+    area = ((x - 1, y - 1), (x + 1, y - 1), (x + 1, y + 1), (x - 1, y + 1))
+    keep_out = Telecommand(command_id="k", kind=CommandKind.SET_KEEP_OUT, area_id="a", polygon_m=area)
+    mission.simulation.ask(ISSUE_COMMAND, keep_out)
+    assert mission.run().ok
+    assert len(mission.snapshot.samples) == 6
 
 
 def test_an_obstacle_closes_its_ground_and_the_missing_samples_are_made_up_for() -> None:

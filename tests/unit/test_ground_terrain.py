@@ -116,6 +116,27 @@ def test_a_rover_beside_an_obstacle_is_let_out_but_not_through_the_obstacle() ->
     assert (lent & ~terrain.traversable).sum() < 12
 
 
+def test_an_obstacle_is_closed_behind_the_place_where_it_was_met() -> None:
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.0)
+    terrain.block((20.5, 20.5), 3.0, seen_from_m=(15.5, 20.5))
+    closed = ~terrain.traversable
+    assert closed[20, 20:26].all()
+    assert not closed[20, :20].any()
+
+
+def test_a_rover_that_came_by_a_narrow_way_is_sent_back_over_it() -> None:
+    open_cells = ALL_OPEN.copy()
+    open_cells[:, 10:30] = False
+    open_cells[20, 10:30] = True  # a gap one cell wide, too narrow for the footprint: but it was driven
+    terrain = GroundTerrain(GRID, open_cells, 0.8)
+    here, track = (25.5, 20.5), ((5.5, 20.5), (25.5, 20.5))
+    lent = terrain.open_from(here, track)
+    assert lent[20, 8:26].all()
+    assert not lent[20, 27:29].any()
+    assert not lent[21, 12:24].any()
+    assert terrain.open_from(here, ((5.5, 20.5), (9.5, 20.5)))[20, 27]  # not where it is known to have come by
+
+
 def test_a_rover_within_an_area_just_closed_is_lent_a_way_out_of_it() -> None:
     terrain = GroundTerrain(GRID, ALL_OPEN, 0.8, [((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))])
     lent = terrain.open_from((12.0, 15.0))
