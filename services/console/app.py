@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from services.console.commands import bench, command, demo, link, map, reference, replay, run, schemas, status, up
+from services.console.commands import bench, command, demo, link, map, reference, replay, run, schemas, status, time, up
 
 ABOUT = """Helium-3 prospecting on the Moon: a rover, an honest map, and the light time between them.
 
@@ -32,6 +32,9 @@ def build() -> typer.Typer:
     app.command("status", epilog=status.EXAMPLES)(status.status)
     app.command("watch", epilog=status.WATCH_EXAMPLES)(status.watch)
     app.add_typer(map.app, name="map", help="The live map: at a place, as a picture, as numbers.")
+    app.add_typer(
+        time.app, name="time", help="Mission time: see it, pause it, step it, slow it down.", epilog=time.EXAMPLES
+    )
     app.add_typer(link.app, name="link", help="The link between Earth and Moon: see it, change it.")
     app.add_typer(command.app, name="command", help="Send the rover a telecommand.")
     app.command("commands", epilog=command.EXAMPLES)(command.commands)
