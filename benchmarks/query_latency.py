@@ -1,0 +1,182 @@
+"""How long a map query takes while the ground computes a plan, beside a bare Zenoh queryable in the same run.
+
+A whole mission runs in separate processes, fast, so that plan follows upon plan. An operator asks for the map at a
+point, and in turn asks a queryable in a process of its own that answers each query with the same number of bytes and
+does nothing else. Only pairs of queries count that were asked while a plan was being computed, from beginning to end;
+the first plan, for which the planner process only starts, does not count, and no plan counts for more than a quarter.
+
+    queries              how many pairs counted
+    point_p50_s, point_p99_s       median and 99th percentile of the map query [s]
+    bare_p50_s, bare_p99_s         the same of the bare queryable [s]
+    ratio                point_p50_s / bare_p50_s
+    plans                how many plans were computed meanwhile
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from benchmarks.peer import Peer, answer_line
+from he3.errors import He3Error, InvalidInput
+from schemas.ground import GroundStatus, MissionPhase
+from schemas.topics import GROUND_STATUS, MAP_POINT, Side
+from schemas.wire import Header
+from services.bus import Client, open_session
+from services.console.joining import join_when_up
+from services.console.launcher import free_endpoints
+from services.deployment import find_scenario
+from services.scenario import load_scenario
+
+BARE_KEY = "bench/bare"
+GIVE_UP_S = 300.0
+"""Wall time within which the mission must have planned for long enough."""
+
+Row = dict[str, Any]
+
+
+def run(
+    queries: int = 1000,
+    scenario: str = "t1-nominal",
+    planner: str = "rrtstar",
+    rate: float = 3000.0,
+    seed: int = 1,
+    json: Path | str | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> Row:
+    """The figures of `queries` pairs asked while plans were being computed; printed, and written to ``json``.
+
+    rate: mission seconds a wall second. Raises InvalidInput for figures that make no sense, He3Error when the mission
+    has not planned for long enough to ask that often.
+    """
+    if queries < 1 or rate <= 0:
+        raise InvalidInput(f"expected at least 1 query and a rate above 0, got {queries} and {rate:g}")
+    path = find_scenario(scenario)
+    mission = load_scenario(path)
+    endpoints = free_endpoints()
+    # With no time reserved for planning, 'a plan is in work' means that one is being computed.
+    flags = ["--set", f'ground.planner="{planner}"', "--set", "ground.planning_s=0", "--rate", str(rate)]
+    flags += ["--seed", str(seed), "--log-level", "warning", "--moon", endpoints.moon, "--earth", endpoints.earth]
+    with ExitStack() as ends:
+        waiting = ["--wait-for", "field,rover,ground"]
+        link = Peer(ends, "services.link", str(path), *flags, *waiting)
+        services = [link, *(Peer(ends, f"services.{name}", str(path), *flags) for name in ("field", "rover", "ground"))]
+        watcher = _Planning(ends.enter_context(join_when_up(endpoints.earth, mission.name, link.check)))
+        bare = Peer(ends, "benchmarks.query_latency", endpoints.earth)
+        bare.answer()
+        session = open_session(Side.EARTH, "client", endpoints.earth)
+        ends.callback(session.close)
+        row = _measured(session, mission.name, watcher, services, queries)
+    row |= {"planner": planner, "scenario": mission.name, "cpus": os.cpu_count(), "load": os.getloadavg()[0]}
+    say(
+        f"map point query while planning ({planner}, {row['plans']} plans, {row['queries']} queries): median "
+        f"{_ms(row['point_p50_s'])}, 99 % {_ms(row['point_p99_s'])}\n"
+        f"bare Zenoh queryable in the same run: median {_ms(row['bare_p50_s'])}, 99 % {_ms(row['bare_p99_s'])}\n"
+        f"ratio of the medians {row['ratio']:.2f}"
+    )
+    if json is not None:
+        Path(json).write_text(json_format.dumps(row, indent=1) + "\n", encoding="utf-8")
+    return row
+
+
+class _Planning:
+    """Whether the ground is computing a plan, as it says itself."""
+
+    def __init__(self, client: Client) -> None:
+        self.status: GroundStatus | None = None
+        client.subscribe(GROUND_STATUS, self._take)
+
+    def _take(self, _header: Header, status: GroundStatus) -> None:
+        self.status = status
+
+    @property
+    def revision(self) -> int | None:
+        """After which plan the next one is being computed; None while none is, or the first."""
+        status = self.status
+        return None if status is None or not status.plans_in_work else status.plan_revision or None
+
+
+def _measured(session: zenoh.Session, mission: str, watcher: _Planning, services: list[Peer], queries: int) -> Row:
+    random = np.random.default_rng(1)
+    key = MAP_POINT.key(mission)
+    point: list[float] = []
+    bare: list[float] = []
+    plans: Counter[int] = Counter()
+    most = max(1, -(-queries // 4))
+    give_up = time.monotonic() + GIVE_UP_S
+    while len(point) < queries:
+        for service in services:
+            service.check()
+        revision = watcher.revision
+        if revision is None or plans[revision] >= most:
+            status = watcher.status
+            if time.monotonic() > give_up or (status is not None and status.phase is MissionPhase.COMPLETED):
+                raise He3Error(f"expected {queries} queries while planning, got {len(point)} before the mission ended")
+            time.sleep(0.005)
+            continue
+        x, y = random.uniform(0.0, 500.0, 2)
+        to_map, to_bare = f"{key}?x={x:.3f};y={y:.3f}", f"{BARE_KEY}?x={x:.3f};y={y:.3f}"
+        # Taking turns at going first, so that neither always finds the other's traces.
+        if len(point) % 2:
+            to_map_s, to_bare_s = _asked(session, to_map), _asked(session, to_bare)
+        else:
+            to_bare_s, to_map_s = _asked(session, to_bare), _asked(session, to_map)
+        if watcher.revision == revision:
+            point.append(to_map_s)
+            bare.append(to_bare_s)
+            plans[revision] += 1
+    return {
+        "queries": len(point),
+        "point_p50_s": float(np.quantile(point, 0.5)),
+        "point_p99_s": float(np.quantile(point, 0.99)),
+        "bare_p50_s": float(np.quantile(bare, 0.5)),
+        "bare_p99_s": float(np.quantile(bare, 0.99)),
+        "ratio": float(np.quantile(point, 0.5) / np.quantile(bare, 0.5)),
+        "plans": len(plans),
+    }
+
+
+def _asked(session: zenoh.Session, selector: str) -> float:
+    """Seconds until the answer was here; raises He3Error when there was none."""
+    began = time.perf_counter()
+    replies = list(session.get(selector))
+    took = time.perf_counter() - began
+    if len(replies) != 1 or replies[0].ok is None:
+        raise He3Error(f"{selector}: expected one answer, got {len(replies)}")
+    return took
+
+
+def _ms(seconds: float) -> str:
+    return f"{seconds * 1e3:.3f} ms"
+
+
+# --- the bare queryable, in a process of its own ----------------------------------------------------------------
+
+ANSWER = b'{"x_m":120.0,"y_m":340.0,"mean_ppb":7.8812312,"std_ppb":1.4123123,"traversable":true,"revision":123,'
+ANSWER += b'"samples":100,"mission_time_ns":1893456000000000000}'
+
+
+def _answer_barely(endpoint: str) -> None:
+    """Answer every query at once until standard input ends."""
+    with open_session(Side.EARTH, "client", endpoint) as session:
+        session.declare_queryable(BARE_KEY, lambda query: query.reply(BARE_KEY, ANSWER))
+        answer_line("ready")
+        sys.stdin.read()
+
+
+if __name__ == "__main__":
+    if len(sys.argv) == 2:
+        _answer_barely(sys.argv[1])
+    else:
+        run()
