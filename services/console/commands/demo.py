@@ -11,8 +11,12 @@ from services.console.commands.options import AsJson, Quiet, Seed, Settings
 from services.console.commands.run import run_and_report
 
 SCENARIO = "t1-nominal"
-RATE = 4000.0
 OUT = Path("runs") / "demo"
+
+ABOUT = """Mission '{mission}': rover and field on the Moon, ground station and recorder on Earth, and the link between.
+Each is a process of its own, in virtual time: every delay is exact, and days take as long as planning them does.
+Look in from another terminal with: he3 status, he3 watch, he3 map show mean, he3 link show, he3 time show
+"""
 
 EXAMPLES = """\b
 Examples:
@@ -25,8 +29,9 @@ def demo(
     seed: Seed = None,
     settings: Settings = None,
     rate: Annotated[
-        float, typer.Option("--rate", metavar="R", help="Mission seconds a wall second: three days in a minute or two.")
-    ] = RATE,
+        float | None,
+        typer.Option("--rate", metavar="R", help="On the wall clock instead: mission seconds a wall second, say 4000."),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything that it leaves.")] = OUT,
     json: AsJson = False,
     quiet: Quiet = False,
@@ -36,10 +41,5 @@ def demo(
 
     chosen = choose(SCENARIO, seed=seed, rate=rate, settings=settings or ())
     if not (json or quiet):
-        typer.echo(
-            f"Mission '{chosen.scenario.name}': rover and field on the Moon, ground station and recorder on Earth, "
-            f"and the link between.\nEach is a process of its own; look in from another terminal with: "
-            f"he3 status, he3 watch, he3 map show mean, he3 link show\n",
-            err=True,
-        )
-    run_and_report(chosen, "zenoh", out, None, json=json, quiet=quiet)
+        typer.echo(ABOUT.format(mission=chosen.scenario.name), err=True)
+    run_and_report(chosen, "lockstep" if rate is None else "zenoh", out, None, json=json, quiet=quiet)
