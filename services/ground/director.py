@@ -8,26 +8,23 @@ counted in, which the plan says. With h = 0 the rover waits for each round until
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
-from math import hypot, isfinite
+from math import hypot
 from typing import Any
 
 import numpy as np
 
-from he3.errors import He3Error, InvalidInput, NoRoute
-from he3.frames import FloatArray, SiteGrid, as_points
+from he3.errors import He3Error, NoRoute
+from he3.frames import SiteGrid
 from he3.gp import Hyperparameters
-from he3.gridposterior import GridPosterior
-from schemas.plans import MissionPlan, PlannedSample, RoundPlan
+from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
 from schemas.topics import PLAN
 from services.ground.allowance import Budget, Committed
 from services.ground.belief import Belief, Observation, fit
 from services.ground.ledger import Ledger, RoundRecord
-from services.ground.planners import planner_named
-from services.ground.planning import PlannedRound, Planner, PlannerOptions, PlanningRequest
-from services.ground.terrain import GroundTerrain, interest_weights
+from services.ground.planning import Planner, PlannerOptions, PlanningRequest
+from services.ground.round_plans import PlanInWork, round_plan, run_planner, sample_id
+from services.ground.terrain import BoolArray, GroundTerrain, along, cell_of, interest_weights
 from services.node import Compute, Effect, Finish, Level, MissionTime, Note, Send, WakeAt, seconds
 from services.scenario import Scenario
 
@@ -42,37 +39,8 @@ MOST_REJECTIONS = 10  # plans in a row that the rover may reject
 OBSTACLE_MARGIN_M = 1.5  # radius of what is closed around an obstacle that was met: it is seen from one side only
 MOST_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came
 OBSTACLE_REACH_M = 8.0  # obstacles met within this distance of each other are taken for one
-START_TOLERANCE_M = 0.5  # how far from where it was asked to begin a planned round may begin
 _NOTHING_TO_DO = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 _FIT, _PLAN = 1, 2  # what a seed is for
-
-
-def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) -> PlannedRound:
-    """The planner's answer, with the last `pending` of the observed places counted in first.
-
-    Pure and picklable, made to run elsewhere. The posterior variance does not depend on values, so places whose values
-    are not known yet lower it all the same.
-    """
-    if pending:
-        values = np.zeros(len(request.observed_m))
-        ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values)
-        request = replace(request, std_ppb=ahead.std_ppb)
-    function = planner_named(planner) if isinstance(planner, str) else planner
-    return function(request)
-
-
-@dataclass(frozen=True, slots=True)
-class PlanInWork:
-    """A round that is being planned."""
-
-    job: str
-    number: int
-    start_m: Place
-    samples: int
-    samples_left: int
-    attempt: int
-    known: int
-    pending: tuple[str, ...]
 
 
 class Director:
@@ -351,9 +319,8 @@ class Director:
         self._attempt = 0
         self._origin = None if self.ledger.chain else self.place_m
 
-    def _leads_through(self, record: RoundRecord, area: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
-        path = np.array(record.plan.path_m, dtype=np.float64)
-        return bool(area[self.grid.cells_of(_densely(path, 0.5 * self.grid.resolution_m))].any())
+    def _leads_through(self, record: RoundRecord, area: BoolArray) -> bool:
+        return any(area[cell_of(self.grid, place)] for place in along(record.plan.path_m, 0.5 * self.grid.resolution_m))
 
     def _committed(self) -> Committed:
         ledger = self.ledger
@@ -439,7 +406,10 @@ class Director:
 
     def _plan_made(self, work: PlanInWork, result: Any, now: MissionTime) -> list[Effect]:
         revision = self.revision + 1
-        planned = self._checked(work, result, revision)
+        # The first plan of a round has the plain ids; they are never used for another place.
+        known = self.ledger.of_sample(sample_id(work.number, "", 1)) is not None
+        version = f"v{revision}" if known else ""
+        planned = round_plan(work, result, self.grid, version, self.scenario.sample_depth_m)
         self.revision = revision
         self.ledger.append(planned, revision)
         self._origin = None
@@ -454,35 +424,6 @@ class Director:
             planned_at=now,
         )
         return [Send(PLAN, plan), *self._advance(now)]
-
-    def _checked(self, work: PlanInWork, result: Any, revision: int) -> RoundPlan:
-        """The planner's answer as it goes up; raises InvalidInput if it is not what was asked for."""
-        if not isinstance(result, PlannedRound):
-            raise InvalidInput(f"planner: expected a planned round, got {type(result).__name__}")
-        path, places = as_points(result.path_m), as_points(result.samples_m)
-        if not (1 <= len(places) <= work.samples and 1 <= len(path) <= 4096):
-            raise InvalidInput(
-                f"planner: expected 1 to {work.samples} samples on 1 to 4096 vertices, got {len(places)} on {len(path)}"
-            )
-        if hypot(path[0, 0] - work.start_m[0], path[0, 1] - work.start_m[1]) > START_TOLERANCE_M:
-            raise InvalidInput(f"planner: expected a path from {work.start_m}, got one from {tuple(path[0])}")
-        if not self.grid.contains(np.vstack((path, places))).all():
-            raise InvalidInput("planner: expected a round within the region, got one that leaves it")
-        version = "" if self.ledger.version(work.number, revision) is None else f"v{revision}"
-        return RoundPlan(
-            round=work.number,
-            path_m=tuple(_rounded(place) for place in path),
-            samples=tuple(
-                PlannedSample(
-                    sample_id=f"r{work.number:02d}{version}s{index}",
-                    x_m=_rounded(place)[0],
-                    y_m=_rounded(place)[1],
-                    depth_m=self.scenario.sample_depth_m,
-                )
-                for index, place in enumerate(places, 1)
-            ),
-            information_nats=float(result.information_nats) if isfinite(result.information_nats) else 0.0,
-        )
 
     def _planning_failed(self, work: PlanInWork, error: Exception, now: MissionTime) -> list[Effect]:
         self._attempt = work.attempt + 1
@@ -507,20 +448,6 @@ class Director:
         self.detail = why
         self.ended = Finish(ok=not self._failed, why=why)
         return [self.ended]
-
-
-def _rounded(place: FloatArray) -> Place:
-    """To the millimetre: below what a rover holds, and half the bytes."""
-    return round(float(place[0]), 3), round(float(place[1]), 3)
-
-
-def _densely(path_m: FloatArray, step_m: float) -> FloatArray:
-    """Places along the polyline, no further apart than the step."""
-    pieces = [path_m[:1]]
-    for a, b in pairwise(path_m):
-        count = max(1, int(np.ceil(np.hypot(*(b - a)) / step_m)))
-        pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
-    return np.vstack(pieces)
 
 
 def _warning(text: str) -> Note:

@@ -102,7 +102,7 @@ class GroundTerrain:
         if not came_by_m or hypot(came_by_m[-1][0] - start_m[0], came_by_m[-1][1] - start_m[1]) > BESIDE_TRACK_M:
             return None
         track = np.zeros_like(self._open)
-        for x, y in _along((start_m, *reversed(came_by_m)), _BOUNDARY_STEP_CELLS * self.grid.resolution_m):
+        for x, y in along((start_m, *reversed(came_by_m)), _BOUNDARY_STEP_CELLS * self.grid.resolution_m):
             if not self.grid.contains(np.array([(x, y)]))[0]:
                 return None
             cell = cell_of(self.grid, (x, y))
@@ -191,7 +191,7 @@ def interest_weights(grid: SiteGrid, regions: Sequence[tuple[Sequence[Place], fl
     return weights
 
 
-def _along(path_m: Sequence[Place], step_m: float) -> Iterator[Place]:
+def along(path_m: Sequence[Place], step_m: float) -> Iterator[Place]:
     """Places along the polyline from its first vertex on, no further apart than the step."""
     yield path_m[0]
     for (ax, ay), (bx, by) in pairwise(path_m):

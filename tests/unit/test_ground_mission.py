@@ -313,9 +313,15 @@ def test_what_is_driven_and_planned_together_is_the_whole_way() -> None:
     assert mission.status.driven_m == pytest.approx(mission.rover.driven)
 
 
-def test_sample_ids_are_never_used_for_two_places() -> None:
-    mission = Mission(scenario(ground={"pipeline": 2}))
-    mission.rover.trouble = lambda planned: "a boulder" if planned.round == 2 else None
+@pytest.mark.parametrize("light_s", [1.0, 1200.0])
+def test_sample_ids_are_never_used_for_two_places(light_s: float) -> None:
+    mission = Mission(scenario(top={"rounds": 6}, ground={"pipeline": 2}), light_s=light_s)
+    mission.rover.trouble = lambda planned: "a boulder" if planned.round in (2, 4) else None
+    mission.simulation.run_for(4900.0)
+    x, y = mission.rover.on_board[0].path_m[1]
+    area = ((x - 1, y - 1), (x + 1, y - 1), (x + 1, y + 1), (x - 1, y + 1))
+    keep_out = Telecommand(command_id="k", kind=CommandKind.SET_KEEP_OUT, area_id="a", polygon_m=area)
+    mission.simulation.ask(ISSUE_COMMAND, keep_out)
     mission.run()
     places: dict[str, tuple[float, float]] = {}
     for _, plan in mission.rover.plans:
