@@ -62,6 +62,8 @@ class Input:
 Trace = Callable[[MissionTime, str, str], None]
 """Called with mission time, node and a line for each event handled: the event log."""
 
+_OF_THE_PROCESS = frozenset({"_trace", "_queue_depth"})
+
 
 class Host:
     """One node, ready to be driven."""
@@ -137,6 +139,17 @@ class Host:
     def open_questions(self) -> list[PutQuestion]:
         """Questions of this node that have not been answered: to be put again after a restart."""
         return list(self._questions.values())
+
+    # --- what a checkpoint keeps --------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """The node and all that stands around it, to be pickled at once; not what this process alone has."""
+        return {name: value for name, value in vars(self).items() if name not in _OF_THE_PROCESS}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Become the host that had this state."""
+        vars(self).update(state)
+        self._queue_depth = getattr(self._node, "queue_depth_is", None)
 
     # --- what a driver reports ----------------------------------------------------------------------------------
 

@@ -93,6 +93,7 @@ class Process:
         self._resume: list[Action] = []
         self._incarnation = 1
         self._counter = 0
+        self.events: EventLog | None = None
         self.log = Log(service.name, self._now_or_none, options.level, options.log_json)
         self._answers = self._answering(service)
 
@@ -109,12 +110,11 @@ class Process:
 
     def run(self) -> int:
         executor: OwnedExecutor | InlineExecutor | None = None
-        events: EventLog | None = None
         try:
             executor = self._service.executor() if self._service.executor else InlineExecutor()
             node = self._service.build(self.options)
-            events = EventLog(self.options.events) if self.options.events else None
-            host = Host(node, self.mission, events, custody_config(self.options.scenario.link, node.interface))
+            self.events = EventLog(self.options.events) if self.options.events else None
+            host = Host(node, self.mission, self.events, custody_config(self.options.scenario.link, node.interface))
             self.seat = self._seated(host, _Waking(executor, self.stop.inbox))
             if not self._connect(host):
                 return 0
@@ -122,8 +122,8 @@ class Process:
             self._loop()
             return 0
         finally:
-            if events is not None:
-                events.close()
+            if self.events is not None:
+                self.events.close()
             if self._answers is not None:
                 self._answers.close()
             for bus in self.buses.values():
@@ -139,12 +139,12 @@ class Process:
             return Seat(host, executor)
         folder = JournalFolder(self.options.journal, self.name, identity_of(self.options.scenario))
         history = folder.history()
-        seat = Seat(host, executor, folder.begin())
+        seat = Seat(host, executor, folder.begin(history))
         began = time.monotonic()
-        self._resume = seat.replay(history.inputs)
+        self._resume = seat.replay(history.inputs, history.state)
         self._incarnation = history.starts + 1
-        if history.inputs:
-            self._last = history.inputs[-1][0]
+        if history.starts:
+            self._last = seat.last
             self.log.info(
                 "restarted from its journal",
                 inputs=len(history.inputs),

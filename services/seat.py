@@ -7,14 +7,19 @@ answers, results and timers. No scheduling, and no order in which messages happe
 from __future__ import annotations
 
 import heapq
+import pickle
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from services.actions import Action, PutQuestion
 from services.host import Host, Input
 from services.node import Compute, Finish, MissionTime, Show, WakeAt, seconds
+
+CHECKPOINT_EVERY: Final = 300
+"""Inputs after which a checkpoint is made at the latest: so many are handled again, at most, after a restart."""
 
 
 class Executor(Protocol):
@@ -55,6 +60,22 @@ class Journal(Protocol):
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         """Keep what is about to be handled at that time; safe against the end of this process when it returns."""
 
+    def checkpoint(self, state: bytes) -> None:
+        """Keep the state after all that was appended so far, in place of an earlier one; it may be lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Computation:
+    """One that is under way: when it ends, what it is, and its result."""
+
+    ends: MissionTime
+    what: Compute
+    future: Future[Any]
+
+    @property
+    def job(self) -> str:
+        return self.what.job
+
 
 class Seat:
     """One host's inputs, timers and computations."""
@@ -68,7 +89,11 @@ class Seat:
         self._inbox: list[tuple[Order, Input]] = []
         self._timers: dict[str, MissionTime] = {}
         self._heap: list[tuple[MissionTime, str]] = []
-        self._running: list[tuple[MissionTime, str, Future[Any]]] = []
+        self._running: list[_Computation] = []
+        self._lasting: dict[type, Action] = {}  # what still holds after a restart: the last snapshot, the end
+        self._since_checkpoint = 0
+        self.last: MissionTime = 0
+        """When it last handled something [ns]."""
 
     @property
     def name(self) -> str:
@@ -91,16 +116,16 @@ class Seat:
         while self._heap and self._timers.get(self._heap[0][1]) != self._heap[0][0]:
             heapq.heappop(self._heap)
         times = [self._heap[0][0]] if self._heap else []
-        times.extend(ends for ends, _, future in self._running if wait or future.done())
+        times.extend(each.ends for each in self._running if wait or each.future.done())
         return min(times) if times else None
 
     def computations(self) -> list[str]:
         """Names of the computations under way."""
-        return sorted(job for _, job, _ in self._running)
+        return sorted(each.job for each in self._running)
 
     def due_computations(self, now: MissionTime) -> list[Future[Any]]:
         """The computations whose end is due by `now`, ended or not."""
-        return [future for ends, _, future in self._running if ends <= now]
+        return [each.future for each in self._running if each.ends <= now]
 
     def run(self, now: MissionTime, wait: bool = True) -> list[Action]:
         """Handle everything that is there or due by `now`; returns the actions that concern others, in order.
@@ -113,46 +138,66 @@ class Seat:
         self._inbox = []
         if self._journal is not None and batch:
             self._journal.append(now, batch)
+        self.last = now
         outward: list[Action] = []
         for given in batch:
             outward.extend(action for action in self.host.take(given, now) if not self._performed(action, now))
+        if self._journal is not None and batch:
+            self._keep_state(batch)
         return outward
 
-    def replay(self, kept: Iterable[tuple[MissionTime, Input]]) -> list[Action]:
+    def _keep_state(self, batch: Sequence[Input]) -> None:
+        """A checkpoint now and then, and after each result: what computing led to takes longest to handle again."""
+        self._since_checkpoint += len(batch)
+        if self._since_checkpoint >= CHECKPOINT_EVERY or any(given.what == "computed" for given in batch):
+            assert self._journal is not None, "only who keeps a journal keeps checkpoints"
+            self._journal.checkpoint(self.state())
+            self._since_checkpoint = 0
+
+    def state(self) -> bytes:
+        """Everything that the inputs so far have led to, for `replay`."""
+        begun = {each.job: (each.ends, each.what) for each in self._running}
+        state = self.host.state(), self.last, self._timers, begun, self._lasting
+        return pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
+
+    def replay(self, kept: Iterable[tuple[MissionTime, Input]], state: bytes | None = None) -> list[Action]:
         """Handle again what a journal kept, doing nothing of what followed then; returns what is still to be done.
 
         That is the latest snapshot, whether the node had finished, and the questions that nobody had answered.
         Timers stand as they did; computations whose result was not in the journal begin again.
+        state: what was kept of all that came before, if anything.
         """
         begun: dict[str, tuple[MissionTime, Compute]] = {}
-        shown: dict[type, Action] = {}
+        if state is not None:
+            remembered, self.last, self._timers, begun, self._lasting = pickle.loads(state)
+            self.host.restore(remembered)
+            self._heap = sorted((at, timer) for timer, at in self._timers.items())
         for now, given in kept:
+            self.last = now
             if given.what == "due":
                 self._timers.pop(given.arguments[0], None)
             elif given.what == "computed":
                 begun.pop(given.arguments[0], None)
             for action in self.host.take(given, now):
                 match action:
-                    case Compute(job):
-                        begun[job] = (now, action)
-                    case WakeAt():
+                    case Compute(job, takes_s=takes_s):
+                        begun[job] = (now + seconds(takes_s), action)
+                    case WakeAt() | Show() | Finish():
                         self._performed(action, now)
-                    case Show() | Finish():
-                        shown[type(action)] = action
-        for began_at, computation in begun.values():
-            self._performed(computation, began_at)
+        for ends, computation in begun.values():
+            self._begin(computation, ends)
         questions: list[PutQuestion] = self.host.open_questions()
-        return [*shown.values(), *questions]
+        return [*self._lasting.values(), *questions]
 
     def _collect_results(self, now: MissionTime, wait: bool) -> None:
-        ready = [entry for entry in self._running if entry[0] <= now and (wait or entry[2].done())]
-        for number, (ends, job, future) in enumerate(ready):
-            self._running.remove((ends, job, future))
-            error = future.exception()
+        ready = [each for each in self._running if each.ends <= now and (wait or each.future.done())]
+        self._running = [each for each in self._running if not any(each is other for other in ready)]
+        for number, each in enumerate(ready):
+            error = each.future.exception()
             if error is not None and not isinstance(error, Exception):
                 raise error
-            result = None if error is not None else future.result()
-            self._inbox.append(((Kind.RESULT, job, number), Input("computed", (job, result, error))))
+            result = None if error is not None else each.future.result()
+            self._inbox.append(((Kind.RESULT, each.job, number), Input("computed", (each.job, result, error))))
 
     def _collect_timers(self, now: MissionTime) -> None:
         while self._heap and self._heap[0][0] <= now:
@@ -168,8 +213,15 @@ class Seat:
             case WakeAt(timer, at) if at is not None:
                 self._timers[timer] = at
                 heapq.heappush(self._heap, (at, timer))
-            case Compute(job, function, arguments, takes_s):
-                self._running.append((now + seconds(takes_s), job, self._executor.submit(function, *arguments)))
+            case Compute(takes_s=takes_s):
+                self._begin(action, now + seconds(takes_s))
+            case Show() | Finish():
+                self._lasting[type(action)] = action
+                return False
             case _:
                 return False
         return True
+
+    def _begin(self, computation: Compute, ends: MissionTime) -> None:
+        future = self._executor.submit(computation.function, *computation.arguments)
+        self._running.append(_Computation(ends, computation, future))

@@ -20,7 +20,7 @@ from schemas.wire import Header, Wire, decode_reply, encode
 from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.desk import custody_config
 from services.host import Host, Input, Trace
-from services.journal import JournalReader, JournalWriter
+from services.journal import JournalReader, JournalWriter, Mark
 from services.node import SECOND, Finish, Level, MissionTime, Node, Note, Show, Silence, seconds
 from services.seat import Executor, InlineExecutor, Kind, Seat
 
@@ -140,10 +140,17 @@ class Simulation:
             self._take_seat(Seat(host, self._executor))
             return
         journals[-1].tear(torn_tail)
-        kept = [entry for journal in journals for entry in journal.entries()]
+        # Whoever dies in the middle of a record may lose the checkpoint as well: then the journals tell everything.
+        latest = next((n for n in reversed(range(len(journals))) if journals[n].state is not None), None)
+        state = None if latest is None or torn_tail else journals[latest].state
+        if latest is None or state is None:
+            kept = [entry for journal in journals for entry in journal.entries()]
+        else:
+            later = [entry for journal in journals[latest + 1 :] for entry in journal.entries()]
+            kept = [*journals[latest].entries(since_checkpoint=True), *later]
         journals.append(SimulatedJournal(journals[-1].identity))
         seat = Seat(host, self._executor, journals[-1])
-        remaining = seat.replay(kept)
+        remaining = seat.replay(kept, state)
         self._take_seat(seat)
         for action in remaining:
             self._perform(seat, action)
@@ -287,19 +294,30 @@ class SimulatedJournal:
     def __init__(self, identity: dict[str, str]) -> None:
         self.identity = identity
         self._stream = io.BytesIO()
-        self._writer = JournalWriter(self._stream, identity)
+        self._writer = JournalWriter(self._stream, identity, self._keep)
         self._torn = b""
+        self._mark = Mark()
+        self.state: bytes | None = None
+        """What the last checkpoint kept."""
 
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         self._writer.append(now, inputs)
+
+    def checkpoint(self, state: bytes) -> None:
+        self._writer.checkpoint(state)
+
+    def _keep(self, mark: Mark, _starts: int, state: bytes) -> None:
+        self._mark, self.state = mark, state
 
     def tear(self, tail: bytes) -> None:
         """Leave the beginning of an unfinished record at the end."""
         self._torn = tail
 
-    def entries(self) -> list[tuple[MissionTime, Input]]:
-        """What is kept, read back from the bytes."""
-        return list(JournalReader(io.BytesIO(self._stream.getvalue() + self._torn), self.identity, "journal"))
+    def entries(self, since_checkpoint: bool = False) -> list[tuple[MissionTime, Input]]:
+        """What is kept, or what came after the last checkpoint, read back from the bytes."""
+        stream = io.BytesIO(self._stream.getvalue() + self._torn)
+        mark = self._mark if since_checkpoint else Mark()
+        return list(JournalReader(stream, self.identity, "journal", mark))
 
 
 def warnings_of(simulation: Simulation) -> list[str]:

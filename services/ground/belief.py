@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,13 @@ class Belief:
         else:
             prior = Hyperparameters(first, noise_std_ppb, trend=trend)
         self._observations: dict[str, Observation] = {}
-        self._posterior = GridPosterior(grid, prior)
+        self._posterior: GridPosterior | None = GridPosterior(grid, prior)
+        self._map, self._process = self._posterior.snapshot(), self._posterior.process
+        self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but what takes a gigabyte to keep and a moment to make again, to the byte."""
+        return {**vars(self), "_posterior": None}
 
     def __len__(self) -> int:
         """Number of measurements in the map."""
@@ -92,17 +99,17 @@ class Belief:
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        return self._posterior.hyperparameters
+        return self._process.hyperparameters
 
     @property
     def process(self) -> GaussianProcess:
         """The same belief at arbitrary places: immutable."""
-        return self._posterior.process
+        return self._process
 
     @property
     def map(self) -> MapSnapshot:
         """Mean and standard deviation on every cell [ppb]: arrays that no later sample touches."""
-        return self._posterior.snapshot()
+        return self._map
 
     @property
     def places_m(self) -> FloatArray:
@@ -120,7 +127,9 @@ class Belief:
         if not (isfinite(observation.value_ppb) and low <= observation.value_ppb <= high):
             raise InvalidInput(f"sample {sample_id}: expected {low:g} to {high:g} ppb, got {observation.value_ppb:g}")
         self.grid.cells_of(np.array([observation.place_m], dtype=np.float64))
-        self._posterior.add(observation.place_m, observation.value_ppb)
+        posterior = self._standing()
+        posterior.add(observation.place_m, observation.value_ppb)
+        self._map, self._process = posterior.snapshot(), posterior.process
         self._observations[sample_id] = observation
         return True
 
@@ -141,8 +150,27 @@ class Belief:
 
     def adopt(self, fitted: Hyperparameters) -> None:
         """Rebuild the map with new hyperparameters, from all samples in the order in which they were planned."""
-        values = np.array([observed.value_ppb for observed in self._in_order()], dtype=np.float64)
-        self._posterior = GridPosterior.build(self.grid, replace(fitted, trend=self._trend), self.places_m, values)
+        planned = {name: observed.planned for name, observed in self._observations.items()}
+        self._built = tuple(sorted(planned, key=planned.__getitem__))
+        posterior = self._posterior = self._rebuilt(replace(fitted, trend=self._trend))
+        self._map, self._process = posterior.snapshot(), posterior.process
+
+    def _rebuilt(self, hyperparameters: Hyperparameters) -> GridPosterior:
+        """The map as it was last built, without what was added since."""
+        built = [self._observations[name] for name in self._built]
+        places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
+        values = np.array([observed.value_ppb for observed in built], dtype=np.float64)
+        if not built:
+            return GridPosterior(self.grid, hyperparameters)
+        return GridPosterior.build(self.grid, hyperparameters, places, values)
+
+    def _standing(self) -> GridPosterior:
+        """What the next sample is added to; after a restart it is made again, step by step as it came to be."""
+        if self._posterior is None:
+            self._posterior = self._rebuilt(self.hyperparameters)
+            for observed in list(self._observations.values())[len(self._built) :]:
+                self._posterior.add(observed.place_m, observed.value_ppb)
+        return self._posterior
 
     def _in_order(self) -> list[Observation]:
         return sorted(self._observations.values(), key=lambda observed: observed.planned)

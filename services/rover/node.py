@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from he3 import constants
@@ -39,7 +40,7 @@ class RoverNode:
         """Messages that wait for the ground's acknowledgement: whoever keeps them says how many."""
         self._config = config
         self._executive = Executive(config, site, start_m, start)
-        self._executive.at_safe_point = lambda now: orders.carry_out_waiting(self._executive, now)
+        self._executive.at_safe_point = partial(orders.carry_out_waiting, self._executive)
         self._told: RoverMode | None = None
         self._awake = False
 
