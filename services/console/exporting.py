@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 
 from he3.errors import He3Error
 from he3.frames import SiteGrid
+from schemas.maps import MapLayer
 from schemas.telemetry import SampleReport
+
+EXPORTED: Final = (MapLayer.MEAN, MapLayer.STD, MapLayer.TRAVERSABLE)
+"""The layers that a file holds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

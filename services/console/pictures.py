@@ -196,6 +196,15 @@ def _round_length(wanted: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= wanted))
 
 
+_LABELS = {
+    MapLayer.MEAN: "helium-3 [ppb]",
+    MapLayer.STD: "std [ppb]",
+    MapLayer.INFORMATION: "information of one measurement [nat]",
+    MapLayer.EXCEEDANCE: "probability of more than the threshold",
+    MapLayer.TRAVERSABLE: "open to the rover (1) or closed (0)",
+}
+
+
 def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
     """One layer of the live map, with the path driven and the samples."""
     values = array_of(raster)
@@ -209,7 +218,7 @@ def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
         colours=UNCERTAINTY if uncertain else ABUNDANCE,
         low=0.0 if uncertain else low,
         high=high if high > low else low + 1.0,
-        label={MapLayer.MEAN: "helium-3 [ppb]", MapLayer.STD: "std [ppb]"}.get(raster.layer, "open"),
+        label=_LABELS[raster.layer],
         dots="#4fd1ff" if uncertain else SAMPLE_COLOUR,
         with_path=not uncertain,
     )

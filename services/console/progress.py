@@ -109,14 +109,17 @@ class PlainProgress:
     def __enter__(self) -> Self:
         self._began = self._drawn = self._looked = self.clock()
         self._round = 0
+        self._last: Callable[[], Moment] | None = None
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.stream.flush()
+        if error is None and self._last is not None and (moment := self._last()).round != self._round:
+            self._write(moment, self.clock())
 
     def show(self, now: Callable[[], Moment]) -> None:
+        self._last = now
         at = self.clock()
         if at - self._looked < REDRAW_S:
             return
@@ -124,6 +127,9 @@ class PlainProgress:
         moment = now()
         if moment.round == self._round and at - self._drawn < self.every_s:
             return
+        self._write(moment, at)
+
+    def _write(self, moment: Moment, at: float) -> None:
         self._round, self._drawn = moment.round, at
         self.stream.write(plain_line(moment, at - self._began) + "\n")
         self.stream.flush()

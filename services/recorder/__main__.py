@@ -1,6 +1,7 @@
 """The recorder service: ``python -m services.recorder SCENARIO --out FILE``. It listens on Earth and says nothing."""
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 from he3.errors import InvalidInput
@@ -14,15 +15,22 @@ from services.serve import serve
 DEFAULT_FILE = Path("mission.mcap")
 
 
-def build(options: Options) -> Node:
-    path = options.out or DEFAULT_FILE
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        stream = path.open("wb")
-    except OSError as error:
-        raise InvalidInput(f"{path}: cannot write the recording: {error.strerror}") from None
-    return build_node(options.scenario, RecordingWriter(stream, options.scenario.name))
+def main() -> int:
+    """Exit code of the process; the recording is finished whatever ends it, short of a kill."""
+    with ExitStack() as stack:
+
+        def build(options: Options) -> Node:
+            path = options.out or DEFAULT_FILE
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                stream = stack.enter_context(path.open("wb"))
+            except OSError as error:
+                raise InvalidInput(f"{path}: cannot write the recording: {error.strerror}") from None
+            writer = stack.enter_context(RecordingWriter(stream, options.scenario.name))
+            return build_node(options.scenario, writer)
+
+        return serve(Service("recorder", build, onlooker=True))
 
 
 if __name__ == "__main__":
-    sys.exit(serve(Service("recorder", build, onlooker=True)))
+    sys.exit(main())

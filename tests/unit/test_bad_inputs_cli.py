@@ -65,6 +65,8 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a share above one": (SCENARIO, ["link", "set", "--loss", "2"], ("loss", "2")),
     "a contact that is neither": (SCENARIO, ["link", "set", "--contact", "maybe"], ("--contact", "maybe")),
     "no such layer": (SCENARIO, ["map", "show", "gold"], ("gold", "mean")),
+    "an exceedance of nothing": (SCENARIO, ["map", "show", "exceedance"], ("--threshold",)),
+    "a map of no time": (SCENARIO, ["map", "at", "1", "2", "--as-of", "yesterday"], ("as_of", "yesterday")),
     "a place that is no number": (SCENARIO, ["map", "at", "here", "3"], ("X", "number")),
     "an export of unknown kind": (SCENARIO, ["map", "export", "map.xyz"], (".xyz", ".npz")),
     "a keep-out of two corners": (SCENARIO, ["command", "keep-out", "a", "1,1", "2,2"], ("polygon", "3")),

@@ -44,14 +44,14 @@ def test_a_plain_line_names_everything_that_matters() -> None:
 
 
 def test_a_line_is_written_for_each_round_and_now_and_then_in_between() -> None:
-    times: Iterator[float] = iter([0.0, 0.05, 1.0, 2.0, 3.0, 14.0])
+    times: Iterator[float] = iter([0.0, 0.05, 1.0, 2.0, 3.0, 14.0, 14.01, 14.02])
     stream = io.StringIO()
     progress = PlainProgress(stream, clock=lambda: next(times), every_s=10.0)
     with progress:
-        for number in (0, 0, 1, 1, 1):
+        for number in (0, 0, 1, 1, 1, 2):
             progress.show(lambda number=number: Moment(round=number))
     rounds = [line.split()[1] for line in stream.getvalue().splitlines()]
-    assert rounds == ["1/0", "1/0"]
+    assert rounds == ["1/0", "1/0", "2/0"]
 
 
 def test_the_panel_draws_on_any_terminal_and_shows_the_figures() -> None:

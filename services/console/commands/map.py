@@ -12,36 +12,47 @@ from services.console.commands.options import AsJson, Earth, Mission
 if TYPE_CHECKING:
     from schemas.ground import MissionTrack
     from schemas.maps import MapRaster
+    from schemas.wire import Wire
 
 EXAMPLES = """\b
 Examples:
   he3 map at 120 340
   he3 map show mean
   he3 map show std --png std.png
+  he3 map show exceedance --threshold 10
   he3 map export belief.npz
   he3 map score --json
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
-LAYERS = "mean, std or traversable"
-LayerName = Annotated[str, typer.Argument(metavar="LAYER", help=f"{LAYERS}.")]
+LayerName = Annotated[
+    str, typer.Argument(metavar="LAYER", help="mean, std, information, exceedance (with --threshold) or traversable.")
+]
+Threshold = Annotated[
+    float | None, typer.Option("--threshold", metavar="PPB", help="Probability of more helium-3 than that.")
+]
+AsOf = Annotated[
+    str | None, typer.Option("--as-of", metavar="WHEN", help="An earlier map: revision, or time 2030-01-01T06:00:00Z.")
+]
 
 
 @app.command("at", epilog=EXAMPLES, context_settings={"ignore_unknown_options": True})
 def at(
     x: Annotated[float, typer.Argument(metavar="X", help="Metres east of the south-west corner.")],
     y: Annotated[float, typer.Argument(metavar="Y", help="Metres north of it.")],
+    threshold: Threshold = None,
+    as_of: AsOf = None,
     mission: Mission = None,
     earth: Earth = None,
     json: AsJson = False,
 ) -> None:
     """The belief at one place: how much helium-3, and how sure."""
-    from schemas.maps import MapPoint
+    from schemas.maps import MapPoint, MapPointQuery
     from schemas.topics import MAP_POINT
     from services.console.joining import join
 
-    request = _point(x, y)
+    request = _checked(MapPointQuery, "at", x=x, y=y, threshold=threshold, as_of=as_of)
     with join(mission, earth) as client:
         point: MapPoint = client.query(MAP_POINT, request)
     if json:
@@ -52,20 +63,24 @@ def at(
     typer.echo(
         f"place       ({point.x_m:g}, {point.y_m:g}) m, {'traversable' if point.traversable else 'not traversable'}"
     )
+    if point.exceedance is not None:
+        typer.echo(f"more        than {threshold:g} ppb with probability {point.exceedance:.3f}")
+    if point.information_nats is not None:
+        typer.echo(f"worth       {point.information_nats:.3f} nat to drill there")
     typer.echo(f"map         revision {point.revision}, {point.samples} samples")
 
 
-def _point(x: float, y: float) -> Any:
+def _checked(query: type[Wire], command: str, **values: Any) -> Any:
+    """The query of those values; raises InvalidInput with one line."""
     from pydantic import ValidationError
 
     from he3.errors import InvalidInput
-    from schemas.maps import MapPointQuery
     from schemas.wire import one_line
 
     try:
-        return MapPointQuery(x=x, y=y)
+        return query(**values)
     except ValidationError as error:
-        raise InvalidInput(f"map at: {one_line(error)}") from None
+        raise InvalidInput(f"map {command}: {one_line(error)}") from None
 
 
 @app.command("show", epilog=EXAMPLES)
@@ -73,6 +88,8 @@ def show(
     layer: LayerName,
     png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture instead.")] = None,
     width: Annotated[int, typer.Option("--width", metavar="N", help="Characters across.", min=10, max=250)] = 72,
+    threshold: Threshold = None,
+    as_of: AsOf = None,
     mission: Mission = None,
     earth: Earth = None,
     json: AsJson = False,
@@ -82,7 +99,7 @@ def show(
     from schemas.topics import MAP_LAYER, TRACK
     from services.console.joining import join
 
-    request = _layer(layer)
+    request = _layer(layer, threshold, as_of)
     with join(mission, earth) as client:
         raster: MapRaster = client.query(MAP_LAYER, request)
         track: MissionTrack | None = client.query(TRACK, NoParameters()) if png is not None else None
@@ -100,15 +117,16 @@ def show(
         typer.echo("\n".join(drawn(array_of(raster), raster, width)))
 
 
-def _layer(name: str) -> Any:
+def _layer(name: str, threshold: float | None, as_of: str | None) -> Any:
     from he3.errors import InvalidInput
-    from schemas.maps import MapLayer, MapLayerQuery
+    from schemas.maps import RASTERS, MapLayerQuery
 
-    try:
-        return MapLayerQuery(layer=MapLayer(name))
-    except ValueError:
-        known = ", ".join(layer.value for layer in MapLayer)
-        raise InvalidInput(f"map show: expected a layer out of {known}; got '{name}'") from None
+    layers = {layer.value: layer for layer in RASTERS}
+    if name not in layers:
+        raise InvalidInput(f"map show: expected a layer out of {', '.join(layers)}; got '{name}'")
+    if (name == "exceedance") != (threshold is not None):
+        raise InvalidInput(f"map show: expected --threshold with exceedance, and only there; got layer {name}")
+    return _checked(MapLayerQuery, "show", layer=layers[name], threshold=threshold, as_of=as_of)
 
 
 @app.command("export", epilog=EXAMPLES)
@@ -124,14 +142,14 @@ def export(
     from schemas.commands import NoParameters
     from schemas.maps import MapLayer, MapLayerQuery
     from schemas.topics import MAP_LAYER, TRACK
-    from services.console.exporting import WRITERS, Export
+    from services.console.exporting import EXPORTED, WRITERS, Export
     from services.console.joining import join
     from services.console.reporting import array_of
 
     if file.suffix not in WRITERS:
         raise InvalidInput(f"map export {file}: expected a file name with {' or '.join(WRITERS)}, got '{file.suffix}'")
     with join(mission, earth) as client:
-        rasters = {layer: client.query(MAP_LAYER, MapLayerQuery(layer=layer)) for layer in MapLayer}
+        rasters = {layer: client.query(MAP_LAYER, MapLayerQuery(layer=layer)) for layer in EXPORTED}
         track = client.query(TRACK, NoParameters())
     mean = rasters[MapLayer.MEAN]
     WRITERS[file.suffix](

@@ -1,0 +1,108 @@
+"""A mission by the command line, all in one process: complete, repeatable, everything written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from schemas.report import MissionReport
+from services.console.__main__ import main
+from services.recorder.reader import Recording
+
+MISSION = ["run", "short", "--in-process", "--set", "rounds=2", "--set", "samples_per_round=2", "--quiet"]
+NOT_REPEATABLE = {"wall_time_s", "host"}
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("first") / "made" / "here"
+    assert main([*MISSION, "--out", str(out)]) == 0
+    return out
+
+
+def report(folder: Path) -> MissionReport:
+    return MissionReport.model_validate_json((folder / "report.json").read_bytes())
+
+
+def test_the_mission_ends_with_every_sample_in_the_map(first: Path) -> None:
+    made = report(first)
+    assert made.completed
+    assert (made.rounds, made.samples, len(made.sample_table), len(made.rmse_history)) == (2, 4, 4, 2)
+    assert made.driver == "in-process"
+    assert made.rmse_ppb == made.rmse_history[-1].rmse_ppb > 0
+    assert made.path_length_m > 100
+    assert made.mission_time_s > made.path_length_m / 0.1
+    assert made.messages.lost == 0
+    under_way = made.messages.up.in_flight + made.messages.down.in_flight
+    assert made.messages.sent == made.messages.delivered + under_way > 10
+    assert "SYNTHETIC" in made.region_note
+
+
+def test_everything_that_is_promised_is_written(first: Path) -> None:
+    assert {path.name for path in first.iterdir()} == {"report.json", "map.png", "rmse.png", "mission.mcap"}
+    assert all(path.stat().st_size > 5_000 for path in first.iterdir() if path.name != "report.json")
+
+
+def test_the_recording_holds_every_sample_once_and_the_ground_s_last_word(first: Path) -> None:
+    recording = Recording(first / "mission.mcap")
+    messages = list(recording.messages())
+    assert recording.torn is None
+    samples = [m.body.sample_id for m in messages if m.topic.name == "tm/sample"]
+    assert sorted(set(samples)) == sorted(row.sample_id for row in report(first).sample_table)
+    last = [m.body for m in messages if m.topic.name == "earth/ground/status"][-1]
+    assert last.phase.value == "completed"
+    light_time_ns = 1_282_000_000
+    delays = {m.received_at - m.header.made_at for m in messages if m.topic.name == "tm/sample"}
+    assert delays == {light_time_ns}
+
+
+def test_the_same_seed_gives_the_same_report_recording_and_pictures(first: Path, tmp_path: Path) -> None:
+    assert main([*MISSION, "--out", str(tmp_path)]) == 0
+    one, two = (json.loads((folder / "report.json").read_text()) for folder in (first, tmp_path))
+    assert {key for key in one if one[key] != two[key]} <= NOT_REPEATABLE
+    for name in ("mission.mcap", "map.png", "rmse.png"):
+        assert (first / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
+def test_another_seed_gives_another_mission_and_nothing_is_written_that_was_not_asked_for(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*MISSION, "--seed", "2", "--json"]) == 0
+    said = capsys.readouterr()
+    other = MissionReport.model_validate_json(said.out)
+    assert said.err == ""
+    assert other.seed == 2
+    assert other.path_m != report(first).path_m
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_on_no_terminal_is_a_line_a_round(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*MISSION[:-1]]) == 0
+    said = capsys.readouterr()
+    assert "round 2/2" in said.err
+    assert "RMSE" in said.out
+
+
+def test_a_recording_replays_on_the_command_line(first: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(first / "mission.mcap"), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["complete"]
+    assert summary["samples"] == 4
+    assert summary["last_status"]["phase"] == "completed"
+    assert main(["replay", str(first / "mission.mcap"), "--topic", "tm/sample"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {line["body"]["sample_id"] for line in lines} == {row.sample_id for row in report(first).sample_table}
+
+
+def test_a_region_that_was_built_as_a_file_gives_the_mission_of_its_name(
+    first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "t1.npz"
+    assert main(["reference", "build", "t1", "--out", str(file)]) == 0
+    assert main([*MISSION, "--set", f"region={file}", "--report", str(tmp_path / "r.json")]) == 0
+    again = MissionReport.model_validate_json((tmp_path / "r.json").read_bytes())
+    assert again.path_m == report(first).path_m
+    assert again.rmse_ppb == pytest.approx(report(first).rmse_ppb, abs=1e-9)

@@ -1,0 +1,201 @@
+"""A mission by the command line in separate processes over Zenoh: it ends by itself, and can be ended at any time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from schemas.report import MissionReport
+from services.recorder.reader import Recording
+
+HE3 = [sys.executable, "-m", "services.console"]
+GONE_WITHIN_S = 4.0
+"""Two seconds are promised; a loaded machine gets two more."""
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    runtime = tmp_path / "runtime"
+    runtime.mkdir()
+    return {**os.environ, "XDG_RUNTIME_DIR": str(runtime)}
+
+
+@contextmanager
+def started(*words: str, environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [*HE3, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def he3(*words: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*HE3, *words], capture_output=True, text=True, env=environment, timeout=60)
+
+
+def services_of(process: subprocess.Popen[str], environment: dict[str, str], timeout_s: float = 60.0) -> dict[str, int]:
+    """Process ids of the services, once they are announced."""
+    folder = Path(environment["XDG_RUNTIME_DIR"]) / "he3-seeker"
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        assert process.poll() is None, process.communicate()
+        for path in folder.glob("*.json"):
+            services: dict[str, int] = json.loads(path.read_text())["services"]
+            return services
+        time.sleep(0.02)
+    raise AssertionError("nothing was announced")
+
+
+def until_answered(environment: dict[str, str], *words: str, timeout_s: float = 60.0) -> str:
+    """What the command prints once it succeeds."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        done = he3(*words, environment=environment)
+        if done.returncode == 0:
+            return done.stdout
+        assert time.monotonic() < deadline, done.stderr
+        time.sleep(0.1)
+
+
+def alive(pids: dict[str, int]) -> list[str]:
+    return [name for name, pid in pids.items() if Path(f"/proc/{pid}").exists()]
+
+
+def test_a_mission_in_five_processes_ends_by_itself_with_every_sample_and_leaves_its_files(
+    tmp_path: Path, environment: dict[str, str]
+) -> None:
+    out = tmp_path / "out"
+    settings = ["--set", "rounds=2", "--set", "samples_per_round=2"]
+    done = subprocess.run(
+        [*HE3, "run", "short", "--rate", "2000", "--out", str(out), *settings],
+        capture_output=True, text=True, env=environment, timeout=110,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    report = MissionReport.model_validate_json((out / "report.json").read_bytes())
+    assert report.completed
+    assert (report.driver, report.rate, report.samples) == ("zenoh", 2000.0, 4)
+    assert report.messages.lost == 0
+    assert {"report.json", "map.png", "rmse.png", "mission.mcap", "logs"} == {path.name for path in out.iterdir()}
+    samples = {m.body.sample_id for m in Recording(out / "mission.mcap").messages() if m.topic.name == "tm/sample"}
+    assert samples == {row.sample_id for row in report.sample_table}
+    assert "RMSE" in done.stdout
+    assert list((Path(environment["XDG_RUNTIME_DIR"]) / "he3-seeker").glob("*.json")) == []
+
+
+def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dict[str, str]) -> None:
+    network = [
+        f'network.{side}="tcp/127.0.0.1:{port}"' for side, port in zip(("moon", "earth"), free_ports(), strict=True)
+    ]
+    settings = [word for setting in network for word in ("--set", setting)]
+    with started("up", "short", "--rate", "20", "--quiet", *settings, environment=environment) as process:
+        pids = services_of(process, environment)
+        until_answered(environment, "map", "score")  # the ground is up
+        status = json.loads(until_answered(environment, "status", "--json"))
+        assert status["mission"] == "short"
+        assert {"link", "ground"} <= set(status["alive_on_earth"])
+        assert status["clock"]["rate"] == 20.0
+
+        point = json.loads(until_answered(environment, "map", "at", "120", "340", "--json"))
+        assert (point["x_m"], point["y_m"]) == (120.0, 340.0)
+        assert point["std_ppb"] > 0
+        outside = he3("map", "at", "900", "1", environment=environment)
+        assert outside.returncode == 1
+        assert outside.stderr.startswith("he3: map: expected a place within")
+
+        changed = he3("link", "set", "--direction", "down", "--light-time", "2.5", "--json", environment=environment)
+        conditions = json.loads(changed.stdout)["conditions"]
+        assert (conditions["down"]["one_way_light_time_s"], conditions["up"]["one_way_light_time_s"]) == (2.5, 1.282)
+
+        picture = tmp_path / "std.png"
+        assert he3("map", "show", "std", "--png", str(picture), environment=environment).returncode == 0
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        drawn = he3("map", "show", "traversable", "--width", "40", environment=environment).stdout.splitlines()
+        assert {len(line) for line in drawn[:-1]} == {40}
+        table = tmp_path / "map.csv"
+        assert he3("map", "export", str(table), environment=environment).returncode == 0
+        assert len(table.read_text().splitlines()) == 1 + 500 * 500
+
+        paused = he3("command", "pause", "--id", "p1", "--wait", "accepted", environment=environment)
+        assert paused.returncode == 0, paused.stderr
+        listed = json.loads(he3("commands", "--json", environment=environment).stdout)["commands"]
+        assert [entry["command"]["command_id"] for entry in listed] == ["p1"]
+        assert {"queued", "released", "received", "accepted"} <= {stage["stage"] for stage in listed[0]["stages"]}
+
+        assert_ends(process, pids, signal.SIGINT, 130, "he3: interrupted")
+
+
+@pytest.mark.parametrize(
+    ("number", "after_s", "code", "last_line"),
+    [
+        (signal.SIGINT, 0.0, 130, "he3: interrupted"),
+        (signal.SIGTERM, 0.7, 143, "he3: terminated"),
+        (signal.SIGINT, 2.5, 130, "he3: interrupted"),
+    ],
+)
+def test_it_ends_at_any_moment_without_a_trace(
+    number: signal.Signals, after_s: float, code: int, last_line: str, environment: dict[str, str]
+) -> None:
+    with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:
+        pids = services_of(process, environment)
+        time.sleep(after_s)  # any moment is meant to do: this is no waiting for an event
+        assert_ends(process, pids, number, code, last_line)
+
+
+@pytest.mark.parametrize("victim", ["link", "rover", "ground"])
+def test_a_service_that_dies_is_named_and_the_others_are_ended(victim: str, environment: dict[str, str]) -> None:
+    with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:
+        pids = services_of(process, environment)
+        until_answered(environment, "status")
+        os.kill(pids[victim], signal.SIGKILL)
+        _, said = process.communicate(timeout=GONE_WITHIN_S)
+        assert process.returncode == 1
+        assert said == f"he3: the {victim} service ended by itself, killed by SIGKILL\n"
+        assert alive(pids) == []
+
+
+def test_the_services_do_not_outlive_a_starter_that_was_killed(environment: dict[str, str]) -> None:
+    with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:
+        pids = services_of(process, environment)
+        until_answered(environment, "status")
+        process.kill()
+        process.wait()
+        deadline = time.monotonic() + GONE_WITHIN_S
+        while alive(pids) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert alive(pids) == []
+        assert he3("status", environment=environment).returncode == 1
+
+
+def assert_ends(
+    process: subprocess.Popen[str], pids: dict[str, int], number: signal.Signals, code: int, last_line: str
+) -> None:
+    began = time.monotonic()
+    process.send_signal(number)
+    _, said = process.communicate(timeout=20)
+    assert time.monotonic() - began < GONE_WITHIN_S
+    assert process.returncode == code
+    assert said.splitlines()[-1] == last_line
+    assert "Traceback" not in said
+    assert alive(pids) == []
+
+
+def free_ports() -> tuple[int, int]:
+    import socket
+
+    with socket.socket() as one, socket.socket() as other:
+        one.bind(("127.0.0.1", 0))
+        other.bind(("127.0.0.1", 0))
+        return one.getsockname()[1], other.getsockname()[1]
