@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -173,15 +174,26 @@ class Bus:
 
     def close(self) -> None:
         """End the session; returns within a second even when the transport hangs."""
+        close_all([self])
+
+    def closing(self) -> threading.Thread:
+        """The thread in which the session is being ended."""
         closing = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
         closing.start()
-        closing.join(CLOSE_WITHIN_S)
+        return closing
 
     def _close(self) -> None:
         try:
             self._session.close()  # type: ignore[no-untyped-call]
         except zenoh.ZError:
             return  # it is going away anyway
+
+
+def close_all(buses: Iterable[Bus]) -> None:
+    """End all of these sessions at the same time; returns within a second even when a transport hangs."""
+    give_up = time.monotonic() + CLOSE_WITHIN_S
+    for thread in [bus.closing() for bus in buses]:
+        thread.join(max(0.0, give_up - time.monotonic()))
 
 
 def alive_key(mission: str, side: Side, name: str, register: str = ALIVE) -> str:

@@ -23,7 +23,7 @@ from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
 from schemas.wire import Refused, Wire, decode
 from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.answering import AnsweringProcess
-from services.bus import Bus, Question, open_client
+from services.bus import Bus, Question, close_all, open_client
 from services.clock import mission_time, wall_time
 from services.desk import custody_config
 from services.host import Host, Input
@@ -126,8 +126,7 @@ class Process:
                 self.events.close()
             if self._answers is not None:
                 self._answers.close()
-            for bus in self.buses.values():
-                bus.close()
+            close_all(self.buses.values())
             if executor is not None and not isinstance(executor, InlineExecutor):
                 executor.close()
 
