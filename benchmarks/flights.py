@@ -1,0 +1,126 @@
+"""Many missions of many kinds on several cores: what the comparisons of planners have in common."""
+
+from __future__ import annotations
+
+import json as json_format
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import cache, partial
+from math import inf
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.missions import Mission, Row, run_mission
+from he3.errors import InvalidInput
+from he3.reference import Region
+from services.ground.planner_process import PlannerProcess
+from services.ground.planning import PlannedRound, PlanningRequest
+from services.regions import load_region
+
+OWN_PROCESS = ("rrt", "rrtstar", "informative")
+"""Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One mission to fly."""
+
+    region: str
+    planner: str
+    kernel: str
+    seed: int
+    budget_m: float = inf
+    prior: str | None = None
+    orbital_gain: float = 1.0
+    orbital_offset_ppb: float = 0.0
+    """The orbital map that the ground is given is this gain times the true one, plus this offset."""
+    label: str = ""
+    """What the row is called in tables; the planner's name if empty."""
+
+    @property
+    def name(self) -> str:
+        return self.label or self.planner
+
+
+def flown(
+    flights: Sequence[Flight], jobs: int, say: Callable[[str], None], began: float | None = None
+) -> dict[Flight, Mission]:
+    """The missions, by flight; a line for each as it lands."""
+    missions: dict[Flight, Mission] = {}
+    started = time.monotonic() if began is None else began
+    for count, (flight, mission) in enumerate(_landings(flights, jobs), start=1):
+        missions[flight] = mission
+        row = mission.row
+        say(
+            f"  {count:>3}/{len(flights)}  {flight.region:<4} {flight.name:<22} seed {flight.seed:<3} "
+            f"rmse {row['rmse_ppb']:.4f} ppb  {row['path_length_m']:7.0f} m  {row['samples']} samples  "
+            f"{row['wall_time_s']:.1f} s   ({time.monotonic() - started:.0f} s)"
+        )
+    return missions
+
+
+def _landings(flights: Sequence[Flight], jobs: int) -> Iterator[tuple[Flight, Mission]]:
+    if jobs < 1:
+        raise InvalidInput(f"expected one job at least, got {jobs}")
+    if jobs == 1 or len(flights) < 2:
+        for flight in flights:
+            yield flight, fly(flight)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        waiting = {pool.submit(fly, flight): flight for flight in flights}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
+
+
+def fly(flight: Flight) -> Mission:
+    """The mission of that flight, with the label and the orbital map's errors in its row."""
+    region = region_named(flight.region)
+    planner: Any = flight.planner
+    if flight.planner in OWN_PROCESS:
+        planner = partial(_planned, flight.planner)
+    orbital = flight.orbital_gain * region.orbital_ppb + flight.orbital_offset_ppb
+    mission = run_mission(
+        region,
+        planner,
+        flight.kernel,
+        flight.seed,
+        budget_m=flight.budget_m,
+        prior=flight.prior,
+        orbital_ppb=orbital if flight.prior == "orbital" else None,
+    )
+    mission.row.update(region=region.name, planner=flight.planner, label=flight.name)
+    return mission
+
+
+@cache
+def region_named(name: str) -> Region:
+    """An embedded region, or anybody's from a file."""
+    return load_region(name)
+
+
+@cache
+def _process() -> PlannerProcess:
+    return PlannerProcess(parallel=1)
+
+
+def _planned(name: str, request: PlanningRequest) -> PlannedRound:
+    return _process().plan(name, request).result()
+
+
+def mean_and_std(rows: Sequence[Row], key: str) -> tuple[float, float]:
+    """Mean and sample standard deviation of one figure over rows; the latter 0 for a single row."""
+    values = np.array([row[key] for row in rows], dtype=np.float64)
+    return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+
+
+def written(rows: Sequence[Row], json: Path | None, say: Callable[[str], None], **more: Any) -> None:
+    """Write ``{"rows": [...]}`` if asked to."""
+    if json is not None:
+        json.parent.mkdir(parents=True, exist_ok=True)
+        json.write_text(json_format.dumps({"rows": list(rows), **more}, indent=2) + "\n")
+        say(f"written {json}")

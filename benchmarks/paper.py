@@ -1,0 +1,144 @@
+"""The paper's table and figures: planners on regions over seeds, beside what was published.
+
+The yardstick is `rrtstar` with the paper's protocol and kernel. Our planners are held against it on the same fields,
+noise, start and number of samples, and scored on all cells:
+
+    rrt, rrtstar          the paper's protocol, no limit on metres
+    informative           utility I^alpha / c over every path of a tree
+    tour                  one design and one route for all that is left
+    tour, a fifth         the same, held to a fifth of the yardstick's metres
+    tour, orbital         the same, with the coarse orbital map as prior mean, which changes the question
+    tour, orbital biased  the same, with an orbital map off by a gain of 1.3 and an offset of 1 ppb
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.flights import Flight, flown, mean_and_std, region_named, written
+from benchmarks.missions import Mission, Row
+from he3.errors import InvalidInput
+
+PUBLISHED = {
+    ("t1", "rrt"): (0.8347, 16829.9),
+    ("t1", "rrtstar"): (0.8517, 15024.1),
+    ("t2", "rrt"): (0.5318, 18588.5),
+    ("t2", "rrtstar"): (0.4949, 15358.5),
+}
+"""RMSE [ppb] and path [m] of the paper's table, one seed each."""
+
+YARDSTICK = "rrtstar"
+FIFTH = "tour, a fifth"
+ORBITAL = "tour, orbital"
+BIASED = "tour, orbital biased"
+ALL = ("rrt", YARDSTICK, "informative", "tour", FIFTH, ORBITAL, BIASED)
+MISMATCHED = ("se",)
+"""Kernels that promise a smoothness which a field with exponential covariance does not have."""
+
+
+def run(
+    seeds: int = 10,
+    regions: Sequence[str] = ("t1", "t2"),
+    region: Path | None = None,
+    planners: Sequence[str] = ALL,
+    kernel: str = "matern52",
+    own_kernel: str = "matern12",
+    jobs: int = 2,
+    json: Path | None = None,
+    out: Path | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """One row a mission; the table printed, figures drawn into `out`, rows written to `json`.
+
+    regions: embedded names; region: somebody's field as .npz in their place. kernel: of the paper's protocol;
+    own_kernel: of our planners. Raises InvalidInput for names that nobody has.
+    """
+    if seeds < 1:
+        raise InvalidInput(f"expected one seed at least, got {seeds}")
+    unknown = [name for name in planners if name not in ALL]
+    if unknown:
+        raise InvalidInput(f"expected planners among {'; '.join(ALL)}; got {', '.join(unknown)}")
+    names = [str(region)] if region is not None else list(regions)
+    for name in names:
+        region_named(name)
+    began = time.monotonic()
+    first = [_flight(name, planner, seed, kernel, own_kernel) for name in names for planner in planners
+             for seed in range(1, seeds + 1) if planner != FIFTH]  # fmt: skip
+    if FIFTH in planners and YARDSTICK not in planners:
+        raise InvalidInput(f"expected {YARDSTICK} among the planners, as '{FIFTH}' is measured by it")
+    missions = flown(first, jobs, say, began)
+    if FIFTH in planners:
+        fifths = []
+        for name in names:
+            metres, _ = mean_and_std(_rows(missions, name, YARDSTICK), "path_length_m")
+            fifths += [Flight(name, "tour", own_kernel, seed, budget_m=metres / 5, label=FIFTH)
+                       for seed in range(1, seeds + 1)]  # fmt: skip
+        missions |= flown(fifths, jobs, say, began)
+    for name in names:
+        say("")
+        for line in table(missions, name, planners):
+            say(line)
+    rows = [mission.row for mission in missions.values()]
+    written(rows, json, say)
+    if out is not None:
+        from benchmarks.figures import paper_figures
+
+        for path in paper_figures(missions, names, planners, out):
+            say(f"written {path}")
+    return rows
+
+
+def _flight(region: str, planner: str, seed: int, kernel: str, own_kernel: str) -> Flight:
+    if planner in ("rrt", YARDSTICK):
+        return Flight(region, planner, kernel, seed)
+    if planner == ORBITAL:
+        return Flight(region, "tour", own_kernel, seed, prior="orbital", label=ORBITAL)
+    if planner == BIASED:
+        return Flight(region, "tour", own_kernel, seed, prior="orbital", orbital_gain=1.3, orbital_offset_ppb=1.0,
+                      label=BIASED)  # fmt: skip
+    return Flight(region, planner, own_kernel, seed)
+
+
+def _rows(missions: dict[Flight, Mission], region: str, name: str) -> list[Row]:
+    return [mission.row for flight, mission in missions.items() if (flight.region, flight.name) == (region, name)]
+
+
+def table(missions: dict[Flight, Mission], region: str, planners: Sequence[str]) -> list[str]:
+    """Lines of the comparison on one region: mean and standard deviation over seeds, and ratios to the yardstick."""
+    head = (
+        f"{'planner':<22} {'kernel':<13} {'RMSE ppb':>17} {'metres':>15} {'/ RMSE':>7} {'/ m':>6} "
+        f"{'68 %':>6} {'95 %':>6}  {'published':<18}"
+    )
+    lines = [f"{region}: {region_named(region).title}", head, "-" * len(head)]
+    yardstick = _rows(missions, region, YARDSTICK)
+    for planner in planners:
+        rows = _rows(missions, region, planner)
+        if not rows:
+            continue
+        rmse, rmse_std = mean_and_std(rows, "rmse_ppb")
+        metres, metres_std = mean_and_std(rows, "path_length_m")
+        ratio = _ratios(rmse, metres, yardstick)
+        published: Any = PUBLISHED.get((region, planner))
+        beside = f"{published[0]:.4f} {published[1]:9.1f} m" if published else ""
+        kernel = rows[0]["kernel"] + ("*" if rows[0]["kernel"] in MISMATCHED else "")
+        lines.append(
+            f"{planner:<22} {kernel:<13} {rmse:8.4f} ± {rmse_std:.4f} {metres:8.0f} ± {metres_std:4.0f} {ratio} "
+            f"{mean_and_std(rows, 'coverage_68')[0]:6.1%} {mean_and_std(rows, 'coverage_95')[0]:6.1%}  {beside}"
+        )
+    lines.append("ratios are to rrtstar; coverage: share of the cells within 1 and 2 std (nominal 68.3 %, 95.4 %)")
+    if any(row["kernel"] in MISMATCHED for mission in missions.values() for row in [mission.row]):
+        lines.append("* a mismatched kernel: smoother than the field, its intervals cannot be trusted")
+    return lines
+
+
+def _ratios(rmse: float, metres: float, yardstick: Sequence[Row]) -> str:
+    if not yardstick:
+        return f"{'':>7} {'':>6}"
+    return (
+        f"{rmse / mean_and_std(yardstick, 'rmse_ppb')[0]:7.3f} "
+        f"{metres / mean_and_std(yardstick, 'path_length_m')[0]:6.3f}"
+    )
