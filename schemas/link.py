@@ -152,6 +152,8 @@ class DirectionCounts(Wire):
     """
 
     offered: Count = 0
+    repeated: Count = 0
+    """Of those offered: messages under custody that had been offered before."""
     delivered: Count = 0
     lost: Count = 0
     dropped_out_of_contact: Count = 0

@@ -119,7 +119,7 @@ def count_messages(link: LinkStatus) -> MessageCounts:
     return MessageCounts(
         sent=sum(counts.offered for counts in both),
         delivered=sum(counts.delivered for counts in both),
-        retransmitted=0,
+        retransmitted=sum(counts.repeated for counts in both),
         lost=sum(counts.lost + counts.dropped_out_of_contact + counts.dropped_queue_full for counts in both),
         up=link.up,
         down=link.down,

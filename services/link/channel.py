@@ -24,6 +24,7 @@ from enum import StrEnum
 from random import Random
 
 from schemas.link import AtEdge, DirectionConditions, DirectionCounts
+from schemas.topics import Custody
 from services.link.contact import Contact, Span
 from services.link.letter import Letter
 from services.node import SECOND, MissionTime, seconds
@@ -71,6 +72,7 @@ class Limits:
 @dataclass(slots=True)
 class _Tally:
     offered: int = 0
+    repeated: int = 0
     delivered: int = 0
     lost: int = 0
     dropped_out_of_contact: int = 0
@@ -124,12 +126,14 @@ class Channel:
         self._free_at: MissionTime = 0  # when the transmitter ends what it is sending
         self._last_arrival: MissionTime = 0
         self._tally = _Tally()
+        self._highest: dict[tuple[str, ...], int] = {}  # sequence offered so far, of each stream under custody
         self._drops: list[Drop] = []
 
     def offer(self, letter: Letter, now: MissionTime) -> None:
         """Takes a letter in; it leaves at once when nothing is before it and there is contact."""
         self.advance(now)
         self._tally.offered += 1
+        self._tally.repeated += self._is_repetition(letter)
         if self._at_edge is AtEdge.DROP and not self._contact.open_at(now):
             self._drop(letter, Reason.OUT_OF_CONTACT, now)
             return
@@ -200,6 +204,7 @@ class Channel:
         tally = self._tally
         return DirectionCounts(
             offered=tally.offered,
+            repeated=tally.repeated,
             delivered=tally.delivered,
             lost=tally.lost,
             dropped_out_of_contact=tally.dropped_out_of_contact,
@@ -213,6 +218,15 @@ class Channel:
         )
 
     # --- the queue ----------------------------------------------------------------------------------------------
+
+    def _is_repetition(self, letter: Letter) -> bool:
+        """Whether the message was offered before: under custody, a stream's new messages come in their order."""
+        if not isinstance(letter.topic.service, Custody) or not letter.subject:
+            return False
+        stream = letter.subject[:-1]
+        highest = self._highest.get(stream, -1)
+        self._highest[stream] = max(highest, letter.sequence)
+        return letter.sequence <= highest
 
     def _replaces(self, letter: Letter, now: MissionTime) -> bool:
         """Puts the letter in the place of an older one of its subject; False when there is none that waits."""

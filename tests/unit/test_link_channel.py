@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.link import AtEdge, DirectionConditions, DutyCycle, LinkConditions, Window
+from schemas.link import AtEdge, DirectionConditions, DutyCycle, LinkChange, LinkConditions, Window
 from schemas.topics import COMMAND, EVENT, PLAN, SAMPLE, STATE, Latest, Topic
 from schemas.wire import Header, encode
 from services.link.channel import Channel, Limits, Reason, transmission_time
@@ -325,3 +325,22 @@ def test_the_repetition_of_a_message_under_custody_never_waits_twice() -> None:
     for order, copy in enumerate([payload, payload, other, payload]):
         link.offer(sealed(SAMPLE, copy, START, order), START)
     assert [flight.payload for flight in link.arrived(START + 300 * S)] == [payload, other]
+
+
+def test_a_message_under_custody_that_is_offered_again_is_counted_as_a_repetition() -> None:
+    link = channel()
+    for sequence in (0, 1, 1, 2, 0):
+        payload = encode(Header(mission="m", source="rover", incarnation=1, sequence=sequence, made_at=0), LinkChange())
+        link.offer(sealed(SAMPLE, payload, START, sequence), START)
+        link.offer(sealed(STATE, payload, START, sequence), START)
+    assert (link.counts.offered, link.counts.repeated) == (10, 2)
+
+
+def test_another_start_of_a_process_repeats_nothing() -> None:
+    link = channel()
+    for incarnation in (1, 2):
+        payload = encode(
+            Header(mission="m", source="rover", incarnation=incarnation, sequence=0, made_at=0), LinkChange()
+        )
+        link.offer(sealed(SAMPLE, payload, START, 0), START)
+    assert link.counts.repeated == 0

@@ -48,7 +48,7 @@ def link() -> LinkStatus:
         conditions=LinkConditions(down=DirectionConditions(one_way_light_time_s=3.0)),
         contact=True,
         contact_changes_at=None,
-        up=DirectionCounts(offered=10, delivered=8, lost=1, dropped_queue_full=1),
+        up=DirectionCounts(offered=10, repeated=4, delivered=8, lost=1, dropped_queue_full=1),
         down=DirectionCounts(offered=20, delivered=15, lost=2, dropped_out_of_contact=3),
         in_flight=(),
         incarnation=1,
@@ -79,7 +79,7 @@ def test_the_report_says_what_the_mission_did() -> None:
 
 def test_messages_of_both_directions_are_counted_together_and_what_is_dropped_is_lost() -> None:
     counts = report().messages
-    assert (counts.sent, counts.delivered, counts.lost) == (30, 23, 7)
+    assert (counts.sent, counts.delivered, counts.retransmitted, counts.lost) == (30, 23, 4, 7)
     assert counts.up.lost == 1
 
 
