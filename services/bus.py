@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -109,14 +109,24 @@ class Bus:
         """Whether anybody is known to subscribe to that topic."""
         if topic not in self._publishers:
             self._publishers[topic] = self._session.declare_publisher(topic.key(self._mission))
-        return bool(self._publishers[topic].matching_status.matching)
+        status: Any = self._publishers[topic].matching_status
+        return bool(status.matching)
 
-    def subscribe(self, topic: Topic, on_payload: OnPayload) -> None:
+    def subscribe(self, topic: Topic, on_payload: OnPayload) -> Callable[[], None]:
+        """Call `on_payload` with what comes from now on, until what is returned is called."""
+
         def hand_over(sample: zenoh.Sample) -> None:
             if _is_put(sample):
                 on_payload(sample.payload.to_bytes(), _attachment(sample))
 
-        self._held.append(self._session.declare_subscriber(topic.key(self._mission), hand_over))
+        subscriber: Any = self._session.declare_subscriber(topic.key(self._mission), hand_over)
+        self._held.append(subscriber)
+
+        def end() -> None:
+            self._held.remove(subscriber)
+            subscriber.undeclare()
+
+        return end
 
     def serve(self, topic: Topic, on_question: Callable[[Question], None]) -> None:
         """Answer questions of that topic, whoever asks."""
@@ -126,12 +136,16 @@ class Bus:
     def ask(
         self,
         topic: Topic,
-        payload: bytes,
+        payload: bytes | None,
         timeout_s: float,
         on_end: Callable[[bytes | Silence, str, bytes], None],
         attachment: bytes | None = None,
+        parameters: str = "",
     ) -> None:
-        """Ask, and call `on_end` exactly once: with the answer, or with why there is none and what was said."""
+        """Ask, and call `on_end` exactly once: with the answer, or with why there is none and what was said.
+
+        parameters: what stands behind the '?' of the selector, where the question is not a message.
+        """
         ended: list[bool] = []
 
         def end(answer: bytes | Silence, said: str, attachment: bytes) -> None:
@@ -150,10 +164,10 @@ class Bus:
                 end(Silence.REFUSED, *_refusal(said))
 
         self._session.get(
-            topic.key(self._mission),
+            topic.key(self._mission) + (f"?{parameters}" if parameters else ""),
             handler=zenoh.handlers.Callback(on_reply, lambda: end(Silence.NO_ROUTE, "", b"")),
             payload=payload,
-            encoding=zenoh.Encoding.APPLICATION_JSON,
+            encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
             timeout=timeout_s,
             attachment=attachment,
         )
@@ -253,30 +267,47 @@ class Client:
         """The body of the answer; raises PeerUnreachable when nobody answers, He3Error with a refusal's text."""
         return decode_reply(topic, self._ask(topic, encode(self._header(0), request), timeout_s), self._mission)[1]
 
+    def fetch(self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = 10.0) -> tuple[bytes, bytes]:
+        """The answer as it stands, and its attachment, to a question of selector parameters, as any client asks it.
+
+        Raises PeerUnreachable when nobody answers, InvalidInput for parameters that no selector can hold, He3Error with
+        a refusal's text.
+        """
+        text = selector_text(parameters)
+        return self._outcome(topic, lambda on_end: self._bus.ask(topic, None, timeout_s, on_end, None, text), timeout_s)
+
     def latest(self, topic: Topic, timeout_s: float = 10.0) -> tuple[Header, Any]:
         """The last message of a topic that is kept (or a clock); raises PeerUnreachable when nobody has one."""
         return decode(topic, self._ask(topic, b"", timeout_s), self._mission)
 
     def _ask(self, topic: Topic, payload: bytes, timeout_s: float) -> bytes:
-        ended = threading.Event()
-        outcome: list[tuple[bytes | Silence, str]] = []
+        return self._outcome(topic, lambda on_end: self._bus.ask(topic, payload, timeout_s, on_end), timeout_s)[0]
 
-        def on_end(answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
-            outcome.append((answer, detail))
+    def _outcome(
+        self, topic: Topic, ask: Callable[[Callable[[bytes | Silence, str, bytes], None]], None], timeout_s: float
+    ) -> tuple[bytes, bytes]:
+        ended = threading.Event()
+        outcome: list[tuple[bytes | Silence, str, bytes]] = []
+
+        def on_end(answer: bytes | Silence, detail: str, attachment: bytes) -> None:
+            outcome.append((answer, detail, attachment))
             ended.set()
 
-        self._bus.ask(topic, payload, timeout_s, on_end)
+        ask(on_end)
         if not ended.wait(timeout_s + 1.0):
             raise PeerUnreachable(f"{topic.key(self._mission)}: no answer within {timeout_s:g} s")
-        answer, detail = outcome[0]
+        answer, detail, attachment = outcome[0]
         if isinstance(answer, bytes):
-            return answer
+            return answer, attachment
         if answer is Silence.REFUSED:
             raise He3Error(detail)
         raise PeerUnreachable(f"{topic.key(self._mission)}: {answer.value}{' ' + detail if detail else ''}")
 
-    def subscribe(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> None:
-        """Call `on_message(header, body)`, in another thread, with each message that comes and is well formed."""
+    def subscribe(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> Callable[[], None]:
+        """Call `on_message(header, body)`, in another thread, with each message that comes and is well formed.
+
+        Calling what is returned ends that.
+        """
 
         def checked(payload: bytes, _attachment: bytes) -> None:
             try:
@@ -285,17 +316,26 @@ class Client:
                 return  # a stranger's; the services count those, an onlooker passes over them
             on_message(header, body)
 
-        self._bus.subscribe(topic, checked)
+        return self._bus.subscribe(topic, checked)
 
-    def subscribe_raw(self, topic: Topic, on_payload: Callable[[bytes], None]) -> None:
-        """Call `on_payload`, in another thread, with the bytes of each message that comes."""
-        self._bus.subscribe(topic, lambda payload, _attachment: on_payload(payload))
+    def subscribe_raw(self, topic: Topic, on_payload: Callable[[bytes], None]) -> Callable[[], None]:
+        """Call `on_payload`, in another thread, with the bytes of each message that comes; what returns ends that."""
+        return self._bus.subscribe(topic, lambda payload, _attachment: on_payload(payload))
 
     def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
         self._bus.watch_alive(side, on_change)
 
     def _header(self, now: MissionTime) -> Header:
         return Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=now)
+
+
+def selector_text(parameters: Mapping[str, object]) -> str:
+    """Parameters as they stand in a selector; None is left out. Raises InvalidInput for what would end one early."""
+    text = {key: str(value) for key, value in parameters.items() if value is not None}
+    for key, value in text.items():
+        if not value.isprintable() or any(mark in value for mark in ";#?="):
+            raise InvalidInput(f"{key}: expected a value without ';', '#', '?' or '=', got {value[:60]!r}")
+    return ";".join(f"{key}={value}" for key, value in text.items())
 
 
 def error_body(why: str, attachment: bytes | None = None) -> bytes:

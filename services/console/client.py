@@ -204,7 +204,7 @@ class MissionClient:
         return mission_time(clock, time.time_ns())
 
     def set_link(self, **change: Any) -> LinkStatus:
-        """Change the link's conditions, such as ``one_way_light_time_s=3`` or ``loss=0.1``; returns it as it is then."""
+        """Change conditions, such as ``one_way_light_time_s=3`` or ``loss=0.1``; returns the link as it is then."""
         try:
             status: LinkStatus = self._client.query(LINK_SET, LinkChange(**change))
         except ValidationError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -89,13 +89,13 @@ def rendered(cells: Cells, form: MapFormat, snapshot: MapSnapshot) -> Encoded:
         mission_time_ns=snapshot.mission_time_ns,
         threshold_ppb=cells.threshold_ppb,
     )
-    write = {
+    writers: dict[MapFormat, Callable[[], bytes]] = {
         MapFormat.NPY: lambda: npy(values),
         MapFormat.PNG: lambda: png(cells, about),
         MapFormat.TIFF: lambda: tiff(cells, snapshot),
         MapFormat.CSV: lambda: csv_of_cells(cells),
-    }[form]
-    return Encoded(write(), MEDIA_TYPES[form], about.model_dump_json().encode())
+    }
+    return Encoded(writers[form](), MEDIA_TYPES[form], about.model_dump_json().encode())
 
 
 def npy(values: NDArray[Any]) -> bytes:
