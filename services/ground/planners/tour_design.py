@@ -13,21 +13,14 @@ or more where the budget binds. The price that makes a step just short enough fo
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from he3.design_of_samples import AverageVariance, FieldNodes
+from he3.design_of_samples import AverageVariance
 from he3.frames import FloatArray
 from he3.touring import short_tour
-from services.ground.planners.tour_legs import LegTable
-
-Settle = Callable[[FloatArray], FloatArray]
-"""Places (n, 2) [m] -> the nearest ones (n, 2) where the rover can be."""
-Table = Callable[[FloatArray], LegTable]
-"""Places (n, 2) [m], each reachable -> the legs between them."""
+from services.ground.planners.tour_site import Site
 
 LLOYD_ITERATIONS = 12
 REORDER_EVERY = 6
@@ -41,26 +34,15 @@ OVERDRAFT = 2.0
 """Root mean square step [m] at the beginning and at the end, where the budget does not ask for more."""
 
 
-@dataclass(frozen=True, slots=True)
-class Site:
-    """What a design has to know about the ground: where it counts, where one can be, how far it is."""
-
-    nodes: FieldNodes
-    settle: Settle
-    table: Table
-    start_m: FloatArray
-    """(2,) where the tour begins [m]."""
-
-
 def first_design(site: Site, taken_m: FloatArray, samples: int, budget_m: float, first_node: int) -> FloatArray:
     """Places (samples, 2) [m] in the order of a tour of about the budget at most, not yet drawn taut."""
     shares = samples
     for attempt in range(4):
         places = site.settle(spread(site, taken_m, shares, first_node))
         stops = np.vstack((site.start_m, places))
-        table = site.table(stops)
-        order = short_tour(table.lengths_m)
-        length = float(table.lengths_m[order[:-1], order[1:]].sum())
+        legs = site.legs(stops)
+        order = short_tour(legs.lengths_m)
+        length = float(legs.lengths_m[order[:-1], order[1:]].sum())
         if length <= budget_m or attempt == 3 or shares == 1:
             break
         shares = max(1, min(shares - 1, int(shares * (budget_m / length) ** 2)))
@@ -151,7 +133,7 @@ def worth(site: Site, variance: AverageVariance, places_m: FloatArray, price: fl
     """What the design costs, to compare it with others: V + lambda L, and dearly for metres beyond the budget."""
     stops = np.vstack((site.start_m, places_m))
     legs = np.arange(len(stops))
-    length = float(site.table(stops).lengths_m[legs[:-1], legs[1:]].sum())
+    length = float(site.legs(stops).lengths_m[legs[:-1], legs[1:]].sum())
     value = variance(places_m)
     return value * (1.0 + OVERDRAFT * max(0.0, length / budget_m - 1.0)) + price * length
 
@@ -172,10 +154,10 @@ def length_gradient(start_m: FloatArray, places_m: FloatArray, corners_m: FloatA
     return gradient, length
 
 
-def _reordered(site: Site, places: FloatArray) -> tuple[np.ndarray, FloatArray]:
+def _reordered(site: Site, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
     """A shorter order (n,) of the places than that they come in, if there is one, and the corners (n, 2) of its
     legs."""
     stops = np.vstack((site.start_m, places))
-    table = site.table(stops)
-    order = short_tour(table.lengths_m, np.arange(len(stops)))
-    return order[1:] - 1, table.corners_m[order[:-1], order[1:]]
+    legs = site.legs(stops)
+    order = short_tour(legs.lengths_m, np.arange(len(stops)))
+    return order[1:] - 1, legs.corners_m[order[:-1], order[1:]]
