@@ -88,6 +88,17 @@ class Process:
             pytest.fail(f"{self.name}: no line with '{part}' within {within_s:g} s{ended}:\n{self.text}")
         return line
 
+    def wait_for_handlers(self, within_s: float = READY_WITHIN_S) -> None:
+        """Wait until the process takes SIGTERM itself: from its first line of code on."""
+        status = Path(f"/proc/{self.pid}/status")
+        give_up = time.monotonic() + within_s
+        while time.monotonic() < give_up:
+            caught = next((line for line in status.read_text().splitlines() if line.startswith("SigCgt:")), "SigCgt: 0")
+            if int(caught.split()[1], 16) & 1 << (signal.SIGTERM - 1):
+                return
+            time.sleep(0.002)
+        pytest.fail(f"{self.name}: takes no signals after {within_s:g} s")
+
     def send(self, number: int) -> None:
         self.popen.send_signal(number)
 

@@ -1,0 +1,62 @@
+"""Services that are told to stop, at any moment: gone in time, in order, without a word too much."""
+
+from __future__ import annotations
+
+import random
+import signal
+import time
+
+import pytest
+
+from schemas.topics import GROUND_STATUS
+from services.recorder.reader import Recording
+
+ALL = ("recorder", "ground", "rover", "field", "link")
+RATE = "2000"
+
+
+@pytest.mark.parametrize(("number", "seed"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
+def test_services_that_only_begin_end_at_once(missions, number, seed):
+    """Every service gets the signal at a random moment between its first line of code and its being ready."""
+    moments = random.Random(seed)
+    mission = missions("short", "--rate", RATE)
+    mission.start(*ALL)
+    for process in mission.processes.values():
+        process.wait_for_handlers()
+        time.sleep(moments.uniform(0.0, 0.6))
+        process.send(number)
+    assert {name: process.end() for name, process in mission.processes.items()} == dict.fromkeys(ALL, 0)
+
+
+@pytest.mark.parametrize(("number", "seed"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
+def test_a_running_mission_ends_within_two_seconds_and_leaves_a_recording(missions, listen, tmp_path, number, seed):
+    recording = tmp_path / "mission.mcap"
+    mission = missions("short", "--rate", RATE)
+    mission.start("recorder", flags=["--out", str(recording)])
+    mission.start(*ALL[1:])
+    mission.ready()
+    listen(mission.client(), GROUND_STATUS).wait(lambda _, status: status.samples > 0, 60)
+    time.sleep(random.Random(seed).uniform(0.0, 1.0))  # somewhere in a round: it drives, drills, plans, reports
+    assert mission.stop(number) == dict.fromkeys(ALL, 0)
+    read = Recording(recording)
+    topics = {message.topic.name for message in read.messages()}
+    assert {"tm/sample", "tc/plan", "earth/ground/status", "earth/link/status"} <= topics
+    assert read.torn is None, "a recorder that is asked to end finishes its file"
+
+
+def test_services_end_when_told_twice_in_a_row(missions):
+    mission = missions("short", "--rate", RATE)
+    mission.start("link", "rover")
+    mission.ready()
+    for process in mission.processes.values():
+        process.send(signal.SIGINT)
+        process.send(signal.SIGTERM)
+    assert {name: process.end() for name, process in mission.processes.items()} == {"link": 0, "rover": 0}
+
+
+def test_a_rover_ends_in_time_when_its_link_has_just_been_killed(missions):
+    mission = missions("short", "--rate", RATE)
+    mission.start("link", "rover")
+    mission.ready()
+    mission["link"].kill()
+    assert mission["rover"].stop(signal.SIGINT) == 0
