@@ -1,0 +1,70 @@
+"""Budgets in metres and hours."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from services.ground.allowance import Budget, Committed
+from services.node import SECOND
+from services.scenario import Scenario
+
+NOTHING = Committed(0.0, 0, 0)
+
+
+def budget(**ground: float) -> Budget:
+    base = Scenario(name="test", region="t1").changed(
+        ground=ground, rover={"speed_m_s": 0.1, "drill_s_per_m": 3600.0, "analysis_s": 240.0}
+    )
+    return Budget(base, open_area_m2=225_000.0, mean_slope_deg=0.0)
+
+
+START = Scenario(name="test", region="t1").start_ns
+
+
+def test_without_a_budget_everything_may_be_planned() -> None:
+    allowance = budget().left(START, 1e6, NOTHING, 150)
+    assert (allowance.samples, allowance.metres) == (150, inf)
+
+
+def test_metres_driven_and_promised_are_no_longer_there() -> None:
+    allowance = budget(budget_m=1000.0).left(START, 300.0, Committed(250.0, 5, 1), 100)
+    assert allowance.samples == 100
+    assert allowance.metres == pytest.approx(450.0, abs=0.1)
+
+
+def test_a_budget_in_metres_that_is_promised_allows_nothing_and_says_why() -> None:
+    allowance = budget(budget_m=1000.0).left(START, 300.0, Committed(700.0, 5, 1), 100)
+    assert (allowance.samples, allowance.metres) == (0, 0.0)
+    assert allowance.why == "the budget of 1000 m is spent or promised"
+
+
+def test_hours_are_spent_on_samples_first_and_the_rest_is_driven() -> None:
+    # 150 samples of 600 s are 25 h; with pipelining the 75 h left over are driven at 0.1 m/s.
+    allowance = budget(budget_h=100.0, pipeline=1).left(START, 0.0, NOTHING, 150)
+    assert allowance.samples == 150
+    assert allowance.metres == pytest.approx(75 * 3600 * 0.1)
+
+
+def test_where_the_hours_do_not_suffice_fewer_samples_are_planned_and_each_keeps_a_leg_of_a_tour() -> None:
+    allowance = budget(budget_h=10.0, pipeline=1).left(START, 0.0, NOTHING, 150)
+    leg_s = 0.7124 * (225_000 / 150) ** 0.5 / 0.1
+    assert allowance.samples == int(36_000 / (600 + leg_s))
+    assert allowance.metres >= allowance.samples * leg_s * 0.1
+
+
+def test_time_that_has_passed_or_is_promised_is_no_longer_there() -> None:
+    whole = budget(budget_h=100.0, pipeline=1).left(START, 0.0, NOTHING, 10).metres
+    later = budget(budget_h=100.0, pipeline=1).left(START + 3600 * SECOND, 0.0, Committed(100.0, 2, 1), 10).metres
+    assert whole - later == pytest.approx(360.0 + 100.0 + 120.0)
+
+
+def test_past_its_hours_a_mission_may_plan_nothing_more() -> None:
+    allowance = budget(budget_h=1.0).left(START + 3601 * SECOND, 0.0, NOTHING, 10)
+    assert (allowance.samples, allowance.why) == (0, "the budget of 1 h is spent or promised")
+
+
+def test_of_two_budgets_the_tighter_counts() -> None:
+    both = budget(budget_h=100.0, budget_m=500.0, pipeline=1).left(START, 0.0, NOTHING, 10)
+    assert both.metres == pytest.approx(500.0, abs=0.1)

@@ -1,0 +1,143 @@
+"""The ground's book of telecommands: stages in order, departures as the link saw them, and silence."""
+
+from __future__ import annotations
+
+import pytest
+
+from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
+from schemas.link import Direction, DirectionCounts, InFlight, LinkConditions, LinkStatus
+from schemas.topics import COMMAND, PLAN
+from services.ground.commands import LOOK_AGAIN_S, MOST_LISTED, MOST_UNDER_WAY, CommandBook
+from services.node import SECOND
+
+NOW = 1_000 * SECOND
+
+
+def book() -> CommandBook:
+    return CommandBook(SiteGrid(100, 100), round_trip_s=2.5)
+
+
+def pause(name: str = "a", **more: object) -> Telecommand:
+    return Telecommand(command_id=name, kind=CommandKind.PAUSE, **more)
+
+
+def flight(sequence: int, departs_at: int | None, offered_at: int = NOW, topic: str = COMMAND.name) -> InFlight:
+    return InFlight(
+        topic=topic, source="ground", sequence=sequence, direction=Direction.UP, size_bytes=300,
+        offered_at=offered_at, departs_at=departs_at, arrives_at=None if departs_at is None else departs_at + SECOND,
+    )  # fmt: skip
+
+
+def link(*flights: InFlight, contact_changes_at: int | None = None) -> LinkStatus:
+    return LinkStatus(
+        conditions=LinkConditions(), contact=True, contact_changes_at=contact_changes_at, up=DirectionCounts(),
+        down=DirectionCounts(), in_flight=flights, incarnation=1,
+    )  # fmt: skip
+
+
+def names(commands: CommandBook, name: str = "a") -> list[str]:
+    status = commands.find(name)
+    assert status is not None
+    return [report.stage.value for report in status.stages]
+
+
+def report(stage: CommandStage, at: int, name: str = "a") -> CommandReport:
+    return CommandReport(command_id=name, stage=stage, at=at)
+
+
+def test_stages_are_kept_in_the_order_in_which_they_were_passed_however_they_come() -> None:
+    commands = book()
+    commands.issue(pause(), NOW)
+    for stage, at in (
+        (CommandStage.COMPLETED, 9), (CommandStage.RECEIVED, 5), (CommandStage.STARTED, 9), (CommandStage.ACCEPTED, 5),
+    ):  # fmt: skip
+        assert commands.report(report(stage, NOW + at)) is not None
+    assert names(commands) == ["queued", "released", "received", "accepted", "started", "completed"]
+
+
+def test_a_report_that_is_there_already_or_of_an_unknown_command_is_no_news() -> None:
+    commands = book()
+    commands.issue(pause(), NOW)
+    assert commands.report(report(CommandStage.RECEIVED, NOW + 1)) is not None
+    assert commands.report(report(CommandStage.RECEIVED, NOW + 2)) is None
+    assert commands.report(report(CommandStage.RECEIVED, NOW + 2, "b")) is None
+
+
+def test_a_command_has_left_when_the_link_says_so_and_not_before() -> None:
+    commands = book()
+    commands.issue(pause(), NOW)
+    commands.issue(pause("b"), NOW)
+    left, again = commands.seen_on_link(link(flight(0, None), flight(1, NOW + 7)), "ground", NOW)
+    assert (left, again) == ([], NOW + 7)
+    left, again = commands.seen_on_link(link(flight(0, None), flight(1, NOW + 7)), "ground", NOW + 9)
+    assert [status.command.command_id for status in left] == ["b"]
+    assert left[0].stages[-1] == report(CommandStage.RADIATED, NOW + 7, "b")
+    assert again == NOW + 9 + round(LOOK_AGAIN_S * SECOND)
+    assert commands.leaving() == ["a"]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        flight(0, NOW - 5, offered_at=NOW - 10),  # of an earlier start of the process
+        flight(0, NOW, topic=PLAN.name),
+        flight(1, NOW),
+        flight(0, NOW).model_copy(update={"source": "somebody"}),
+    ],
+)
+def test_another_message_on_the_link_is_not_taken_for_the_command(other: InFlight) -> None:
+    commands = book()
+    commands.issue(pause(), NOW)
+    assert commands.seen_on_link(link(other), "ground", NOW + 1)[0] == []
+
+
+def test_out_of_contact_the_link_is_looked_at_again_when_contact_comes() -> None:
+    commands = book()
+    commands.issue(pause(), NOW)
+    assert commands.seen_on_link(link(flight(0, None), contact_changes_at=NOW + 4), "ground", NOW)[1] == NOW + 4
+
+
+def test_after_a_restart_what_is_sent_is_counted_anew() -> None:
+    commands = book()
+    commands.issue(pause(), NOW)
+    commands.restarted()
+    commands.issue(pause("b"), NOW + 2)
+    left, _ = commands.seen_on_link(link(flight(0, NOW + 2, offered_at=NOW + 2)), "ground", NOW + 2)
+    assert [status.command.command_id for status in left] == ["b"]
+
+
+def test_silence_past_its_time_means_lost_unless_something_was_heard() -> None:
+    commands = book()
+    for name in ("a", "b"):
+        commands.issue(pause(name, expires_at=NOW + 100 * SECOND), NOW)
+    commands.report(report(CommandStage.RECEIVED, NOW + 1, "b"))
+    assert commands.overdue_at(pause(expires_at=NOW)) == NOW + round(62.5 * SECOND)
+    assert commands.overdue_at(pause()) is None
+    assert commands.give_up("a", NOW + 200 * SECOND) is not None
+    assert commands.give_up("b", NOW + 200 * SECOND) is None
+    assert names(commands)[-1] == "lost"
+    # Word of it may still come, and is shown.
+    assert commands.report(report(CommandStage.RECEIVED, NOW + 300 * SECOND)) is not None
+    assert names(commands)[-1] == "received"
+
+
+def test_no_more_commands_than_an_operator_can_follow_are_under_way() -> None:
+    commands = book()
+    for number in range(MOST_UNDER_WAY):
+        commands.issue(pause(f"c{number}"), NOW)
+    with pytest.raises(InvalidInput, match="at most 200 commands under way"):
+        commands.issue(pause("more"), NOW)
+    commands.report(report(CommandStage.REJECTED, NOW, "c0"))
+    assert commands.issue(pause("more"), NOW)[1]
+
+
+def test_the_list_holds_the_newest() -> None:
+    commands = book()
+    for number in range(MOST_LISTED + 5):
+        commands.issue(pause(f"c{number}"), NOW)
+        commands.report(report(CommandStage.REJECTED, NOW, f"c{number}"))
+    listed = commands.listed()
+    assert len(listed) == MOST_LISTED
+    assert listed[-1].command.command_id == f"c{MOST_LISTED + 4}"
