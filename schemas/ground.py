@@ -71,6 +71,27 @@ class MissionTrack(Wire):
     plan_ends: MissionTimeNs | None = None
 
 
+class InterestArea(Wire):
+    """A part of the site whose uncertainty counts `weight` times as much as elsewhere when rounds are planned."""
+
+    area_id: Identifier
+    polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)]
+    weight: Annotated[float, Field(ge=0, le=1000)]
+
+
+class InterestChange(Wire):
+    """Sets an area of interest, or takes it back; without an area it only asks which there are."""
+
+    area_id: Identifier | None = None
+    polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)] | None = None
+    """Corners [m]; none takes the area back."""
+    weight: Annotated[float, Field(ge=0, le=1000)] = 2.0
+
+
+class InterestList(Wire):
+    areas: tuple[InterestArea, ...]
+
+
 class Presence(Wire):
     """A process is alive; sent every few seconds of wall time."""
 

@@ -8,7 +8,7 @@ from enum import Enum, StrEnum
 from typing import Any
 
 from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
-from schemas.ground import GroundStatus, MissionTrack, Presence
+from schemas.ground import GroundStatus, InterestChange, InterestList, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
 from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.maps import (
@@ -131,6 +131,9 @@ ISSUE_COMMAND = Topic("earth/ground/command", Telecommand, service=Query(), repl
 LIST_COMMANDS = Topic(
     "earth/ground/commands", NoParameters, service=Query(), reply=CommandList, max_reply_bytes=4_194_304
 )
+SET_INTEREST = Topic(
+    "earth/ground/interest", InterestChange, service=Query(), reply=InterestList, max_reply_bytes=4_194_304
+)
 COMMAND_STATUS = Topic("earth/ground/command-status", CommandStatus, recorded=True, max_bytes=65_536)
 MAP_POINT = Topic("earth/map/point", MapPointQuery, service=Query(), reply=MapPoint)
 MAP_LAYER = Topic("earth/map/layer", MapLayerQuery, service=Query(), reply=MapRaster, max_reply_bytes=33_554_432)
@@ -175,6 +178,7 @@ TOPICS: tuple[Topic, ...] = (
     GROUND_STATUS,
     ISSUE_COMMAND,
     LIST_COMMANDS,
+    SET_INTEREST,
     COMMAND_STATUS,
     MAP_POINT,
     MAP_LAYER,

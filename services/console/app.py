@@ -6,7 +6,21 @@ from typing import Annotated
 
 import typer
 
-from services.console.commands import bench, command, demo, link, map, reference, replay, run, schemas, status, time, up
+from services.console.commands import (
+    bench,
+    command,
+    demo,
+    link,
+    map,
+    reference,
+    replay,
+    run,
+    schemas,
+    status,
+    time,
+    up,
+    web,
+)
 
 ABOUT = """Helium-3 prospecting on the Moon: a rover, an honest map, and the light time between them.
 
@@ -31,6 +45,7 @@ def build() -> typer.Typer:
     app.command("up", epilog=up.EXAMPLES)(up.up)
     app.command("status", epilog=status.EXAMPLES)(status.status)
     app.command("watch", epilog=status.WATCH_EXAMPLES)(status.watch)
+    app.command("web", epilog=web.EXAMPLES)(web.web)
     app.add_typer(map.app, name="map", help="The live map: at a place, as a picture, as numbers.")
     app.add_typer(
         time.app, name="time", help="Mission time: see it, pause it, step it, slow it down.", epilog=time.EXAMPLES

@@ -18,6 +18,7 @@ Everything asked here is asked over Zenoh as any client may (docs/map-queries.md
 from __future__ import annotations
 
 import io
+import json
 import queue
 import time
 import uuid
@@ -33,7 +34,7 @@ from pydantic import ValidationError
 
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
-from schemas.ground import GroundStatus, MissionTrack
+from schemas.ground import GroundStatus, InterestArea, InterestChange, InterestList, MissionTrack
 from schemas.link import ClockMode, ClockState, LinkChange, LinkStatus
 from schemas.maps import MapAbout, MapHistory, MapPoint, MapScore, ResourceEstimate
 from schemas.topics import (
@@ -53,6 +54,7 @@ from schemas.topics import (
     MAP_RESOURCE,
     MAP_SCORE,
     SAMPLE,
+    SET_INTEREST,
     STATE,
     TRACK,
     Topic,
@@ -205,10 +207,15 @@ class MissionClient:
 
     def set_link(self, **change: Any) -> LinkStatus:
         """Change conditions, such as ``one_way_light_time_s=3`` or ``loss=0.1``; returns the link as it is then."""
+        return self.set_link_from_json(change)
+
+    def set_link_from_json(self, change: dict[str, Any]) -> LinkStatus:
+        """The same for values as JSON has them, where enumerations are words."""
         try:
-            status: LinkStatus = self._client.query(LINK_SET, LinkChange(**change))
+            wanted = LinkChange.model_validate_json(json.dumps(change))
         except ValidationError as error:
             raise InvalidInput(f"link: {one_line(error)}") from None
+        status: LinkStatus = self._client.query(LINK_SET, wanted)
         return status
 
     # --- the map ----------------------------------------------------------------------------------------------------
@@ -332,6 +339,24 @@ class MissionClient:
             known = ", ".join(each.value for each in CommandKind)
             raise InvalidInput(f"command: expected one of {known}; got '{kind}'") from None
         return IssuedCommand(self._client, self._client.query(ISSUE_COMMAND, command))
+
+    def set_interest(
+        self, area_id: str | None = None, polygon_m: Polygon | None = None, weight: float = 2.0
+    ) -> tuple[InterestArea, ...]:
+        """Make an area worth `weight` times as much to the planner, or take it back (no polygon); returns all of them.
+
+        Without an area it only asks.
+        """
+        try:
+            change = InterestChange(
+                area_id=area_id,
+                polygon_m=None if polygon_m is None else tuple((float(x), float(y)) for x, y in polygon_m),
+                weight=float(weight),
+            )
+        except ValidationError as error:
+            raise InvalidInput(f"interest: {one_line(error)}") from None
+        listed: InterestList = self._client.query(SET_INTEREST, change)
+        return listed.areas
 
     def commands(self) -> tuple[CommandStatus, ...]:
         """All commands with the stages they passed, oldest first."""

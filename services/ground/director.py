@@ -70,9 +70,12 @@ class Director:
         """What an operator should know of how it goes."""
         self._budget = budget
         self._planner = planner if planner is not None else scenario.ground.planner
-        self._interest = interest_weights(
-            grid, [(region.polygon_m, region.weight) for region in scenario.ground.interest]
-        )
+        self.interests: dict[str, tuple[Sequence[Place], float]] = {
+            f"scenario-{number}": (region.polygon_m, region.weight)
+            for number, region in enumerate(scenario.ground.interest, start=1)
+        }
+        """Corners and weight of the areas that are worth more, or less, than the rest."""
+        self._interest = interest_weights(grid, list(self.interests.values()))
         self._origin: Place | None = scenario.start_m
         self._plans_asked = 0
         self._attempt = 0
@@ -214,6 +217,22 @@ class Director:
             self._drop([r for r in self.ledger.not_begun if r.number >= refuted.number])
         elif self.in_work is not None:
             self.in_work = None  # it is being planned on terrain that no longer is
+        return self._advance(now)
+
+    def set_interest(
+        self, area_id: str, polygon_m: Sequence[Place] | None, weight: float, now: MissionTime
+    ) -> list[Effect]:
+        """An area is worth that weight from now on, or no longer; rounds that have not begun are planned anew."""
+        if polygon_m is None:
+            if self.interests.pop(area_id, None) is None:
+                return []
+        else:
+            self.interests[area_id] = (polygon_m, weight)
+        self._interest = interest_weights(self.grid, list(self.interests.values()))
+        if self.ended is not None:
+            return []
+        self._drop(self.ledger.not_begun)
+        self.in_work = None
         return self._advance(now)
 
     def moving(self, command_id: str) -> None:

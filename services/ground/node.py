@@ -10,7 +10,14 @@ from he3.errors import He3Error, InvalidInput
 from he3.reference import Region
 from he3.trend import OrbitalTrend
 from schemas.commands import CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
-from schemas.ground import GroundStatus, KernelParameters, MissionPhase
+from schemas.ground import (
+    GroundStatus,
+    InterestArea,
+    InterestChange,
+    InterestList,
+    KernelParameters,
+    MissionPhase,
+)
 from schemas.link import LinkChange, LinkStatus
 from schemas.maps import MapScore
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
@@ -24,6 +31,7 @@ from schemas.topics import (
     LINK_SET,
     LIST_COMMANDS,
     SAMPLE,
+    SET_INTEREST,
     STATE,
     Side,
 )
@@ -66,6 +74,7 @@ from services.scenario import Scenario
 STATUS_TIMER = "status"
 LOOK, LOOK_TIMER = "commands-on-the-link", "look"
 LOST_TIMER = "lost:"
+MOST_INTERESTS = 100
 _AWAY = frozenset({CommandKind.GO_TO, CommandKind.RETURN_TO_START})
 
 
@@ -108,7 +117,7 @@ class GroundNode:
             name="ground",
             sides=(Side.EARTH,),
             subscribes=(SAMPLE, EVENT, STATE, COMMAND_REPORT),
-            serves=(ISSUE_COMMAND, LIST_COMMANDS, *MAP_TOPICS),
+            serves=(ISSUE_COMMAND, LIST_COMMANDS, SET_INTEREST, *MAP_TOPICS),
         )
 
     @property
@@ -152,6 +161,8 @@ class GroundNode:
                 yield from self._director.computed(job, result, error, now)
             case Asked(topic, Telecommand() as command, token) if topic is ISSUE_COMMAND:
                 yield from self._issue(command, token, now)
+            case Asked(topic, InterestChange() as change, token) if topic is SET_INTEREST:
+                yield from self._set_interest(change, token, now)
             case Due(timer) if timer == STATUS_TIMER:
                 yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
                 yield from self._listen_for_silence(now)
@@ -218,6 +229,28 @@ class GroundNode:
         yield from self._publish(status)
         if command.kind is CommandKind.SET_KEEP_OUT and command.area_id is not None:
             yield from self._director.keep_out(command.area_id, command.polygon_m, now)
+
+    def _set_interest(self, change: InterestChange, token: int, now: MissionTime) -> Iterable[Effect]:
+        director = self._director
+        if change.polygon_m is not None and not director.grid.contains(np.array(change.polygon_m)).all():
+            yield Refuse(
+                token,
+                f"interest: expected corners within 0..{director.grid.width_m:g} m east and "
+                f"0..{director.grid.height_m:g} m north, got one outside",
+            )
+            return
+        effects: list[Effect] = []
+        if change.area_id is not None:
+            if change.area_id not in director.interests and len(director.interests) >= MOST_INTERESTS:
+                yield Refuse(token, f"interest: expected at most {MOST_INTERESTS} areas, got one more")
+                return
+            effects = director.set_interest(change.area_id, change.polygon_m, change.weight, now)
+        areas = (
+            InterestArea(area_id=name, polygon_m=tuple(polygon), weight=weight)
+            for name, (polygon, weight) in director.interests.items()
+        )
+        yield Answer(token, InterestList(areas=tuple(areas)))
+        yield from effects
 
     def _command_passed(self, report: CommandReport, now: MissionTime) -> Iterable[Effect]:
         status = self._commands.report(report)

@@ -1,0 +1,140 @@
+"""What an operator must not miss, and what each has acknowledged: raised by conditions and events, kept until both
+the cause is gone and somebody has said that they saw it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from schemas.ground import GroundStatus, MissionPhase
+from schemas.link import LinkStatus
+from schemas.telemetry import EventKind, RoverEvent, RoverMode
+from services.node import SECOND, MissionTime
+
+LOW_ENERGY_SHARE = 0.25
+"""Of the capacity; the rover goes safe at its reserve, 0.2 by default, and somebody should know before."""
+STALE_STATES = 3.0
+"""Reports of its state that may be missed, beyond the light time, before what we see of the rover is called stale."""
+
+
+class AlarmKind(StrEnum):
+    STALE = "stale"
+    LOW_ENERGY = "low_energy"
+    BLOCKED = "blocked"
+    SAFE_MODE = "safe_mode"
+    NO_CONTACT = "no_contact"
+    MISSION_FAILED = "mission_failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One alarm; `active` while its cause lasts."""
+
+    alarm_id: str
+    kind: AlarmKind
+    raised_at: MissionTime
+    text: str
+    active: bool = True
+    acknowledged: bool = False
+
+    def document(self) -> dict[str, object]:
+        """As the page reads it."""
+        return {
+            "id": self.alarm_id,
+            "kind": self.kind.value,
+            "raised_at": self.raised_at,
+            "text": self.text,
+            "active": self.active,
+            "acknowledged": self.acknowledged,
+        }
+
+
+class Alarms:
+    """All alarms that are active or not acknowledged. A condition that comes back raises another alarm."""
+
+    def __init__(self, state_period_s: float = 60.0) -> None:
+        self._state_period_s = state_period_s
+        self._alarms: dict[str, Alarm] = {}
+        self._counter = 0
+
+    @property
+    def current(self) -> tuple[Alarm, ...]:
+        """Oldest first."""
+        return tuple(self._alarms.values())
+
+    def look(self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime) -> bool:
+        """Compare conditions with what is known; whether an alarm has changed."""
+        changes = [self._set(kind, text, now) for kind, text in self._conditions(status, link, now).items()]
+        return any(changes)
+
+    def happened(self, event: RoverEvent) -> bool:
+        """Take an event of the rover; whether an alarm has changed."""
+        where = f"at ({event.x_m:.0f}, {event.y_m:.0f}) m"
+        about = f": {event.detail}" if event.detail else ""
+        if event.kind is EventKind.BLOCKED:
+            return self._set(AlarmKind.BLOCKED, f"the rover is blocked {where}{about}", event.at)
+        if event.kind in (EventKind.ROUND_STARTED, EventKind.ROUND_COMPLETED):
+            return self._set(AlarmKind.BLOCKED, None, event.at)
+        if event.kind is EventKind.SAFE_MODE_ENTERED:
+            return self._set(AlarmKind.SAFE_MODE, f"the rover went into safe mode {where}{about}", event.at)
+        if event.kind is EventKind.SAFE_MODE_LEFT:
+            return self._set(AlarmKind.SAFE_MODE, None, event.at)
+        if event.kind is EventKind.LOW_ENERGY:
+            return self._set(AlarmKind.LOW_ENERGY, f"the rover is low on energy{about}", event.at)
+        return False
+
+    def acknowledge(self, alarm_id: str) -> bool:
+        """Somebody saw it; whether there was such an alarm to acknowledge."""
+        alarm = self._alarms.get(alarm_id)
+        if alarm is None or alarm.acknowledged:
+            return False
+        self._keep(replace(alarm, acknowledged=True))
+        return True
+
+    def _conditions(
+        self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime
+    ) -> dict[AlarmKind, str | None]:
+        found: dict[AlarmKind, str | None] = {}
+        over = status is not None and status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED)
+        if status is not None and status.rover is not None and status.rover_made_at is not None:
+            rover, age_s = status.rover, (now - status.rover_made_at) / SECOND
+            light_s = 0.0 if link is None else link.conditions.down.one_way_light_time_s
+            stale = age_s > STALE_STATES * self._state_period_s + light_s and not over
+            found[AlarmKind.STALE] = f"nothing new of the rover for {age_s:.0f} s" if stale else None
+            share = rover.energy_wh / rover.capacity_wh
+            low = f"the rover's battery is at {share:.0%}" if share < LOW_ENERGY_SHARE else None
+            found[AlarmKind.LOW_ENERGY] = low
+            # The state says it too: the event may be the one message that is still on its way.
+            safe = rover.mode is RoverMode.SAFE
+            found[AlarmKind.SAFE_MODE] = "the rover is in safe mode" if safe else None
+        if link is not None:
+            found[AlarmKind.NO_CONTACT] = None if link.contact or over else "no contact with the Moon"
+        if status is not None:
+            failed = status.phase is MissionPhase.FAILED
+            found[AlarmKind.MISSION_FAILED] = f"the mission failed: {status.detail}" if failed else None
+        return found
+
+    def _set(self, kind: AlarmKind, text: str | None, at: MissionTime) -> bool:
+        active = next((alarm for alarm in self._alarms.values() if alarm.kind is kind and alarm.active), None)
+        if text is None:
+            if active is not None:
+                self._keep(replace(active, active=False))
+            return active is not None
+        if active is not None:
+            return False
+        self._counter += 1
+        self._keep(Alarm(f"{kind.value}-{self._counter}", kind, at, text))
+        return True
+
+    def _keep(self, alarm: Alarm) -> None:
+        if alarm.acknowledged and not alarm.active:
+            self._alarms.pop(alarm.alarm_id, None)
+        else:
+            self._alarms[alarm.alarm_id] = alarm
+
+
+def documents(alarms: Iterable[Alarm]) -> list[dict[str, object]]:
+    """Alarms as the page reads them."""
+    return [alarm.document() for alarm in alarms]
