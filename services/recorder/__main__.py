@@ -13,6 +13,8 @@ from services.run import Service
 from services.serve import serve
 
 DEFAULT_FILE = Path("mission.mcap")
+LEAST_FLUSH_S = 0.2
+"""Wall time between flushes: what a kill can cost at most."""
 
 
 def main() -> int:
@@ -26,7 +28,7 @@ def main() -> int:
                 stream = stack.enter_context(path.open("wb"))
             except OSError as error:
                 raise InvalidInput(f"{path}: cannot write the recording: {error.strerror}") from None
-            writer = stack.enter_context(RecordingWriter(stream, options.scenario.name))
+            writer = stack.enter_context(RecordingWriter(stream, options.scenario.name, LEAST_FLUSH_S))
             return build_node(options.scenario, writer)
 
         return serve(Service("recorder", build, onlooker=True))

@@ -7,6 +7,9 @@ in the middle of a chunk holds every chunk before it.
 from __future__ import annotations
 
 import json
+import math
+import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import IO, Self
 
@@ -25,8 +28,14 @@ PROFILE = "he3-seeker"
 class RecordingWriter:
     """Writes a recording into a stream that it is given, and does not close it."""
 
-    def __init__(self, stream: IO[bytes], mission: str) -> None:
+    def __init__(
+        self, stream: IO[bytes], mission: str, least_flush_s: float = 0.0, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """least_flush_s: wall time between flushes, so that a mission at full speed does not flush each message."""
         self._stream = stream
+        self._least_flush_s = least_flush_s
+        self._clock = clock
+        self._flushed_at = -math.inf
         self._mission = mission
         self._channels: dict[str, int] = {}
         self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -49,7 +58,14 @@ class RecordingWriter:
         self.messages += 1
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system: from here on a kill costs none of it."""
+        """Hand everything written so far to the operating system, unless that was just done.
+
+        From here on a kill costs none of it.
+        """
+        now = self._clock()
+        if now - self._flushed_at < self._least_flush_s:
+            return
+        self._flushed_at = now
         self._writer.flush()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:

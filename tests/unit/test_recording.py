@@ -128,6 +128,19 @@ def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path: Path, data
         list(saved(tmp_path, data).messages())
 
 
+def test_flushes_in_quick_succession_are_one(tmp_path: Path) -> None:
+    times = iter([0.0, 0.1, 0.3])
+    stream = io.BytesIO()
+    writer = RecordingWriter(stream, MISSION, least_flush_s=0.2, clock=lambda: next(times))
+    sizes = []
+    for number in range(3):
+        writer.write(EVENT, encode(header(number), event(number)), number, number, number)
+        writer.flush()
+        sizes.append(len(stream.getvalue()))
+    assert sizes[0] == sizes[1] < sizes[2]
+    assert len(list(saved(tmp_path, stream.getvalue()).messages())) == 3
+
+
 class Kept:
     """A sink that keeps what it is given."""
 
