@@ -2,7 +2,7 @@
 
 Each run draws a fault schedule from its seed: processes killed and started again (also between writing their journal
 and acting on it, also with a torn last record), black-outs, loss, duplicates, reordering, corruption, a rate that
-collapses, a light time that grows, an operator who pauses. A run counts as
+collapses, a light time that grows, an operator who pauses, aborts, sends away, closes areas. A run counts as
 
     lost       a sample that the rover measured is not in the map, or the mission ended with too few
     doubled    a sample was measured, reported or put into the map more than once
@@ -20,7 +20,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing import get_context
@@ -38,10 +38,11 @@ from he3.reference import Region
 from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.link import LinkChange, LinkConditions
 from schemas.topics import ISSUE_COMMAND, LINK_SET, SAMPLE, TRACK, Side, Topic
-from schemas.wire import decode
-from services.faults import LINK_FAULTS, Fault, FaultKind, Schedule, link_change, random_schedule, shrunk
+from schemas.wire import Wire, decode
+from services.faults import LINK_FAULTS, Fault, FaultKind, Schedule, link_change, random_schedule, shrunk, telecommand
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
+from services.ground.planner_process import PlannerProcess
 from services.journal import identity_of
 from services.link.node import build_node as build_link
 from services.mission import InProcessMission
@@ -49,7 +50,7 @@ from services.node import SECOND, MissionTime, Node
 from services.regions import load_region
 from services.rover.node import build_node as build_rover
 from services.scenario import Scenario, checked_scenario
-from services.seat import Executor
+from services.seat import Executor, InlineExecutor
 
 CELLS = 120
 LIGHT_TIME_S = 1.282
@@ -137,16 +138,20 @@ def _described(outcome: Outcome) -> str:
 def fly(seed: int) -> Outcome:
     """The outcome of the mission with that seed."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xFA17]))
-    return fly_schedule(seed, random_schedule(rng, horizon_s=9 * 3600.0))
+    return fly_schedule(seed, random_schedule(rng, horizon_s=9 * 3600.0, extent_m=small_region().grid.width_m))
 
 
 def fly_schedule(seed: int, schedule: Schedule) -> Outcome:
     """The outcome of the mission with that seed under that schedule."""
-    world = _World(seed, _executor())
-    outcome = Outcome(seed, schedule)
+    return fly_world(World(seed, _executor()), schedule)
+
+
+def fly_world(world: World, schedule: Schedule, patience_s: float = SLACK_S) -> Outcome:
+    """The outcome of that world's mission under that schedule; stuck if it takes so much longer than the schedule."""
+    outcome = Outcome(world.scenario.seed, schedule)
     try:
         world.suffer(schedule)
-        bound_s = world.mission.mission_time_s + SLACK_S
+        bound_s = world.mission.mission_time_s + patience_s
         world.mission.run(until_s=bound_s)
     except He3Error as error:
         outcome.stuck = True
@@ -156,10 +161,10 @@ def fly_schedule(seed: int, schedule: Schedule) -> Outcome:
     return outcome
 
 
-def scenario_of(seed: int) -> Scenario:
-    """A short mission: three to five rounds; planner, pipeline and noise drawn from the seed."""
+def scenario_of(seed: int, planner: str | None = None) -> Scenario:
+    """A short mission: three to five rounds; length, planner (unless it is given) and pipeline drawn from the seed."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5CE]))
-    planner = str(rng.choice(["rrt", "rrtstar", "tour"]))
+    drawn = str(rng.choice(["rrt", "rrtstar", "tour"], p=[0.4, 0.4, 0.2]))  # tours take longest to plan
     return checked_scenario(
         {
             "name": "faults",
@@ -169,7 +174,7 @@ def scenario_of(seed: int) -> Scenario:
             "samples_per_round": int(rng.integers(2, 4)),
             "rover": {"state_period_s": 600.0, "look_ahead_m": 10.0},
             "ground": {
-                "planner": planner,
+                "planner": planner or drawn,
                 "kernel": "matern52",
                 "pipeline": int(rng.integers(0, 3)),
                 "planning_s": 30.0,
@@ -201,16 +206,27 @@ def small_region() -> Region:
 
 @cache
 def _executor() -> Executor:
-    from services.ground.planner_process import PlannerProcess
-
-    return PlannerProcess(parallel=1)
+    return _Planners()
 
 
-class _World:
+class _Planners:
+    """An executor that starts a process only for what draws on OMPL's global state."""
+
+    def __init__(self) -> None:
+        self._process = PlannerProcess(parallel=1)
+        self._here = InlineExecutor()
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        if arguments and arguments[0] in ("rrt", "rrtstar"):
+            return self._process.submit(function, *arguments)
+        return self._here.submit(function, *arguments)
+
+
+class World:
     """One mission, its processes, and what the rover was heard to measure."""
 
-    def __init__(self, seed: int, executor: Executor) -> None:
-        self.scenario = scenario_of(seed)
+    def __init__(self, seed: int, executor: Executor, planner: str | None = None) -> None:
+        self.scenario = scenario_of(seed, planner)
         nodes = [self._built(name) for name in ("field", "rover", "link", "ground")]
         self.mission = InProcessMission(self.scenario, executor=executor, nodes=nodes)
         self.simulation = self.mission.simulation
@@ -246,8 +262,11 @@ class _World:
             self._apply(fault, begins)
         for name in ("link", "field", "rover", "ground"):
             self._start(name, torn=False)
-        self._set_link(LinkChange(conditions=LinkConditions(), contact_as_scheduled=True))
-        self._command(CommandKind.RESUME)
+        # A process that was to crash when it next acts may do so only now.
+        if not self._set_link(healed := LinkChange(conditions=LinkConditions(), contact_as_scheduled=True)):
+            self._start("link", torn=False)
+            self._set_link(healed)
+        self._command(Telecommand(command_id="the-last-resume", kind=CommandKind.RESUME))
 
     def _run_until(self, at_s: float) -> None:
         until = self.scenario.start_ns + round(at_s * SECOND)
@@ -262,7 +281,7 @@ class _World:
             case FaultKind.KILL | FaultKind.CRASH:
                 self._start(fault.who, fault.torn)
             case FaultKind.COMMAND:
-                self._command(CommandKind.PAUSE if begins else CommandKind.RESUME)
+                self._command(telecommand(fault, begins, f"{fault.who}-{begins:d}-{self.simulation.now}"))
             case kind if kind in LINK_FAULTS:
                 self._set_link(link_change(fault, begins, LIGHT_TIME_S))
 
@@ -270,14 +289,29 @@ class _World:
         if not self.simulation.alive(name):
             self.simulation.restart(self._built(name), TORN if torn else b"")
 
-    def _set_link(self, change: LinkChange) -> None:
-        if self.simulation.alive("link"):
-            self.simulation.ask(LINK_SET, change)
+    def _set_link(self, change: LinkChange) -> bool:
+        """Whether the link heard of it."""
+        return self._asked("link", LINK_SET, change)
 
-    def _command(self, kind: CommandKind) -> None:
-        if self.simulation.alive("ground"):
-            name = f"{kind.value}-{self.simulation.now}"
-            self.simulation.ask(ISSUE_COMMAND, Telecommand(command_id=name, kind=kind))
+    def _command(self, command: Telecommand | None) -> None:
+        if command is None or not self.simulation.alive("ground"):
+            return
+        if not self._asked("ground", ISSUE_COMMAND, command):
+            # Nobody knows whether it had gone out: that is what the id is for.
+            self._start("ground", torn=False)
+            self._asked("ground", ISSUE_COMMAND, command)
+
+    def _asked(self, name: str, topic: Topic, request: Wire) -> bool:
+        """Whether that process answered; it may be gone, or go upon the question."""
+        if not self.simulation.alive(name):
+            return False
+        try:
+            self.simulation.ask(topic, request)
+        except He3Error:
+            if self.simulation.alive(name):
+                raise
+            return False
+        return True
 
     # --- judgement ----------------------------------------------------------------------------------------------
 
@@ -293,7 +327,9 @@ class _World:
         missing = sorted(self.reported.keys() - times.keys())
         if missing or len(times) != self.scenario.samples:
             outcome.lost = True
-            outcome.why.append(f"{len(times)} of {self.scenario.samples} samples in the map, missing {missing}")
+            outcome.why.append(
+                f"{len(times)} of {self.scenario.samples} samples in the map, missing {missing}: {self.mission.why()}"
+            )
         self._compare_maps(outcome)
 
     def _compare_maps(self, outcome: Outcome) -> None:

@@ -2,17 +2,20 @@
 
 A schedule is a list of faults in order of time. It ends: after the last fault the mission has all it needs, so it must
 come to its end with every sample in the map exactly once.
+
+A change of the clock's rate is none of them: in virtual time there is no rate. That the rate may change at any time on
+the wall clock is tested with real processes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
-from schemas.commands import CommandKind
+from schemas.commands import CommandKind, Telecommand
 from schemas.link import AtEdge, LinkChange
 
 SERVICES = ("rover", "ground", "link", "field")
@@ -33,7 +36,7 @@ class FaultKind(StrEnum):
     FAR = "far"
     """The light time grows."""
     COMMAND = "command"
-    """An operator pauses the mission, and resumes it later."""
+    """An operator interferes, and puts it right later: resumes, removes the keep-out."""
 
 
 LINK_FAULTS = (
@@ -58,31 +61,41 @@ class Fault:
     amount: float = 0.0
     torn: bool = False
     """The process leaves the beginning of an unfinished record in its journal."""
+    place_m: tuple[float, float] | None = None
+    """Where a command leads, or the middle of a keep-out, whose half width is `amount` [m]."""
 
     def __str__(self) -> str:
         who = f" {self.who}" if self.who else ""
         amount = f" {self.amount:g}" if self.amount else ""
-        return f"{self.kind.value}{who}{amount} at {self.at_s:.3f} s for {self.lasts_s:.3f} s{' torn' * self.torn}"
+        place = f" ({self.place_m[0]:.1f}, {self.place_m[1]:.1f})" if self.place_m else ""
+        lasts = f"at {self.at_s:.3f} s for {self.lasts_s:.3f} s"
+        return f"{self.kind.value}{who}{amount}{place} {lasts}{' torn' * self.torn}"
 
 
 Schedule = tuple[Fault, ...]
 
 
-def random_schedule(rng: np.random.Generator, horizon_s: float, most: int = 8) -> Schedule:
-    """Up to `most` faults that begin within `horizon_s` of mission time, in order of time."""
-    faults = [_random_fault(rng, horizon_s) for _ in range(int(rng.integers(1, most + 1)))]
+COMMANDS = tuple(CommandKind[name] for name in ("PAUSE", "SAFE", "ABORT_ROUND", "GO_TO", "RETURN_TO_START"))
+
+
+def random_schedule(rng: np.random.Generator, horizon_s: float, extent_m: float, most: int = 8) -> Schedule:
+    """Up to `most` faults that begin within `horizon_s` of mission time, in order of time.
+
+    extent_m: of the site; where an operator may send the rover, or close an area to it.
+    """
+    faults = [_random_fault(rng, horizon_s, extent_m) for _ in range(int(rng.integers(1, most + 1)))]
     return tuple(sorted(faults, key=lambda fault: fault.at_s))
 
 
-def _random_fault(rng: np.random.Generator, horizon_s: float) -> Fault:
+def _random_fault(rng: np.random.Generator, horizon_s: float, extent_m: float) -> Fault:
     at_s = float(rng.uniform(0, horizon_s))
     choice = rng.random()
     if choice < 0.5:
         kind = FaultKind.KILL if rng.random() < 0.6 else FaultKind.CRASH
         lasts_s = float(rng.choice([0.0, 1.0, 30.0, 600.0, 7200.0])) * float(rng.uniform(0.5, 1.5))
         return Fault(kind, at_s, lasts_s, who=str(rng.choice(SERVICES)), torn=bool(rng.random() < 0.5))
-    if choice < 0.6:
-        return Fault(FaultKind.COMMAND, at_s, float(rng.uniform(10, 3600)), who=CommandKind.PAUSE.value)
+    if choice < 0.65:
+        return _random_command(rng, at_s, extent_m)
     link_fault = LINK_FAULTS[int(rng.integers(len(LINK_FAULTS)))]
     lasts_s = float(rng.uniform(5, 7200))
     amounts = {
@@ -95,6 +108,35 @@ def _random_fault(rng: np.random.Generator, horizon_s: float) -> Fault:
         FaultKind.BLACKOUT: float(rng.random() < 0.5),
     }
     return Fault(link_fault, at_s, lasts_s, amount=amounts[link_fault])
+
+
+def _random_command(rng: np.random.Generator, at_s: float, extent_m: float) -> Fault:
+    lasts_s = float(rng.uniform(10, 3600))
+    place = (float(rng.uniform(0, extent_m)), float(rng.uniform(0, extent_m)))
+    if rng.random() < 0.2:
+        half_m = float(rng.uniform(2, 8))
+        place = (
+            float(np.clip(place[0], half_m, extent_m - half_m)),
+            float(np.clip(place[1], half_m, extent_m - half_m)),
+        )
+        return Fault(FaultKind.COMMAND, at_s, lasts_s, CommandKind.SET_KEEP_OUT.value, half_m, place_m=place)
+    kind = COMMANDS[int(rng.integers(len(COMMANDS)))]
+    return Fault(FaultKind.COMMAND, at_s, lasts_s, kind.value, place_m=place if kind is CommandKind.GO_TO else None)
+
+
+def telecommand(fault: Fault, begins: bool, command_id: str) -> Telecommand | None:
+    """What the operator commands when that fault begins, and to put it right when it ends; None: nothing."""
+    kind = CommandKind(fault.who)
+    if kind is CommandKind.SET_KEEP_OUT and fault.place_m is not None:
+        (x, y), half = fault.place_m, fault.amount
+        corners = ((x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half))
+        area = f"area-{fault.at_s:.0f}"
+        return Telecommand(command_id=command_id, kind=kind, area_id=area, polygon_m=corners if begins else None)
+    if begins:
+        return Telecommand(command_id=command_id, kind=kind, target_m=fault.place_m)
+    if kind in (CommandKind.PAUSE, CommandKind.SAFE):
+        return Telecommand(command_id=command_id, kind=CommandKind.RESUME)
+    return None
 
 
 def link_change(fault: Fault, begins: bool, light_time_s: float) -> LinkChange:
@@ -119,10 +161,14 @@ def link_change(fault: Fault, begins: bool, light_time_s: float) -> LinkChange:
 
 
 def shrunk(schedule: Schedule, fails: Callable[[Schedule], bool]) -> Schedule:
-    """The schedule with every fault left out that the failure does not need."""
+    """The schedule with every fault left out that the failure does not need, and the others as short as it allows."""
     smaller = schedule
     for fault in schedule:
         without = tuple(other for other in smaller if other is not fault)
         if without and fails(without):
             smaller = without
+    for fault in smaller:
+        at_once = tuple(replace(other, lasts_s=0.0) if other is fault else other for other in smaller)
+        if fault.lasts_s and fails(at_once):
+            smaller = at_once
     return smaller
