@@ -69,6 +69,8 @@ class RoundRecord:
     @property
     def pending(self) -> list[PlannedSample]:
         """Samples that are still to come, in the order of the path."""
+        if len(self.settled) == len(self.plan.samples):
+            return []
         return [
             planned
             for planned in self.plan.samples
