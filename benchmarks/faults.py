@@ -39,7 +39,17 @@ from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.link import LinkChange, LinkConditions
 from schemas.topics import ISSUE_COMMAND, LINK_SET, SAMPLE, TRACK, Side, Topic
 from schemas.wire import Wire, decode
-from services.faults import LINK_FAULTS, Fault, FaultKind, Schedule, link_change, random_schedule, shrunk, telecommand
+from services.faults import (
+    LINK_FAULTS,
+    SERVICES,
+    Fault,
+    FaultKind,
+    Schedule,
+    link_change,
+    random_schedule,
+    shrunk,
+    telecommand,
+)
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
 from services.ground.planner_process import PlannerProcess
@@ -152,7 +162,7 @@ def fly_world(world: World, schedule: Schedule, patience_s: float = SLACK_S) -> 
     try:
         world.suffer(schedule)
         bound_s = world.mission.mission_time_s + patience_s
-        world.mission.run(until_s=bound_s)
+        world.mission.run(world.revive, until_s=bound_s)
     except He3Error as error:
         outcome.stuck = True
         outcome.why.append(str(error))
@@ -260,13 +270,16 @@ class World:
                 break
             self._run_until(at_s)
             self._apply(fault, begins)
-        for name in ("link", "field", "rover", "ground"):
-            self._start(name, torn=False)
-        # A process that was to crash when it next acts may do so only now.
+        self.revive()
         if not self._set_link(healed := LinkChange(conditions=LinkConditions(), contact_as_scheduled=True)):
-            self._start("link", torn=False)
+            self.revive()
             self._set_link(healed)
         self._command(Telecommand(command_id="the-last-resume", kind=CommandKind.RESUME))
+
+    def revive(self) -> None:
+        """Start whatever does not run: a process that was to crash when it next acts may do so late."""
+        for name in SERVICES:
+            self._start(name, torn=False)
 
     def _run_until(self, at_s: float) -> None:
         until = self.scenario.start_ns + round(at_s * SECOND)

@@ -179,6 +179,8 @@ class LinkStatus(Wire):
     """The next 200 to arrive."""
     dropped: Annotated[tuple[Dropped, ...], Field(max_length=50)] = ()
     """The last 50 that will not arrive."""
+    commands_arrived: Annotated[tuple[InFlight, ...], Field(max_length=10)] = ()
+    """The last 10 telecommands that came through, as they were on the way: who asks now and then misses none."""
     contact_forced: bool | None = None
     """Contact as an operator decided it; None: as scheduled."""
     incarnation: Count

@@ -88,6 +88,14 @@ class CommandBook:
             if all(_ORDER[passed.stage] < _ORDER[CommandStage.RADIATED] for passed in self._book[name].stages)
         ]
 
+    def _not_radiated(self) -> list[str]:
+        """Commands sent since the start that were not seen to leave the Earth, whatever else is known of them."""
+        return [
+            name
+            for name in self._sent
+            if all(passed.stage is not CommandStage.RADIATED for passed in self._book[name].stages)
+        ]
+
     def seen_on_link(self, link: LinkStatus, source: str, now: MissionTime) -> tuple[list[CommandStatus], MissionTime]:
         """Commands that the link's status shows to have left the Earth, and when to look again for the others.
 
@@ -95,14 +103,14 @@ class CommandBook:
         """
         departures = {
             (flight.sequence, flight.offered_at): flight.departs_at
-            for flight in link.in_flight
+            for flight in (*link.in_flight, *link.commands_arrived)
             if flight.topic == COMMAND.name and flight.source == source
         }
         left: list[CommandStatus] = []
         again = now + seconds(LOOK_AGAIN_S)
         if link.contact_changes_at is not None and link.contact_changes_at > now:
             again = min(again, link.contact_changes_at)
-        for name in self.leaving():
+        for name in self._not_radiated():
             sequence, sent_at = self._sent.index(name), self._book[name].stages[0].at
             for (number, offered_at), departs_at in departures.items():
                 if number != sequence or offered_at < sent_at or departs_at is None:

@@ -257,6 +257,10 @@ class GroundNode:
         if status is None:
             return
         yield from self._publish(status)
+        if report.stage is CommandStage.RECEIVED and all(
+            passed.stage is not CommandStage.RADIATED for passed in status.stages
+        ):
+            yield Ask(LINK_SET, LinkChange(), LOOK)  # it left between two looks
         command = status.command
         if command.kind not in _AWAY:
             return

@@ -18,7 +18,7 @@ from schemas.link import (
     LinkConditions,
     LinkStatus,
 )
-from schemas.topics import Topic
+from schemas.topics import COMMAND, Topic
 from schemas.wire import one_line
 from services.link.channel import Channel, Drop, Flight, Limits
 from services.link.contact import Contact
@@ -27,6 +27,7 @@ from services.node import MissionTime
 
 SHOWN_IN_FLIGHT = 200
 SHOWN_DROPPED = 50
+SHOWN_COMMANDS = 10
 
 
 class Relay:
@@ -40,6 +41,7 @@ class Relay:
         self._contact = Contact.of(conditions, start)
         self._order = 0
         self._dropped: deque[Dropped] = deque(maxlen=SHOWN_DROPPED)
+        self._commands_arrived: deque[InFlight] = deque(maxlen=SHOWN_COMMANDS)
         self._channels = {
             direction: Channel(
                 _of(conditions, direction), self._contact, self._generator(direction, 0), conditions.at_edge, limits
@@ -65,7 +67,11 @@ class Relay:
         arrived = [
             (direction, flight) for direction, channel in self._channels.items() for flight in channel.arrived(now)
         ]
-        return sorted(arrived, key=lambda pair: (pair[1].arrives_at, pair[1].letter.order))
+        arrived.sort(key=lambda pair: (pair[1].arrives_at, pair[1].letter.order))
+        self._commands_arrived.extend(
+            _shown_flight(direction, flight) for direction, flight in arrived if flight.letter.topic is COMMAND
+        )
+        return arrived
 
     def next_event(self) -> MissionTime | None:
         """When something arrives or may begin to be sent next."""
@@ -122,6 +128,7 @@ class Relay:
             down=self._channels[Direction.DOWN].counts,
             in_flight=tuple(shown[:SHOWN_IN_FLIGHT]),
             dropped=tuple(self._dropped),
+            commands_arrived=tuple(self._commands_arrived),
             contact_forced=self._forced,
             incarnation=incarnation,
         )
