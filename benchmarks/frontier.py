@@ -1,0 +1,125 @@
+"""Error against driven metres: `tour` under budgets, beside the paper's `rrtstar` and, if installed, SGP-Tools.
+
+Every mission takes 150 samples from the same start with the same noise, and is scored on all cells with the same
+Gaussian process; where SGP-Tools is there, each is scored with the peers' own process, too (`rmse_own_gp_ppb`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from benchmarks.flights import Flight, flown, mean_and_std, region_named, written
+from benchmarks.missions import Mission, Row
+from he3.errors import InvalidInput
+
+BUDGETS_M = (3500.0, 4500.0, 6000.0, 9000.0, 15000.0)
+PEER_BUDGETS_M = (3500.0, 4500.0, 6000.0)
+
+
+def run(
+    seeds: int = 5,
+    regions: Sequence[str] = ("t1", "t2"),
+    region: Path | None = None,
+    budgets: Sequence[float] = BUDGETS_M,
+    kernel: str = "matern12",
+    jobs: int = 2,
+    peers: bool = True,
+    json: Path | None = None,
+    out: Path | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """One row a mission; the table printed, the frontier drawn into `out`, rows written to `json`.
+
+    regions: embedded names; region: somebody's field as .npz in their place; peers: also fly SGP-Tools, once a budget
+    and region. Raises InvalidInput for budgets that are not positive.
+    """
+    if seeds < 1 or any(budget <= 0 for budget in budgets):
+        raise InvalidInput(f"expected one seed at least and positive budgets, got {seeds} and {tuple(budgets)}")
+    names = [str(region)] if region is not None else list(regions)
+    for name in names:
+        region_named(name)
+    began = time.monotonic()
+    flights = [Flight(name, "tour", kernel, seed, budget_m=budget) for name in names for budget in budgets
+               for seed in range(1, seeds + 1)]  # fmt: skip
+    flights += [Flight(name, "rrtstar", "matern52", seed) for name in names for seed in range(1, seeds + 1)]
+    missions = flown(flights, jobs, say, began)
+    rows = [mission.row for mission in missions.values()]
+    if peers:
+        rows += _peer_rows(names, budgets, kernel, seeds, missions, say)
+    for name in names:
+        say("")
+        for line in table(rows, region_named(name).name):
+            say(line)
+    written(rows, json, say)
+    if out is not None:
+        from benchmarks.figures import frontier_figure
+
+        curves = {name: _curves(rows, region_named(name).name) for name in names}
+        say(f"written {frontier_figure(curves, {}, out / 'frontier.png')}")
+    return rows
+
+
+def _peer_rows(
+    names: Sequence[str],
+    budgets: Sequence[float],
+    kernel: str,
+    seeds: int,
+    missions: dict[Flight, Mission],
+    say: Callable[[str], None],
+) -> list[Row]:
+    from benchmarks.sgptools_peer import fly_sgptools, own_gp_rmse, peer_python
+
+    try:
+        peer_python()
+    except InvalidInput as error:
+        say(f"without SGP-Tools: {error}")
+        return []
+    rows: list[Row] = []
+    for name in names:
+        region = region_named(name)
+        for budget in (value for value in budgets if value in PEER_BUDGETS_M):
+            for seed in range(1, seeds + 1):
+                ours = missions[Flight(name, "tour", kernel, seed, budget_m=budget)]
+                ours.row["rmse_own_gp_ppb"] = own_gp_rmse(region, ours)
+                row = fly_sgptools(region, ours, kernel, seed, budget).row
+                rows.append(row)
+                say(
+                    f"  {name:<4} sgptools  budget {budget:.0f} m  seed {seed}  rmse {row['rmse_ppb']:.4f} ppb  "
+                    f"{row['path_length_m']:.0f} m  {row['blocked_legs']} legs led round obstacles"
+                )
+    return rows
+
+
+def _groups(rows: Sequence[Row], region: str) -> dict[tuple[str, float], list[Row]]:
+    groups: dict[tuple[str, float], list[Row]] = {}
+    for row in rows:
+        if row["region"] == region:
+            groups.setdefault((row["planner"], row["budget_m"] or float("inf")), []).append(row)
+    return dict(sorted(groups.items()))
+
+
+def table(rows: Sequence[Row], region: str) -> list[str]:
+    """Lines of the frontier on one region."""
+    head = f"{'planner':<10} {'budget m':>9} {'metres':>14} {'RMSE ppb':>17} {'own GP':>8} {'plan s':>8}"
+    lines = [region, head, "-" * len(head)]
+    for (planner, budget), group in _groups(rows, region).items():
+        rmse, rmse_std = mean_and_std(group, "rmse_ppb")
+        metres, metres_std = mean_and_std(group, "path_length_m")
+        own = [row for row in group if "rmse_own_gp_ppb" in row]
+        shown = f"{mean_and_std(own, 'rmse_own_gp_ppb')[0]:8.4f}" if own else f"{'':>8}"
+        lines.append(
+            f"{planner:<10} {budget:9.0f} {metres:8.0f} ± {metres_std:3.0f} {rmse:8.4f} ± {rmse_std:.4f} {shown} "
+            f"{mean_and_std(group, 'plan_time_s')[0]:8.1f}"
+        )
+    return lines
+
+
+def _curves(rows: Sequence[Row], region: str) -> dict[str, list[tuple[float, float, float]]]:
+    curves: dict[str, list[tuple[float, float, float]]] = {}
+    for (planner, _), group in _groups(rows, region).items():
+        metres = mean_and_std(group, "path_length_m")[0]
+        curves.setdefault(planner, []).append((metres, *mean_and_std(group, "rmse_ppb")))
+    return curves
