@@ -1,12 +1,10 @@
 """The field service: ``python -m services.field SCENARIO``."""
 
-import sys
-
 from services.field.node import build_node
 from services.node import Node
 from services.options import Options
 from services.run import Service
-from services.serve import serve
+from services.serve import leave, serve
 
 
 def build(options: Options) -> Node:
@@ -14,4 +12,4 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
-    sys.exit(serve(Service("field", build)))
+    leave(serve(Service("field", build)))

@@ -1,14 +1,12 @@
 """The ground service: ``python -m services.ground SCENARIO``."""
 
-import sys
-
 from services.ground.map_process import map_answers
 from services.ground.node import build_node
 from services.ground.planner_process import PlannerProcess
 from services.node import Node
 from services.options import Options
 from services.run import Service
-from services.serve import serve
+from services.serve import leave, serve
 
 
 def build(options: Options) -> Node:
@@ -17,4 +15,4 @@ def build(options: Options) -> Node:
 
 if __name__ == "__main__":
     service = Service("ground", build, executor=PlannerProcess, answers=map_answers(), journals=True)
-    sys.exit(serve(service))
+    leave(serve(service))

@@ -1,6 +1,5 @@
 """The recorder service: ``python -m services.recorder SCENARIO --out FILE``. It listens on Earth and says nothing."""
 
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from services.options import Options
 from services.recorder.node import build_node
 from services.recorder.writer import RecordingWriter
 from services.run import Service
-from services.serve import serve
+from services.serve import leave, serve
 
 DEFAULT_FILE = Path("mission.mcap")
 LEAST_FLUSH_S = 0.2
@@ -35,4 +34,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

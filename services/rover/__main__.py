@@ -1,12 +1,10 @@
 """The rover service: ``python -m services.rover SCENARIO``."""
 
-import sys
-
 from services.node import Node
 from services.options import Options
 from services.rover.node import build_node
 from services.run import Service
-from services.serve import serve
+from services.serve import leave, serve
 
 
 def build(options: Options) -> Node:
@@ -14,4 +12,4 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
-    sys.exit(serve(Service("rover", build, journals=True)))
+    leave(serve(Service("rover", build, journals=True)))
