@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import threading
 import time
@@ -36,6 +37,8 @@ MOST_POINTS = 1500
 MOST_WAITING = 400
 """Messages that a browser may be behind; then it is let go, comes back by itself, and starts afresh."""
 LOOK_EVERY_S = 0.5
+FLIGHTS_TOLD_S = 0.5
+MOST_FLIGHTS = 100
 LATEST_EVERY_S = 0.1
 """A status that is said more often is told no more often than this."""
 
@@ -74,6 +77,7 @@ class Hub:
         self._link: LinkStatus | None = None
         self._clock: ClockState | None = None
         self._commands: dict[str, CommandStatus] = {}
+        self._flights: dict[tuple[Any, ...], tuple[float, dict[str, Any]]] = {}
         self._heard: MissionTime = 0
         self._heard_wall = time.monotonic()
         self._told: dict[str, float] = {}
@@ -91,24 +95,24 @@ class Hub:
             (EVENT, self._keep_event),
             (COMMAND_STATUS, self._keep_command),
         )
+        # The clock first: curves are drawn over the time since the mission's start.
+        self._catch_up(EARTH_CLOCK, self._keep_clock)
         for topic, keep in keepers:
             client.subscribe(topic, keep)
-        for topic, keep in keepers[:3]:
-            try:
-                header, body = client.latest(topic, 2.0)
-            except He3Error:
-                continue
-            keep(header, body)
-        try:
+        with contextlib.suppress(He3Error):  # it has not begun: then all of it will be heard
             for status in self.mission.commands():
                 self._keep_command(None, status)
             for score in self.mission.track().score_history:
                 self._point("rmse_ppb", score.mission_time_ns, score.rmse_ppb)
             for revision in self.mission.history().revisions:
                 self._point("mean_std_ppb", revision.mission_time_ns, revision.mean_std_ppb)
-        except He3Error:
-            pass  # it has not begun; all of it will be heard
+        self._catch_up(GROUND_STATUS, self._keep_status)
+        self._catch_up(LINK_STATUS, self._keep_link)
         threading.Thread(target=self._look, name="web-look", daemon=True).start()
+
+    def _catch_up(self, topic: Topic, keep: Callable[[Header, Any], None]) -> None:
+        with contextlib.suppress(He3Error):
+            keep(*self.mission.client.latest(topic, 2.0))
 
     def close(self) -> None:
         """Let everybody go."""
@@ -160,7 +164,16 @@ class Hub:
         with self._lock:
             self._hear(header)
             self._link = body
-            self._tell_latest("link", {"at": header.made_at, **body.model_dump(mode="json")})
+            # A flight may be over before the next telling: what has been seen of late is told again.
+            wall = time.monotonic()
+            for flight in body.in_flight:
+                key = (flight.direction, flight.topic, flight.source, flight.sequence, flight.offered_at)
+                if flight.arrives_at is not None:
+                    self._flights[key] = (wall, flight.model_dump(mode="json"))
+            self._flights = {key: seen for key, seen in self._flights.items() if wall - seen[0] < FLIGHTS_TOLD_S}
+            document = body.model_dump(mode="json", exclude={"in_flight", "dropped"})
+            document["in_flight"] = [flight for _, flight in self._flights.values()][-MOST_FLIGHTS:]
+            self._tell_latest("link", {"at": header.made_at, **document})
 
     def _keep_clock(self, header: Header, body: ClockState) -> None:
         with self._lock:

@@ -1,0 +1,53 @@
+// What comes from the server and what goes to it. Nothing here knows the page.
+
+export async function ask(path, parameters = {}) {
+  const query = new URLSearchParams();
+  for (const [key, value] of Object.entries(parameters)) if (value !== null && value !== undefined && value !== "") query.set(key, value);
+  const text = query.toString();
+  const response = await fetch(`/api/${path}${text ? "?" + text : ""}`, { cache: "no-store" });
+  if (!response.ok) throw new Error(await complaint(response));
+  return response;
+}
+
+export async function askJson(path, parameters) {
+  return (await ask(path, parameters)).json();
+}
+
+export async function askLayer(parameters) {
+  const response = await ask("map/layer", { ...parameters, format: "npy" });
+  const about = JSON.parse(response.headers.get("x-map-about"));
+  return { about, values: numbersOf(await response.arrayBuffer()) };
+}
+
+export async function send(path, document) {
+  const response = await fetch(`/api/${path}`, {
+    method: "POST",
+    headers: { "content-type": "application/json", "x-he3-console": "1" },
+    body: JSON.stringify(document),
+  });
+  if (!response.ok) throw new Error(await complaint(response));
+  return response.json();
+}
+
+async function complaint(response) {
+  try { return (await response.json()).error; } catch { return `${response.status} ${response.statusText}`; }
+}
+
+// NumPy's format: magic, version, length of the head, the head as text, then the numbers.
+function numbersOf(buffer) {
+  const view = new DataView(buffer);
+  const length = view.getUint16(8, true);
+  const head = new TextDecoder().decode(new Uint8Array(buffer, 10, length));
+  const start = 10 + length;
+  return head.includes("'<f4'") ? new Float32Array(buffer, start) : new Uint8Array(buffer, start);
+}
+
+// Server-sent events; the browser comes back by itself when they break off, and then gets everything afresh.
+export function listen(handlers, onBreak) {
+  const source = new EventSource("/api/stream");
+  for (const [kind, handler] of Object.entries(handlers)) {
+    source.addEventListener(kind, (event) => handler(JSON.parse(event.data)));
+  }
+  source.onerror = onBreak;
+  return source;
+}
