@@ -37,7 +37,7 @@ def listing() -> list[str]:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         if any(isinstance(node, ast.FunctionDef) and node.name == "run" for node in tree.body):
             about = (ast.get_docstring(tree) or "").splitlines() or [""]
-            lines.append(f"  {names.get(path.stem, path.stem).replace('_', '-'):<12} {about[0]}")
+            lines.append(f"  {names.get(path.stem, path.stem).replace('_', '-'):<14} {about[0]}")
     return lines
 
 

@@ -97,7 +97,7 @@ class Hub:
         )
         # The clock first: curves are drawn over the time since the mission's start.
         self._catch_up(EARTH_CLOCK, self._keep_clock)
-        for topic, keep in keepers:
+        for topic, keep in keepers[1:]:
             client.subscribe(topic, keep)
         with contextlib.suppress(He3Error):  # it has not begun: then all of it will be heard
             for status in self.mission.commands():
@@ -106,6 +106,7 @@ class Hub:
                 self._point("rmse_ppb", score.mission_time_ns, score.rmse_ppb)
             for revision in self.mission.history().revisions:
                 self._point("mean_std_ppb", revision.mission_time_ns, revision.mean_std_ppb)
+        client.subscribe(GROUND_STATUS, self._keep_status)
         self._catch_up(GROUND_STATUS, self._keep_status)
         self._catch_up(LINK_STATUS, self._keep_link)
         threading.Thread(target=self._look, name="web-look", daemon=True).start()
