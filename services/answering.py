@@ -30,7 +30,8 @@ READY = b"ready\n"
 START_WITHIN_S = 30.0
 """How long an answerer may take until it answers, on a machine with much else to do."""
 START_AGAIN_S = 1.0
-CLOSE_WITHIN_S = 1.0
+CLOSE_WITHIN_S = 0.3
+"""How long an answerer may take to end by itself; it has nothing to lose."""
 BEAT_S = 2.0
 """Between two frames that say where the feed stands."""
 FEED_WANTED_S = 600.0
@@ -73,7 +74,11 @@ class AnsweringProcess:
         with self._changed:
             self._closed = True
             self._changed.notify()
-        self._thread.join(2 * CLOSE_WITHIN_S)
+        self._thread.join(CLOSE_WITHIN_S)
+        process = self._process
+        if self._thread.is_alive() and process is not None:
+            process.kill()  # it is being started still, and does not read what it is given
+        self._thread.join(CLOSE_WITHIN_S)
 
     def _work(self) -> None:
         while not self._closed:
@@ -92,6 +97,7 @@ class AnsweringProcess:
         process = subprocess.Popen(
             self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, process_group=0
         )
+        self._process = process
         stdout = process.stdout
         assert stdout is not None
         threading.Thread(target=self._await_ready, args=(stdout,), name="answering-ready", daemon=True).start()

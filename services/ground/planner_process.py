@@ -51,8 +51,8 @@ T = TypeVar("T")
 MOST_WAITING = 1000
 MOST_BYTES = 1 << 30
 """Longest message [bytes]; a planning request of 500 x 500 cells has about 2 MB."""
-CLOSE_S = 5.0
-"""How long the owner waits for the server to end before it kills it [s]."""
+CLOSE_S = 0.5
+"""How long the owner waits for the server to end before it kills it, and its children with it [s]."""
 PRELOADED = ("scipy.optimize", "he3.gp", *sorted(set(PLANNERS.values())))
 """What the server imports before the first fork, so that no child spends its time on it."""
 
