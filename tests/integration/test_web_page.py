@@ -1,0 +1,266 @@
+"""The operator's page in a real browser, over a mission in separate processes."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.console.client import MissionClient
+from services.console.joining import join_when_up
+from services.console.launcher import Launcher, free_endpoints
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+RATE = 60.0
+LIGHT_TIME_S = 1.282
+WITHIN_S = 90.0
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MissionClient]:
+    endpoints = free_endpoints()
+    logs = tmp_path_factory.mktemp("logs")
+    quick = ("--set", "rover.drill_s_per_m=600.0", "--set", "rover.analysis_s=30.0", "--set", "rover.speed_m_s=2.0")
+    scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "t1-nominal.toml"
+    with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
+        join_when_up(endpoints.earth, "t1-nominal", launcher.check).close()
+        with MissionClient(endpoints.earth, "t1-nominal") as client:
+            yield client
+
+
+@pytest.fixture(scope="module")
+def address(mission: MissionClient) -> Iterator[str]:
+    with Served(mission, "--authority") as where:
+        yield where
+
+
+class Served:
+    """The page's server as a process; gives its address."""
+
+    def __init__(self, mission: MissionClient, *flags: str) -> None:
+        self._command = [
+            sys.executable, "-m", "services.console", "web", "--port", "0", *flags,
+            "--mission", mission.mission, "--earth", mission.earth,
+        ]  # fmt: skip
+
+    def __enter__(self) -> str:
+        self._process = subprocess.Popen(self._command, stderr=subprocess.PIPE, text=True)
+        assert self._process.stderr is not None
+        line = self._process.stderr.readline()
+        found = re.search(r"http://\S+", line)
+        assert found is not None, line
+        wait_for(lambda: get(found[0])[0] == 200, "the server to answer")
+        return found[0]
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(5)
+        self._process.kill()
+        self._process.wait()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
+
+
+def get(url: str, headers: dict[str, str] | None = None, document: object = None) -> tuple[int, bytes]:
+    body = None if document is None else json.dumps(document).encode()
+    request = urllib.request.Request(url, data=body, headers=headers or {})
+    try:
+        with urllib.request.urlopen(request, timeout=10) as response:
+            return response.status, response.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
+    except urllib.error.URLError:
+        return 0, b""
+
+
+def wait_for(seen: Callable[[], Any], what: str, within_s: float = WITHIN_S) -> Any:
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        found = seen()
+        if found:
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"waited {within_s:g} s for {what}")
+
+
+OUR_PAGE = {"content-type": "application/json", "x-he3-console": "1"}
+
+
+def test_only_requests_of_this_page_under_its_own_name_are_served(address: str) -> None:
+    own = address.rstrip("/")
+    ours = {**OUR_PAGE, "origin": own}
+    assert get(f"{own}/api/map/history", {"host": "evil.example"})[0] == 403
+    assert get(f"{own}/api/map/history", {"sec-fetch-site": "cross-site"})[0] == 403
+    acknowledged = {"id": "none"}
+    assert get(f"{own}/api/acknowledge", ours, acknowledged) == (200, b'{"acknowledged":false}')
+    assert get(f"{own}/api/acknowledge", {**ours, "origin": "http://evil.example"}, acknowledged)[0] == 403
+    assert get(f"{own}/api/acknowledge", OUR_PAGE, acknowledged)[0] == 403
+    assert get(f"{own}/api/acknowledge", {**ours, "content-type": "text/plain"}, acknowledged)[0] == 403
+
+
+def test_without_authority_nothing_is_commanded_and_the_reason_is_said(mission: MissionClient) -> None:
+    with Served(mission) as where:
+        own = where.rstrip("/")
+        before = len(mission.commands())
+        for path, document in (("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("interest", {})):
+            code, body = get(f"{own}/api/{path}", {**OUR_PAGE, "origin": own}, document)
+            assert (code, b"--authority" in body) == (400, True)
+        assert len(mission.commands()) == before
+
+
+def test_bad_questions_are_answered_with_one_line_that_says_why(address: str) -> None:
+    own = address.rstrip("/")
+    for query, why in (
+        ("map/point?x=900&y=1", "expected a place within"),
+        ("map/layer?layer=gold", "input should be"),
+        ("map/point?x=1;y=2&y=3", "without ';'"),
+    ):
+        code, body = get(f"{own}/api/{query}")
+        assert code == 400
+        assert why in json.loads(body)["error"]
+
+
+@pytest.fixture(scope="module")
+def browser(address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    if CHROMIUM is None or DRIVER is None:
+        pytest.skip("no browser: apt-get install chromium chromium-driver")
+    selenium = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
+    options = selenium.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}", "--window-size=1440,900"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = selenium.Chrome(options=options, service=selenium.ChromeService(DRIVER))
+    driver.get(address)
+    yield driver
+    driver.quit()
+
+
+def script(driver: Any, text: str, *arguments: Any) -> Any:
+    return driver.execute_script(text, *arguments)
+
+
+def shown(driver: Any) -> dict[str, Any]:
+    return json.loads(script(driver, "return document.getElementById('map').dataset.shown || '{}'"))
+
+
+def click(driver: Any, css: str) -> None:
+    driver.find_element("css selector", css).click()
+
+
+def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
+    browser: Any, address: str, mission: MissionClient
+) -> None:
+    # Samples come in, and every layer can be looked at.
+    wait_for(lambda: shown(browser).get("samples", 0) >= 2, "two samples on the page")
+    for layer in ("std", "information", "exceedance", "traversable", "mean"):
+        click(browser, f"input[value={layer}] + span")
+        wait_for(lambda layer=layer: shown(browser).get("layer") == layer, f"layer {layer}")
+
+    # A place that is clicked: the page says what a Zenoh query says.
+    script(
+        browser,
+        "const map = document.getElementById('map'), box = map.getBoundingClientRect();"
+        "map.dispatchEvent(new MouseEvent('click', "
+        "{clientX: box.left + box.width * 0.4, clientY: box.top + box.height * 0.5, bubbles: true}))",
+    )
+    text = wait_for(
+        lambda: script(browser, "return document.getElementById('place').dataset.point"), "the posterior at the place"
+    )
+    point = json.loads(text)
+    asked = mission.point(point["x_m"], point["y_m"], threshold=8.0, as_of=point["revision"])
+    # JavaScript's numbers hold times to a quarter of a microsecond; everything else is equal to the digit.
+    inexact = {"mission_time_ns"}
+    assert asked.model_dump(exclude=inexact) == {key: point[key] for key in point.keys() - inexact}
+    assert f"{point['mean_ppb']:.3f}" in script(browser, "return document.getElementById('place').textContent")
+
+    # A command goes up, and its stages come back with the light time in them.
+    click(browser, "button[data-command=pause]")
+
+    def stages() -> dict[str, int]:
+        found = script(browser, "return document.querySelector('#commands > li')?.dataset.stages || '[]'")
+        return {stage["stage"]: stage["at"] for stage in json.loads(found)}
+
+    wait_for(lambda: "completed" in stages(), "the pause to be completed")
+    passed = stages()
+    assert list(passed)[:3] == ["queued", "released", "radiated"]
+    on_the_way_s = (passed["received"] - passed["radiated"]) / 1e9
+    assert LIGHT_TIME_S - 1e-6 <= on_the_way_s < LIGHT_TIME_S + 0.5 * RATE
+    assert passed["accepted"] >= passed["received"]
+    assert passed["completed"] >= passed["started"]
+    wait_for(lambda: script(browser, "return document.getElementById('rover-mode').textContent") == "paused", "paused")
+
+    # An alarm stays until somebody has said that they saw it.
+    click(browser, "button[data-command=safe]")
+    alarm = ".alarm[data-kind=safe_mode]"
+    wait_for(lambda: browser.find_elements("css selector", f"{alarm} button"), "the alarm")
+    click(browser, f"{alarm} button")
+    wait_for(lambda: not browser.find_elements("css selector", f"{alarm} button"), "the acknowledgement")
+
+    # Back through time, and forth again.
+    wait_for(lambda: int(script(browser, "return document.getElementById('time').max")) >= 2, "a past to go to")
+    script(
+        browser,
+        "const time = document.getElementById('time'); time.value = 1; time.dispatchEvent(new Event('input'))",
+    )
+    first = mission.history().revisions[1]
+    wait_for(lambda: shown(browser).get("revision") == first.revision, "the map as it was")
+    assert shown(browser)["samples"] == first.samples
+    assert not script(browser, "return document.getElementById('past').hidden")
+    click(browser, "#live")
+    wait_for(lambda: shown(browser).get("revision", 0) > first.revision, "the map as it is")
+
+    # An area drawn with the keyboard: estimated, and sent as a keep-out.
+    browser.find_element("id", "map").send_keys("d")
+    script(
+        browser,
+        "const map = document.getElementById('map');"
+        "const press = (key) => map.dispatchEvent(new KeyboardEvent('keydown', {key, shiftKey: true, bubbles: true}));"
+        "for (const key of ['Enter', 'ArrowRight', 'Enter', 'ArrowUp', 'Enter']) press(key)",
+    )
+    click(browser, "#estimate")
+    wait_for(lambda: browser.find_elements("css selector", "#estimate-result td"), "the estimate")
+    click(browser, "#send-keepout")
+    wait_for(lambda: any(c.command.area_id == "area-1" for c in mission.commands()), "the keep-out at the ground")
+
+    assert [entry for entry in browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")] == []
+    requests = [
+        message["params"]["request"]["url"]
+        for entry in browser.get_log("performance")
+        if (message := json.loads(entry["message"])["message"])["method"] == "Network.requestWillBeSent"
+    ]
+    ours = [url for url in requests if url.startswith(address)]
+    # What the browser shows of itself (chrome:) and what the page made (data:, blob:) goes nowhere.
+    elsewhere = [url for url in requests if not url.startswith((address, "data:", "blob:", "chrome"))]
+    assert (bool(ours), elsewhere) == (True, [])
+
+
+def test_the_page_fits_a_phone_in_light_and_dark(browser: Any) -> None:
+    for scheme in ("light", "dark"):
+        browser.execute_cdp_cmd(
+            "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+        )
+        browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        )
+        assert script(browser, "return getComputedStyle(document.documentElement).colorScheme") == scheme
+        assert script(browser, "return document.documentElement.scrollWidth") <= 390
