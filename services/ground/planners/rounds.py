@@ -10,6 +10,9 @@ from he3.gp import GaussianProcess
 from he3.information import information_gain
 from services.ground.planning import PlannedRound, PlanningRequest
 
+PACE = 1.5
+"""A round may take so many times its even share of the metres that are left: the last rounds still have some then."""
+
 
 def arc_lengths(path_m: FloatArray) -> FloatArray:
     """Distance (K,) [m] along the polyline (K, 2) from its first vertex to each of its vertices."""

@@ -1,0 +1,165 @@
+"""Open ground: a leg is free when every cell it touches is traversable, held against exact rational geometry."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from he3.errors import InvalidInput, NoRoute, OutsideRegion
+from he3.frames import SiteGrid, path_length
+from services.ground.planners.routes import Routes, taut
+from services.ground.planners.traversability import TOUCH, OpenGround
+
+SIZE = 7
+BITS = 1 << np.arange(SIZE * SIZE, dtype=np.int64)
+masks = st.integers(0, 2 ** (SIZE * SIZE) - 1).map(lambda bits: ((bits & BITS) != 0).reshape(SIZE, SIZE))
+sparse_masks = st.sets(st.tuples(st.integers(0, SIZE - 1), st.integers(0, SIZE - 1)), max_size=4).map(
+    lambda closed: np.array([[(r, c) not in closed for c in range(SIZE)] for r in range(SIZE)])
+)
+coordinates = st.one_of(
+    st.floats(0, SIZE, allow_nan=False), st.integers(0, 2 * SIZE).map(lambda n: n / 2), st.floats(-0.5, SIZE + 0.5)
+)
+places = st.tuples(coordinates, coordinates)
+
+
+def meets(a, b, row, column, grown):
+    """Whether the leg from a to b meets the closed square of the cell, grown on all sides: exact (Liang and Barsky)."""
+    low, high = Fraction(0), Fraction(1)
+    for axis, cell in ((0, column), (1, row)):
+        begin, step = Fraction(a[axis]), Fraction(b[axis]) - Fraction(a[axis])
+        near, far = cell - Fraction(grown), cell + 1 + Fraction(grown)
+        if step == 0:
+            if not near <= begin <= far:
+                return False
+            continue
+        first, second = sorted(((near - begin) / step, (far - begin) / step))
+        low, high = max(low, first), min(high, second)
+    return low <= high
+
+
+@settings(max_examples=250, deadline=None)
+@given(st.one_of(masks, sparse_masks), places, places)
+@example(np.eye(SIZE, dtype=bool)[::-1] ^ True, (0.0, 0.0), (7.0, 7.0))
+@example(~np.eye(SIZE, dtype=bool), (0.5, 2.5), (2.5, 0.5))
+@example(np.ones((SIZE, SIZE), dtype=bool), (0.0, 0.0), (7.0, 7.0))
+def test_a_leg_is_free_exactly_when_every_cell_that_it_touches_is_traversable(mask, a, b):
+    ground = OpenGround(SiteGrid(SIZE, SIZE), mask)
+    answer = bool(ground.segments_free(np.array([a]), np.array([b]))[0])
+    inside = all(0 <= v <= SIZE for v in (*a, *b))
+    closed = [tuple(cell) for cell in np.argwhere(~mask).tolist()]
+    if not inside or any(meets(a, b, r, c, 0) for r, c in closed):
+        assert not answer
+    elif not any(meets(a, b, r, c, 3 * TOUCH) for r, c in closed):
+        assert answer
+
+
+@settings(max_examples=120, deadline=None)
+@given(st.one_of(masks, sparse_masks), places, places, st.sampled_from([0.5, 1.0, 3.0]))
+def test_one_leg_at_a_time_is_judged_as_many_are_and_alike_from_both_ends(mask, a, b, resolution):
+    ground = OpenGround(SiteGrid(SIZE, SIZE, resolution), mask)
+    a, b = np.array(a) * resolution, np.array(b) * resolution
+    check = ground.segment_check()
+    many = ground.segments_free(np.array([a, b]), np.array([b, a]))
+    assert check(*a, *b) == check(*b, *a) == many[0] == many[1]
+
+
+def test_a_leg_does_not_slip_between_two_closed_cells_that_meet_at_a_corner():
+    mask = np.ones((4, 4), dtype=bool)
+    mask[1, 2] = mask[2, 1] = False
+    ground = OpenGround(SiteGrid(4, 4), mask)
+    assert not ground.segments_free(np.array([[1.5, 1.5]]), np.array([[2.5, 2.5]]))[0]
+
+
+def test_long_legs_over_a_large_field_agree_with_dense_sampling():
+    rng = np.random.default_rng(3)
+    mask = rng.random((200, 300)) > 0.002
+    grid = SiteGrid(200, 300)
+    ground = OpenGround(grid, mask)
+    a = rng.uniform(0, 1, (500, 2)) * (300, 200)
+    b = rng.uniform(0, 1, (500, 2)) * (300, 200)
+    free = ground.segments_free(a, b)
+    along = np.linspace(0, 1, 20001)[:, None]
+    for i in range(len(a)):
+        rows, columns = grid.cells_of(a[i] + along * (b[i] - a[i]))
+        hits = not mask[rows, columns].all()
+        assert not (hits and free[i])
+        if not hits and not free[i]:  # it only grazed a cell between two of the sampled places
+            near = np.array([mask[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2].all() for r, c in zip(rows, columns)])  # noqa: B905
+            assert not near.all()
+    assert 50 < free.sum() < 450
+
+
+def test_a_rover_in_a_closed_cell_is_told_that_it_cannot_move():
+    mask = np.ones((10, 10), dtype=bool)
+    mask[4, 4] = False
+    ground = OpenGround(SiteGrid(10, 10), mask)
+    with pytest.raises(NoRoute, match=r"may not cross: \(4.5, 4.5\)"):
+        ground.footing((4.5, 4.5))
+    with pytest.raises(OutsideRegion):
+        ground.footing((10.5, 4.5))
+
+
+def test_a_rover_on_the_edge_of_a_closed_cell_first_drives_to_the_centre_of_its_own():
+    mask = np.ones((10, 10), dtype=bool)
+    mask[4, 4] = False
+    ground = OpenGround(SiteGrid(10, 10), mask)
+    assert ground.footing((5.0, 4.2)) == (5.5, 4.5)
+    assert ground.footing((6.0, 6.0)) == (6.0, 6.0)
+
+
+def test_a_mask_of_another_shape_is_refused():
+    with pytest.raises(InvalidInput, match=r"\(4, 5\), got \(5, 4\)"):
+        OpenGround(SiteGrid(4, 5), np.ones((5, 4), dtype=bool))
+
+
+@settings(max_examples=60, deadline=None)
+@given(masks, st.integers(0, SIZE * SIZE - 1), st.integers(0, SIZE * SIZE - 1))
+def test_a_route_is_found_exactly_when_open_cells_connect_the_places(mask, i, j):
+    begin, end = (divmod(k, SIZE) for k in (i, j))
+    mask[begin] = True
+    ground = OpenGround(SiteGrid(SIZE, SIZE), mask)
+    a, b = (begin[1] + 0.5, begin[0] + 0.5), (end[1] + 0.5, end[0] + 0.5)
+    if ground.connected_to(a)[end]:
+        route = Routes(ground).route(a, b)
+        assert ground.path_free(route)
+        assert route[0].tolist() == list(a)
+        assert route[-1].tolist() == list(b)
+        assert path_length(route) <= Routes(ground).distances_from(a)[end] + 1e-9
+    else:
+        with pytest.raises(NoRoute):
+            Routes(ground).route(a, b)
+
+
+def test_a_taut_route_round_a_wall_is_nearly_as_short_as_geometry_allows():
+    mask = np.ones((100, 100), dtype=bool)
+    mask[:80, 50] = False
+    ground = OpenGround(SiteGrid(100, 100), mask)
+    route = Routes(ground).route((10.5, 20.5), (90.5, 20.5))
+    shortest = np.hypot(39.5, 59.5) + 1.0 + np.hypot(39.5, 59.5)
+    assert ground.path_free(route)
+    assert shortest <= path_length(route) < 1.02 * shortest
+
+
+def test_drawing_a_route_taut_never_makes_it_longer():
+    rng = np.random.default_rng(0)
+    ground = OpenGround(SiteGrid(60, 60), rng.random((60, 60)) > 0.1)
+    cells = np.argwhere(ground.connected_to((30.5, 30.5)) if ground.open[30, 30] else ground.open)
+    routes = Routes(ground)
+    for _ in range(20):
+        a, b = (tuple((cells[k][::-1] + 0.5).tolist()) for k in rng.integers(0, len(cells), 2))
+        if np.isfinite(routes.distances_from(a)[int(b[1]), int(b[0])]):
+            way = routes.route(a, b)
+            assert path_length(taut(ground, way)) <= path_length(way) + 1e-9
+
+
+def test_distances_between_places_are_symmetric_and_those_of_the_field():
+    mask = np.ones((40, 40), dtype=bool)
+    mask[10:, 20] = False
+    routes = Routes(OpenGround(SiteGrid(40, 40, 2.0), mask))
+    places_m = np.array([[9.0, 61.0], [71.0, 61.0], [9.0, 9.0]])
+    between = routes.between(places_m)
+    np.testing.assert_allclose(between, between.T)
+    assert between[0, 1] == pytest.approx(routes.distances_from((9.0, 61.0))[30, 35])
+    assert between[0, 1] > np.hypot(31, 41) + np.hypot(31, 41)
