@@ -7,42 +7,49 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import typer
-
-from he3.errors import He3Error, InvalidInput
-from services.console.app import build
-from services.console.interruption import Terminated, ending_on_signals
+# Everything else is imported within the net below, so that a Ctrl-C during the start is one line too.
 
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 TRACEBACK = "HE3_TRACEBACK"
 """Environment variable that asks for the traceback of an error that should not have happened."""
 
-# typer carries its own copy of click and exports only the leaves of its exception tree.
-_UsageError: Any = typer.BadParameter.__bases__[0]
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    with ending_on_signals():
-        return _run(words)
+    try:
+        from services.console.interruption import Terminated, ending_on_signals
+
+        with ending_on_signals():
+            try:
+                return _run(words)
+            except Terminated:
+                return _say("terminated", TERMINATED)
+    except KeyboardInterrupt:
+        return _say("interrupted", INTERRUPTED)
 
 
 def _run(words: list[str]) -> int:
+    import typer
+
+    from he3.errors import He3Error, InvalidInput
+    from services.console.app import build
+
+    # typer carries its own copy of click and exports only the leaves of its exception tree.
+    usage_error: Any = typer.BadParameter.__bases__[0]
     try:
         result = build()(words, prog_name="he3", standalone_mode=False)
-    except _UsageError as error:
+    except usage_error as error:
         return _usage(error)
     except InvalidInput as error:
         return _say(str(error), BAD_INPUT)
     except He3Error as error:
         return _say(str(error), FAILED)
-    except (KeyboardInterrupt, typer.Abort):
+    except typer.Abort:
         return _say("interrupted", INTERRUPTED)
-    except Terminated:
-        return _say("terminated", TERMINATED)
     except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123 - so that the interpreter's last flush has a place to go
+        # So that the interpreter's last flush has a place to go.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except Exception as error:
         if os.environ.get(TRACEBACK):
