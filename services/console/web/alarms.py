@@ -18,6 +18,9 @@ LOW_ENERGY_SHARE = 0.25
 STALE_STATES = 3.0
 """Reports of its state that may be missed, beyond the light time, before what we see of the rover is called stale."""
 
+COMPUTERS_TAKE_S = 1.0
+"""Wall time [s] that a message may spend in queues of busy computers."""
+
 
 class AlarmKind(StrEnum):
     STALE = "stale"
@@ -38,6 +41,8 @@ class Alarm:
     text: str
     active: bool = True
     acknowledged: bool = False
+    times: int = 1
+    """How often it was raised since somebody last acknowledged it."""
 
     def document(self) -> dict[str, object]:
         """As the page reads it."""
@@ -48,11 +53,12 @@ class Alarm:
             "text": self.text,
             "active": self.active,
             "acknowledged": self.acknowledged,
+            "times": self.times,
         }
 
 
 class Alarms:
-    """All alarms that are active or not acknowledged. A condition that comes back raises another alarm."""
+    """All alarms that are active or not acknowledged, one of a kind at most."""
 
     def __init__(self, state_period_s: float = 60.0) -> None:
         self._state_period_s = state_period_s
@@ -64,9 +70,13 @@ class Alarms:
         """Oldest first."""
         return tuple(self._alarms.values())
 
-    def look(self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime) -> bool:
-        """Compare conditions with what is known; whether an alarm has changed."""
-        changes = [self._set(kind, text, now) for kind, text in self._conditions(status, link, now).items()]
+    def look(self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float = 1.0) -> bool:
+        """Compare conditions with what is known; whether an alarm has changed.
+
+        rate: mission seconds a wall second; what comes may be late by what computers take, and at a fast pace that
+        is much mission time.
+        """
+        changes = [self._set(kind, text, now) for kind, text in self._conditions(status, link, now, rate).items()]
         return any(changes)
 
     def happened(self, event: RoverEvent) -> bool:
@@ -94,14 +104,15 @@ class Alarms:
         return True
 
     def _conditions(
-        self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime
+        self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float
     ) -> dict[AlarmKind, str | None]:
         found: dict[AlarmKind, str | None] = {}
         over = status is not None and status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED)
         if status is not None and status.rover is not None and status.rover_made_at is not None:
             rover, age_s = status.rover, (now - status.rover_made_at) / SECOND
             light_s = 0.0 if link is None else link.conditions.down.one_way_light_time_s
-            stale = age_s > STALE_STATES * self._state_period_s + light_s and not over
+            patience_s = STALE_STATES * self._state_period_s + light_s + COMPUTERS_TAKE_S * rate
+            stale = age_s > patience_s and not over
             found[AlarmKind.STALE] = f"nothing new of the rover for {age_s:.0f} s" if stale else None
             share = rover.energy_wh / rover.capacity_wh
             low = f"the rover's battery is at {share:.0%}" if share < LOW_ENERGY_SHARE else None
@@ -124,6 +135,10 @@ class Alarms:
             return active is not None
         if active is not None:
             return False
+        before = next((alarm for alarm in self._alarms.values() if alarm.kind is kind), None)
+        if before is not None:  # it is over and nobody has seen it yet
+            self._keep(replace(before, raised_at=at, text=text, active=True, times=before.times + 1))
+            return True
         self._counter += 1
         self._keep(Alarm(f"{kind.value}-{self._counter}", kind, at, text))
         return True

@@ -237,7 +237,8 @@ class Hub:
                 for name in [name for name in self._pending if wall - self._told[name] >= LATEST_EVERY_S]:
                     self._told[name] = wall
                     self._send(self._pending.pop(name))
-                if self._alarms.look(self._status, self._link, self.now()):
+                rate = 1.0 if self._clock is None else self._clock.rate
+                if self._alarms.look(self._status, self._link, self.now(), rate):
                     self._tell("alarms", documents(self._alarms.current))
                 if wall - self._told.get("beat", 0.0) >= 2.0:
                     self._told["beat"] = wall

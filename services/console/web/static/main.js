@@ -382,7 +382,7 @@ function showCommands() {
 function showAlarms() {
   $("alarms").replaceChildren(...state.alarms.map((alarm) => {
     const parts = [element("span", { class: "kind" }, words(alarm.kind)), element("span", { class: "text" }, alarm.text),
-      element("span", { class: "dim num" }, `${utc(alarm.raised_at).slice(11)}${alarm.active ? "" : ", over"}`)];
+      element("span", { class: "dim num" }, `${utc(alarm.raised_at).slice(11)}${alarm.times > 1 ? `, ${alarm.times} times` : ""}${alarm.active ? "" : ", over"}`)];
     if (!alarm.acknowledged) {
       const button = element("button", { type: "button" }, "Acknowledge");
       button.addEventListener("click", () => attempt(() => send("acknowledge", { id: alarm.id })));
