@@ -41,6 +41,17 @@ def join_when_up(endpoint: str, mission: str, check: Callable[[], None]) -> Clie
         time.sleep(0.05)
 
 
+def wait_for_ground(client: Client, check: Callable[[], None]) -> None:
+    """Return when the ground station answers; `check` raises when it never will."""
+    while True:
+        check()
+        try:
+            client.latest(GROUND_STATUS, timeout_s=1.0)
+            return
+        except PeerUnreachable:
+            time.sleep(0.05)
+
+
 class Watcher:
     """What a running mission says of itself, kept up to date by the session's threads."""
 

@@ -76,6 +76,7 @@ def services_of(
     *,
     lockstep: bool = False,
     events: Path | None = None,
+    journal: Path | None = None,
     log_to_terminal: bool = False,
 ) -> Iterator[tuple[Launcher, Endpoints]]:
     """All services of the scenario, running and announced on this machine; all gone afterwards.
@@ -93,7 +94,7 @@ def services_of(
             for old in logs.glob("*.log"):
                 old.unlink()
         flags = (*chosen.flags, *(("--lockstep",) if lockstep else ()))
-        service_flags = _service_flags(lockstep, events)
+        service_flags = _service_flags(lockstep, events, journal)
         launcher = stack.enter_context(
             Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs, service_flags=service_flags)
         )
@@ -104,14 +105,17 @@ def services_of(
         yield launcher, endpoints
 
 
-def _service_flags(lockstep: bool, events: Path | None) -> dict[str, Sequence[str]]:
-    """What only some services are told: in lockstep, who ends the mission; who writes which part of the event log."""
+def _service_flags(lockstep: bool, events: Path | None, journal: Path | None) -> dict[str, Sequence[str]]:
+    """What only some services are told: who ends the mission in lockstep, who writes what of events and journals."""
     flags: dict[str, list[str]] = {name: [] for name in ACTING}
     if lockstep:
         flags["link"] += ["--stop-when", "ground"]
     if events is not None:
         for name in ACTING:
             flags[name] += ["--events", str(events / f"{name}.log")]
+    if journal is not None:
+        for name in ACTING:
+            flags[name] += ["--journal", str(journal)]
     return dict(flags)
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
 from services.console.commands.options import Lockstep, OutFolder, Planner, Quiet, Rate, ScenarioRef, Seed, Settings
@@ -10,9 +13,14 @@ EXAMPLES = """\b
 Examples:
   he3 up t1-nominal                   at the pace of life, where t1-nominal says
   he3 up t1-nominal --rate 100 &      then: he3 status; he3 map at 120 340
+  he3 up t1-nominal --journal j/      stopped and started again, it goes on
 """
 
 LOOK_EVERY_S = 0.2
+
+JournalFolder = Annotated[
+    Path | None, typer.Option("--journal", metavar="DIR", help="Keep journals there, and go on from them.")
+]
 
 
 def up(
@@ -23,12 +31,13 @@ def up(
     planner: Planner = None,
     settings: Settings = None,
     out: OutFolder = None,
+    journal: JournalFolder = None,
     quiet: Quiet = False,
 ) -> None:
     """Start the services and stay up; Ctrl-C stops all. Without --out nothing is recorded."""
     import time
 
-    from services.console.joining import join_when_up
+    from services.console.joining import join_when_up, wait_for_ground
     from services.console.launcher import Endpoints
     from services.console.outputs import outputs
     from services.console.scenarios import choose
@@ -40,8 +49,10 @@ def up(
     where = outputs(out, None)
     load_region(mission.region, mission.field.field_seed)
     endpoints = Endpoints(mission.network.moon, mission.network.earth)
-    with services_of(chosen, where, endpoints, lockstep=lockstep, log_to_terminal=not quiet) as (launcher, _):
-        join_when_up(endpoints.earth, mission.name, launcher.check).close()
+    services = services_of(chosen, where, endpoints, lockstep=lockstep, journal=journal, log_to_terminal=not quiet)
+    with services as (launcher, _):
+        with join_when_up(endpoints.earth, mission.name, launcher.check) as client:
+            wait_for_ground(client, launcher.check)
         typer.echo(
             f"mission '{mission.name}' is up: Earth at {endpoints.earth}, Moon at {endpoints.moon}; Ctrl-C stops it",
             err=True,
