@@ -296,10 +296,9 @@ class Director:
         record.ended = record.ended_early = True
         record.ended_at = event.at
         self.detail = f"round {record.number} ended early: {event.detail or event.kind.value}"[:400]
-        if self.ledger.chain and self.ledger.chain[-1].number >= record.number:
-            self._drop([r for r in self.ledger.chain if r.number > record.number and not r.begun])
-            if self.ledger.chain[-1] is record:
-                self._origin = (event.x_m, event.y_m)
+        if not self.ledger.goes_on_after(record):
+            self._drop(self.ledger.not_begun)
+            self._origin = (event.x_m, event.y_m)
         return [Note(Level.WARNING, self.detail, {"round": record.number, "x_m": event.x_m, "y_m": event.y_m})]
 
     def _close_off(self, event: RoverEvent) -> None:
@@ -374,9 +373,10 @@ class Director:
 
     def _next_fit(self) -> list[Effect]:
         while self.fitted < len(self.ledger.chain) and self.ledger.chain[self.fitted].closed:
-            number = self.fitted + 1
-            arrived = [p for p in self.ledger.chain[self.fitted].plan.samples if p.sample_id in self.belief]
-            request = self.belief.fit_request(number, (self.scenario.seed, _FIT, number)) if arrived else None
+            number, record = self.fitted + 1, self.ledger.chain[self.fitted]
+            request = None
+            if record.arrived:
+                request = self.belief.fit_request(record.number, (self.scenario.seed, _FIT, number))
             if request is not None:
                 self.fitting = f"fit:{number}"
                 return [Compute(self.fitting, fit, (request,))]

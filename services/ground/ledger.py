@@ -187,6 +187,12 @@ class Ledger:
         """The version of the round that the sample belongs to, and its index in it; None for one never asked for."""
         return self._of_sample.get(sample_id)
 
+    def goes_on_after(self, record: RoundRecord) -> bool:
+        """Whether the rover is known to have begun something after that round, or never to have got to it."""
+        if record not in self.chain:
+            return True
+        return any(later.begun for later in self.chain[self.chain.index(record) + 1 :])
+
     def version(self, number: int, revision: int) -> RoundRecord | None:
         """The version of that round which a rover with that plan revision on board executes."""
         known = [record for record in self._versions if record.number == number and record.introduced <= revision]
@@ -198,17 +204,23 @@ class Ledger:
         self.chain = [record for record in self.chain if id(record) not in dropped]
 
     def begin(self, record: RoundRecord) -> bool:
-        """The rover has begun that round. True if that version had been replaced: the chain then ends with it."""
+        """The rover has begun that round. True if that version had been replaced: the chain then ends with it.
+
+        Of two versions that were both begun the rover gave up the older one.
+        """
         record.begun = True
-        position = next((i for i, other in enumerate(self.chain) if other.number >= record.number), len(self.chain))
-        if position < len(self.chain) and self.chain[position] is record:
-            for earlier in self.chain[:position]:
+        if record in self.chain:
+            for earlier in self.chain[: self.chain.index(record)]:
                 earlier.begun = True
             return False
-        if any(later.begun for later in self.chain[position:]):
-            return False  # it belongs to a past that was told differently; only its samples matter
-        self._versions = [
-            other for other in self._versions if other.number < record.number or other.introduced <= record.introduced
-        ]
-        self.chain = [*self.chain[:position], record]
+        order = (record.number, record.introduced)
+        before = [other for other in self.chain if (other.number, other.introduced) < order]
+        if any(later.begun for later in self.chain[len(before) :]):
+            return False  # what came of it is told by its samples; the rover is past it
+        if before and before[-1].number == record.number:
+            if before[-1].begun:
+                before[-1].ended = before[-1].ended_early = True
+            else:
+                before.pop()
+        self.chain = [*before, record]
         return True
