@@ -5,6 +5,11 @@ cells (each 1/N), K the prior covariance, X the samples and L the Cholesky facto
 
     mean = w' m,      variance = w' K w - |L^-1 K(X, cells) w|^2             (Rasmussen & Williams 2006, eq. 2.26)
 
+and, as the constant that the field varies about is itself estimated from the samples (unless a trend has it), its own
+uncertainty under a vague prior, propagated to the average (eq. 2.42 with H = 1):
+
+    + (1 - 1' K_X^-1 K(X, cells) w)^2 / (1' K_X^-1 1)
+
 The first term needs no pairs of cells: a stationary covariance depends on the offset alone, and how often each offset
 occurs within the area is the autocorrelation of its mask (by FFT). The second is integrated over blocks of cells, each
 taken at the centre of its cells; the error of that is stated by doing it again with blocks twice as wide.
@@ -116,9 +121,13 @@ def _prior_variance(process: GaussianProcess, grid: SiteGrid, area: BoolArray) -
 
 
 def _explained(process: GaussianProcess, places: FloatArray, weights: FloatArray) -> float:
-    """|L^-1 K(X, places) w|^2: how much of the variance the samples take away, in standardised units."""
+    """How much of the variance the samples take away, less what not knowing the constant adds; standardised units."""
     if len(process) == 0:
         return 0.0
     with_samples = process.hyperparameters.covariance(process.places_m, places) @ weights
     whitened = solve_triangular(process.factor, with_samples, lower=True, check_finite=False)
-    return float(whitened @ whitened)
+    explained = float(whitened @ whitened)
+    if process.hyperparameters.trend is None:
+        ones = solve_triangular(process.factor, np.ones(len(process)), lower=True, check_finite=False)
+        explained -= float((1.0 - ones @ whitened) ** 2 / (ones @ ones))
+    return explained
