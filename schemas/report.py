@@ -52,11 +52,12 @@ class MissionReport(Wire):
     completed: bool
     rounds: Count
     samples: Count
-    rmse_ppb: float
+    rmse_ppb: float | None
+    """Of the final map, over all cells; None, as the coverages are, where nobody knows the truth."""
     rmse_history: tuple[MapScore, ...]
     """One entry a round."""
-    coverage_68: float
-    coverage_95: float
+    coverage_68: float | None
+    coverage_95: float | None
     path_length_m: float
     drilled_m: float
     mission_time_s: float

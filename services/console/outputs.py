@@ -124,8 +124,9 @@ def _write_pictures(outcome: Outcome, region: Region, folder: Path) -> None:
 
 def caption(report: MissionReport) -> str:
     """One line under a picture: what it shows, of which mission, on which data."""
+    error = "" if report.rmse_ppb is None else f"RMSE {report.rmse_ppb:.4f} ppb, "
     return (
-        f"{report.scenario}, seed {report.seed}, kernel {report.kernel}: RMSE {report.rmse_ppb:.4f} ppb, "
+        f"{report.scenario}, seed {report.seed}, kernel {report.kernel}: {error}"
         f"{report.path_length_m:,.0f} m driven, one-way light time {report.one_way_light_time_s:g} s. "
         f"{report.region_note}"
     )

@@ -20,9 +20,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
                     f"seed {report.seed}, {report.driver}"),
         ("ended", "completed" if report.completed else "NOT COMPLETED"),
         ("samples", f"{report.samples} in {report.rounds} rounds"),
-        ("RMSE", f"{report.rmse_ppb:.4f} ppb over all cells"),
-        ("coverage", f"{report.coverage_68:.1%} within 1 std (nominal 68.3 %), "
-                     f"{report.coverage_95:.1%} within 2 std (nominal 95.4 %)"),
+        *_accuracy(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
         ("mission time", f"{duration(report.mission_time_s)} ({report.mission_time_s:,.0f} s), "
                          f"one-way light time {report.one_way_light_time_s:g} s"),
@@ -33,3 +31,11 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
     ]  # fmt: skip
     rows += [("written" if index == 0 else "", str(path)) for index, path in enumerate(files)]
     return [f"{name:<13} {value}" for name, value in rows]
+
+
+def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
+    if report.rmse_ppb is None or report.coverage_68 is None or report.coverage_95 is None:
+        return [("RMSE", "not known: nobody has compared the map with the truth")]
+    one, two = f"{report.coverage_68:.1%} within 1 std", f"{report.coverage_95:.1%} within 2 std"
+    within = f"{one} (nominal 68.3 %), {two} (nominal 95.4 %)"
+    return [("RMSE", f"{report.rmse_ppb:.4f} ppb over all cells"), ("coverage", within)]

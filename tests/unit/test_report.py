@@ -13,6 +13,7 @@ from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, L
 from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MissionReport
 from schemas.telemetry import SampleReport
+from services.console.outputs import caption
 from services.console.reporting import Run, array_of, build_report
 from services.console.summary import summary_lines
 from services.scenario import Scenario
@@ -55,7 +56,7 @@ def link() -> LinkStatus:
     )
 
 
-def report(phase: MissionPhase = MissionPhase.COMPLETED) -> MissionReport:
+def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True) -> MissionReport:
     track = MissionTrack(
         samples=(sample(1), sample(2)),
         driven_path_m=((25.0, 25.0), (10.0, 5.0), (20.0, 5.0)),
@@ -63,7 +64,7 @@ def report(phase: MissionPhase = MissionPhase.COMPLETED) -> MissionReport:
         score_history=(score(2),),
     )
     run = Run("in-process", None, "made up", 123.5, 0.25)
-    return build_report(SCENARIO, run, status(phase), track, link(), score(2))
+    return build_report(SCENARIO, run, status(phase), track, link(), score(2) if scored else None)
 
 
 def test_the_report_says_what_the_mission_did() -> None:
@@ -87,6 +88,13 @@ def test_a_mission_that_failed_is_not_reported_as_completed() -> None:
     made = report(MissionPhase.FAILED)
     assert not made.completed
     assert any("NOT COMPLETED" in line for line in summary_lines(made))
+
+
+def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None:
+    made = report(scored=False)
+    assert (made.rmse_ppb, made.coverage_68, made.coverage_95) == (None, None, None)
+    assert any("not known" in line for line in summary_lines(made))
+    assert "RMSE" not in caption(made)
 
 
 def test_the_report_is_one_json_document_that_reads_back_equal() -> None:
