@@ -21,7 +21,12 @@ from he3.errors import InvalidInput
 CHECKOUT: Final = Path(__file__).resolve().parent.parent.parent
 FOLDER: Final = "benchmarks"
 
-MODULES: Final = {"link": "link_timing", "map": "map_speed", "planners": "planner_speed"}
+MODULES: Final = {
+    "link": "link_timing",
+    "map": "map_speed",
+    "operator": "operator_load",
+    "planners": "planner_speed",
+}
 """Benchmarks whose module has another name."""
 
 _PLAIN: Final = (int, float, Path, str)
