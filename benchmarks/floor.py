@@ -76,13 +76,14 @@ def floor(
     budget_m: float = inf,
     designs: int = DESIGNS,
     steps: int = STEPS,
+    cells: int = CELLS,
     noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Floor:
     """The floor of a region for so many samples, within a budget of metres if there is one."""
     begun = time.perf_counter()
-    truth = true_covariance(region, noise_std_ppb, seed)
+    truth = true_covariance(region, noise_std_ppb, seed, cells)
     traversable = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable
     site = site_about(region.grid, traversable, START_M, field_nodes(region.grid, None))
     none = np.zeros((0, 2))
@@ -117,12 +118,14 @@ def floor(
     )
 
 
-def true_covariance(region: Region, noise_std_ppb: float = DEFAULT_NOISE_STD_PPB, seed: int = 0) -> Hyperparameters:
+def true_covariance(
+    region: Region, noise_std_ppb: float = DEFAULT_NOISE_STD_PPB, seed: int = 0, cells: int = CELLS
+) -> Hyperparameters:
     """The covariance that makes the reference field likeliest, as a belief that measures with the given noise."""
     rng = np.random.default_rng(seed)
-    cells = rng.choice(region.he3_ppb.size, min(CELLS, region.he3_ppb.size), replace=False)
-    values = region.he3_ppb.ravel()[cells]
-    fitted = fit_hyperparameters(region.grid.points()[cells], values, KERNEL, rng=rng, noise_std_ppb=FIT_NOISE_PPB)
+    seen = rng.choice(region.he3_ppb.size, min(cells, region.he3_ppb.size), replace=False)
+    values = region.he3_ppb.ravel()[seen]
+    fitted = fit_hyperparameters(region.grid.points()[seen], values, KERNEL, rng=rng, noise_std_ppb=FIT_NOISE_PPB)
     return replace(fitted, noise_std_ppb=noise_std_ppb)
 
 
@@ -138,11 +141,19 @@ def main() -> None:
     parser.add_argument("--region", action="append", help="t1, t2 or an .npz file; may be repeated")
     parser.add_argument("--budget", type=float, default=inf, help="metres; without it, as many as the design takes")
     parser.add_argument("--designs", type=int, default=DESIGNS)
+    parser.add_argument("--steps", type=int, default=STEPS, help="of each design's descent")
+    parser.add_argument("--cells", type=int, default=CELLS, help="of the reference that the covariance is fitted to")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     floors = []
     for name in arguments.region or ["t1", "t2"]:
-        result = floor(load_region(name), budget_m=arguments.budget, designs=arguments.designs)
+        result = floor(
+            load_region(name),
+            budget_m=arguments.budget,
+            designs=arguments.designs,
+            steps=arguments.steps,
+            cells=arguments.cells,
+        )
         floors.append(asdict(result))
         print(
             f"{result.region}: floor {result.rmse_ppb:.4f} ppb (expected {result.expected_rmse_ppb:.4f}) with "

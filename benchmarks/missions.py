@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.errors import NoRoute
+from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.measurement import sample_noise
@@ -94,6 +94,8 @@ def run_mission(
     progress is called with the number of samples taken and of all. Raises InvalidInput for names that nobody has.
     """
     begun = time.perf_counter()
+    if prior not in (None, "orbital"):
+        raise InvalidInput(f"expected a prior of None or 'orbital', got {prior!r}")
     function = planner_named(planner) if isinstance(planner, str) else planner
     terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
     orbital = region.orbital_ppb if orbital_ppb is None else orbital_ppb

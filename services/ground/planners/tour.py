@@ -23,17 +23,17 @@ from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.kernels import Kernel, kernel_from
 from services.ground.planners.rounds import cut, planned
-from services.ground.planners.tour_design import drawn_taut, first_design, worth
+from services.ground.planners.tour_design import drawn_taut, first_design, tour_of, worth
 from services.ground.planners.tour_route import route_through
 from services.ground.planners.tour_site import Site, site_about
 from services.ground.planning import PlannedRound, PlanningRequest, checked
 
 THRIFT = 0.03
 """Per cent of variance that one per cent of the tour has to be worth, whatever the budget."""
-LEG_CONSTANT = 1.0
-"""Metres a sample that a mission without a budget may drive, in units of sqrt(reachable area / samples): the spacing of
-a square lattice, and as much as an ideal tour through one takes. The shortest tour through places at random takes 0.7124
-(Beardwood, Halton & Hammersley 1959); what a design can save towards that pays for the ways round obstacles."""
+LEG_CONSTANT = 0.95
+"""Metres a sample that a mission without a budget may drive, as the crow flies, in units of sqrt(reachable area /
+samples), the spacing of a square lattice. The shortest tour through places at random takes 0.7124 (Beardwood, Halton &
+Hammersley 1959), one through a lattice 1; near it, the variance hardly depends on the metres."""
 DESIGNS = 4
 """Designs from which a plan without an outlook takes the best."""
 FIRST_STEPS = 40
@@ -42,6 +42,8 @@ STEPS = 10
 STEP_ON_M = 1.5
 """Root mean square step [m] with which the places of an outlook begin to move on."""
 KICKS = 20
+ROUNDING = 1e-9
+"""Share of the budget that is left alone, so that sums of legs in another order do not exceed it."""
 SETTINGS = ("thrift", "designs", "first_steps", "steps", "kicks")
 SHORTEST_IN_SPACINGS = 0.5
 LONGEST_IN_SPACINGS = 6.0
@@ -61,34 +63,39 @@ def tour(request: PlanningRequest) -> PlannedRound:
     budget_m = request.budget_m - path_length(np.array([request.start_m, site.start_m]))
     if not budget_m > 0:
         raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m are left for {request.samples_left} samples")
-    leg_m = LEG_CONSTANT * sqrt(site.area_m2 / (request.samples_left + len(request.observed_m)))
-    if not isfinite(budget_m):
-        budget_m = leg_m * request.samples_left
-    places = site.settle_in_cells(_design(request, site, budget_m, leg_m, extra))
-    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed).within(budget_m)
+    places = site.settle_in_cells(_design(request, site, budget_m, extra))
+    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed).within(
+        budget_m * (1.0 - ROUNDING)
+    )
     now, later = route.places_m[: request.samples], route.places_m[request.samples :]
     path = cut(route.path_m, float(route.at_m[request.samples - 1]))
     path[-1] = now[-1]
     return replace(planned(request, path, now), outlook_m=later)
 
 
-def _design(request: PlanningRequest, site: Site, budget_m: float, leg_m: float, extra: dict[str, float]) -> FloatArray:
+def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[str, float]) -> FloatArray:
     """Places (samples_left, 2) [m] in the order of their tour: the outlook's, moved on, or the best of a few."""
     left, samples = request.samples_left, request.samples_left + len(request.observed_m)
     variance = _average_variance(request, site)
+    leg_m = LEG_CONSTANT * sqrt(site.area_m2 / samples)
     thrift = float(extra.get("thrift", THRIFT)) / (samples * leg_m)
     if request.outlook_m is not None and len(request.outlook_m) == left:
         places = site.settle(request.outlook_m)
+        metres = budget_m if isfinite(budget_m) else tour_of(site, places)[0]
         price = thrift * variance(places)
-        return drawn_taut(site, variance, places, price, budget_m, int(extra.get("steps", STEPS)), STEP_ON_M)
+        return drawn_taut(site, variance, places, price, metres, int(extra.get("steps", STEPS)), STEP_ON_M)
     rng = np.random.default_rng(request.seed)
     best, least = np.zeros((0, 2)), inf
     for _ in range(max(1, int(extra.get("designs", DESIGNS)))):
         first_node = int(rng.integers(len(site.nodes.weights)))
         places = first_design(site, request.observed_m, left, budget_m, first_node)
+        metres = budget_m
+        if not isfinite(metres):
+            round_obstacles, as_the_crow_flies = tour_of(site, places)
+            metres = left * leg_m * round_obstacles / max(as_the_crow_flies, leg_m)
         price = thrift * variance(places)
-        places = drawn_taut(site, variance, places, price, budget_m, int(extra.get("first_steps", FIRST_STEPS)))
-        cost = worth(site, variance, places, price, budget_m)
+        places = drawn_taut(site, variance, places, price, metres, int(extra.get("first_steps", FIRST_STEPS)))
+        cost = worth(site, variance, places, price, metres)
         if cost < least:
             best, least = places, cost
     return best

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from he3.design_of_samples import AverageVariance
-from he3.frames import FloatArray
+from he3.frames import FloatArray, path_length
 from he3.touring import short_tour
 from services.ground.planners.tour_site import Site
 
@@ -53,21 +53,23 @@ def first_design(site: Site, taken_m: FloatArray, samples: int, budget_m: float,
 def spread(site: Site, taken_m: FloatArray, count: int, first_node: int) -> FloatArray:
     """Places (count, 2) [m], each the centre of the cells that are nearer to it than to any other or any taken.
 
-    They begin as far as possible from those taken and from each other (Gonzalez 1985); first_node is the first of them
-    where none is taken.
+    They begin as far as possible from those taken and from each other (Gonzalez 1985), where distances count for more
+    the more interest there is; first_node is the first of them where none is taken.
     """
     nodes = site.nodes.places_m
+    # Mean squared distances are least where the density goes with the root of the weight.
+    stretch = (site.nodes.weights / site.nodes.weights.max()) ** 0.25
     taken = taken_m if len(taken_m) else np.zeros((0, 2))
     places = np.empty((count, 2))
     farthest = first_node
     apart = np.full(len(nodes), np.inf)
     if len(taken):
         apart = cKDTree(taken).query(nodes)[0]
-        farthest = int(np.argmax(apart))
+        farthest = int(np.argmax(apart * stretch))
     for i in range(count):
         places[i] = nodes[farthest]
         apart = np.minimum(apart, np.hypot(*(nodes - places[i]).T))
-        farthest = int(np.argmax(apart))
+        farthest = int(np.argmax(apart * stretch))
     for _ in range(LLOYD_ITERATIONS):
         _, owner = cKDTree(np.vstack((places, taken))).query(nodes)
         weight = np.bincount(owner, site.nodes.weights, count + len(taken))[:count]
@@ -129,11 +131,17 @@ def drawn_taut(
     return places[order]
 
 
-def worth(site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float) -> float:
-    """What the design costs, to compare it with others: V + lambda L, and dearly for metres beyond the budget."""
+def tour_of(site: Site, places_m: FloatArray) -> tuple[float, float]:
+    """Length [m] of the tour through the places (n, 2) [m] in their order, round obstacles and as the crow flies."""
     stops = np.vstack((site.start_m, places_m))
     legs = np.arange(len(stops))
-    length = float(site.legs(stops).lengths_m[legs[:-1], legs[1:]].sum())
+    lengths = site.legs(stops).lengths_m[legs[:-1], legs[1:]]
+    return float(lengths.sum()), path_length(stops)
+
+
+def worth(site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float) -> float:
+    """What the design costs, to compare it with others: V + lambda L, and dearly for metres beyond the budget."""
+    length, _ = tour_of(site, places_m)
     value = variance(places_m)
     return value * (1.0 + OVERDRAFT * max(0.0, length / budget_m - 1.0)) + price * length
 

@@ -8,6 +8,7 @@ taut.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,11 @@ DETOUR = 2.0
 """Length of a leg that one corner does not free, in multiples of the straight one, until somebody finds the way."""
 FAR = 1.1
 """The same for legs to places that are no neighbours."""
+MANY = 0.05
+"""Share of neighbours' legs that no corner frees above which the site is a labyrinth, and straight lines mislead."""
+
+Bound = Callable[[FloatArray], FloatArray]
+"""Places (n, 2) [m] -> lengths (n, n) [m] that no way between them can fall below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +45,8 @@ class LegTable:
     """(n, n): whether the leg, with its corner if it has one, is known to be free."""
 
 
-def leg_table(ground: OpenGround, places_m: FloatArray) -> LegTable:
-    """Legs between the places (n, 2) [m], each of them on open ground."""
+def leg_table(ground: OpenGround, places_m: FloatArray, bound: Bound | None = None) -> LegTable:
+    """Legs between the places (n, 2) [m], each of them on open ground; the bound is asked for in labyrinths only."""
     n = len(places_m)
     apart = np.hypot(*(places_m[:, None] - places_m[None]).transpose(2, 0, 1))
     lengths = apart * FAR
@@ -56,6 +62,8 @@ def leg_table(ground: OpenGround, places_m: FloatArray) -> LegTable:
         lengths[i, j] = lengths[j, i] = length
         corners[i, j] = corners[j, i] = corner
         free[i, j] = free[j, i] = is_free
+        if bound is not None and np.count_nonzero(~is_free) > MANY * len(pairs):
+            lengths = np.where(free, lengths, np.maximum(lengths, bound(places_m)))
     return LegTable(lengths, corners, free)
 
 

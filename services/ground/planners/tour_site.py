@@ -12,8 +12,12 @@ from scipy import ndimage
 from he3.design_of_samples import FieldNodes
 from he3.errors import NoRoute
 from he3.frames import FloatArray, SiteGrid
+from services.ground.planners.routes import Routes
 from services.ground.planners.tour_legs import LegTable, leg_table
 from services.ground.planners.traversability import OpenGround
+
+LANDMARKS = 3
+"""Places from which the distance to everywhere is found, to tell legs that walls make long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +30,8 @@ class Site:
     """(2,) [m], a place from which legs can be checked."""
     nearest: NDArray[np.int32]
     """(2, rows, columns): row and column of the reachable cell that is nearest to each cell."""
+    part: int
+    """Number of the connected part of the ground that can be reached."""
 
     def settle(self, places_m: FloatArray) -> FloatArray:
         """The places (n, 2) [m] where they can be reached, the centre of the nearest cell that can be where not."""
@@ -47,7 +53,16 @@ class Site:
 
     def legs(self, places_m: FloatArray) -> LegTable:
         """The legs between the places (n, 2) [m], each of them reachable."""
-        return leg_table(self.ground, places_m)
+        return leg_table(self.ground, places_m, self._least_lengths)
+
+    def _least_lengths(self, places_m: FloatArray) -> FloatArray:
+        """(n, n) [m]: no way is shorter than the difference of its ends' distances from any landmark."""
+        grid = self.ground.grid
+        rows, columns = grid.cells_of(places_m)
+        fields = _landmarks(grid, self.ground.open.tobytes(), self.part)
+        at = np.stack([field[rows, columns] for field in fields])
+        bounds: FloatArray = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0)
+        return bounds
 
     @property
     def area_m2(self) -> float:
@@ -67,7 +82,8 @@ def site_about(grid: SiteGrid, traversable: NDArray[np.bool_], start_m: tuple[fl
     ground, labels = _parts(grid, cells)
     start = np.array(ground.footing(start_m))
     row, column = grid.cells_of(start[None])
-    return Site(ground, nodes, start, _nearest(grid, cells, int(labels[row[0], column[0]])))
+    part = int(labels[row[0], column[0]])
+    return Site(ground, nodes, start, _nearest(grid, cells, part), part)
 
 
 @lru_cache(maxsize=4)
@@ -90,3 +106,27 @@ def _nearest(grid: SiteGrid, traversable: bytes, part: int) -> NDArray[np.int32]
         x, y = (column + 0.5) * grid.resolution_m, (row + 0.5) * grid.resolution_m
         raise NoRoute(f"walled in at ({x:g}, {y:g}) m: no other cell can be reached from there")
     return np.asarray(ndimage.distance_transform_edt(~within, return_distances=False, return_indices=True))
+
+
+@lru_cache(maxsize=2)
+def _landmarks(grid: SiteGrid, traversable: bytes, part: int) -> tuple[FloatArray, ...]:
+    """Lengths (rows, columns) [m] of the ways from each landmark to each cell of that part: ends of the longest ways.
+
+    Remembered. From them follow bounds for all pairs of places (Goldberg & Harrelson 2005). Along a corridor, they are
+    exact but for the eight directions of the ways.
+    """
+    ground, labels = _parts(grid, traversable)
+    within = labels == part
+    routes = Routes(ground)
+    row, column = np.argwhere(within)[0]
+    nearest = np.full(grid.shape, np.inf)
+    fields = []
+    for _ in range(LANDMARKS + 1):
+        field = routes.distances_from(((column + 0.5) * grid.resolution_m, (row + 0.5) * grid.resolution_m))
+        fields.append(np.where(within, field, 0.0))
+        # The first field serves to find the landmarks only: it is from anywhere.
+        nearest = np.minimum(nearest, fields[-1]) if len(fields) > 1 else fields[-1]
+        row, column = np.unravel_index(int(np.argmax(np.where(within, nearest, -1.0))), grid.shape)
+        if len(fields) == 1:
+            nearest = np.full(grid.shape, np.inf)
+    return tuple(fields[1:])
