@@ -215,6 +215,14 @@ def topic_of(key: str, mission: str) -> Topic | None:
     return BY_NAME.get(key.removeprefix(prefix)) if key.startswith(prefix) else None
 
 
+def counted(topic: Topic) -> Topic:
+    """That topic's messages to those who take part in lockstep, who wait for each of them.
+
+    Wildcards do not match a chunk that begins with '@': whoever just looks on, on `he3/**` say, is never waited for.
+    """
+    return replace(topic, name=f"{topic.name}/@counted", kept=False)
+
+
 def addressed(topic: Topic, name: str) -> Topic:
     """That topic's messages to one process alone, on a key of their own."""
     return replace(topic, name=f"{topic.name}/{name}")

@@ -235,4 +235,4 @@ class _Feed:
                     frame = self._writer.take(self._feed_of(newest), wanted)
             shown = newest
             if frame is not None:
-                bus.publish(MAP_FEED, frame, media_type="application/octet-stream")
+                bus.show(MAP_FEED, frame, media_type="application/octet-stream")

@@ -92,6 +92,7 @@ class Bus:
     def publish(
         self, topic: Topic, payload: bytes, attachment: bytes | None = None, media_type: str = "application/json"
     ) -> None:
+        """Send to all who listen, and wait for whoever is slow to take it."""
         self._session.put(
             topic.key(self._mission),
             payload,
@@ -99,6 +100,16 @@ class Bus:
             congestion_control=zenoh.CongestionControl.BLOCK,
             attachment=attachment,
         )
+        self._keep(topic, payload)
+
+    def show(
+        self, topic: Topic, payload: bytes, attachment: bytes | None = None, media_type: str = "application/json"
+    ) -> None:
+        """Send to all who listen and keep up; wait for nobody."""
+        self._publisher(topic).put(payload, encoding=zenoh.Encoding(media_type), attachment=attachment)
+        self._keep(topic, payload)
+
+    def _keep(self, topic: Topic, payload: bytes) -> None:
         if topic.kept:
             first = topic not in self._kept
             self._kept[topic] = payload
@@ -107,10 +118,17 @@ class Bus:
 
     def listened(self, topic: Topic) -> bool:
         """Whether anybody is known to subscribe to that topic."""
-        if topic not in self._publishers:
-            self._publishers[topic] = self._session.declare_publisher(topic.key(self._mission))
-        status: Any = self._publishers[topic].matching_status
+        status: Any = self._publisher(topic).matching_status
         return bool(status.matching)
+
+    def _publisher(self, topic: Topic) -> zenoh.Publisher:
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            publisher = self._session.declare_publisher(
+                topic.key(self._mission), congestion_control=zenoh.CongestionControl.DROP
+            )
+            self._publishers[topic] = publisher
+        return publisher
 
     def subscribe(self, topic: Topic, on_payload: OnPayload) -> Callable[[], None]:
         """Call `on_payload` with what comes from now on, until what is returned is called."""

@@ -12,7 +12,7 @@ from functools import partial
 from he3.errors import He3Error, PeerUnreachable
 from schemas import topics
 from schemas.lockstep import Poke, StepBusy, StepDone
-from schemas.topics import Side, Topic, addressed
+from schemas.topics import Side, Topic, addressed, counted
 from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
 from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.bus import Question
@@ -26,9 +26,15 @@ from services.stamp import Stamp, read_stamp
 
 JOIN = {Side.MOON: topics.MOON_JOIN, Side.EARTH: topics.EARTH_JOIN}
 GRANT = {Side.MOON: topics.MOON_GRANT, Side.EARTH: topics.EARTH_GRANT}
-DONE = {Side.MOON: topics.MOON_DONE, Side.EARTH: topics.EARTH_DONE}
-BUSY = {Side.MOON: topics.MOON_BUSY, Side.EARTH: topics.EARTH_BUSY}
-POKE = {Side.MOON: topics.MOON_POKE, Side.EARTH: topics.EARTH_POKE}
+DONE = {Side.MOON: counted(topics.MOON_DONE), Side.EARTH: counted(topics.EARTH_DONE)}
+BUSY = {Side.MOON: counted(topics.MOON_BUSY), Side.EARTH: counted(topics.EARTH_BUSY)}
+POKE = {Side.MOON: counted(topics.MOON_POKE), Side.EARTH: counted(topics.EARTH_POKE)}
+
+
+def grant_to(name: str, side: Side) -> Topic:
+    """The topic of the grants to that process."""
+    return counted(addressed(GRANT[side], name))
+
 
 TO_KEEPER = (DONE, BUSY, POKE)
 """Topic families by which a process speaks to the time keeper."""
@@ -54,6 +60,8 @@ class LockstepProcess(Process):
         self._asked_at = 0.0
         self._granted_at = 0.0
         self._told_busy: StepBusy | None = None
+        self._counted_topics: dict[str, Topic] = {}
+        self._early: list[tuple[Topic, Question]] = []
 
     def learn_time(self) -> bool:
         """Join, and learn where virtual time stands; False when told to stop first."""
@@ -66,7 +74,7 @@ class LockstepProcess(Process):
         """Join over the network; the answer to the join is where time stands."""
         bus, home = self.buses[self._home], self._home
         bus.subscribe(CLOCKS[home], lambda payload, _: self.later(partial(self.set_clock, home, payload)))
-        bus.subscribe(addressed(GRANT[home], self.name), lambda payload, _: self.later(partial(self._granted, payload)))
+        bus.subscribe(grant_to(self.name, home), lambda payload, _: self.later(partial(self._granted, payload)))
         bus.announce(self.process_id, home, MEMBERS)
         began = time.monotonic()
         told = False
@@ -105,6 +113,9 @@ class LockstepProcess(Process):
         if not self._joined:
             self._joined = True
             self.part.start(max(self._incarnation, joined.starts))
+            early, self._early = self._early, []
+            for topic, question in early:
+                self._take_question(topic, question)
 
     # --- the loop -----------------------------------------------------------------------------------------------
 
@@ -118,9 +129,8 @@ class LockstepProcess(Process):
             self.heartbeat.beat(time.monotonic(), self._last)
 
     def _granted(self, payload: bytes) -> None:
-        topic = addressed(GRANT[self._home], self.name)
         try:
-            _, grant = decode(topic, payload, self.mission)
+            _, grant = decode(grant_to(self.name, self._home), payload, self.mission)
         except Refused as refusal:
             self.log.warning(f"refused: {refusal}")
             return
@@ -173,8 +183,22 @@ class LockstepProcess(Process):
 
     # --- what goes out ------------------------------------------------------------------------------------------
 
+    def heard_as(self, topic: Topic) -> Topic:
+        return counted(topic)
+
     def publish(self, action: Publish, stamp: Stamp) -> None:
-        self.buses[action.side].publish(action.topic, action.payload, stamp.encode())
+        """Twice: for those who take part, who count and are waited for, and for onlookers, as they come along."""
+        bus, attachment = self.buses[action.side], stamp.encode()
+        bus.publish(self._counted(action.topic), action.payload, attachment)
+        bus.show(action.topic, action.payload, attachment)
+
+    def _counted(self, topic: Topic) -> Topic:
+        if topic.name not in self._counted_topics:
+            self._counted_topics[topic.name] = counted(topic)
+        return self._counted_topics[topic.name]
+
+    def _publish_quietly(self, topic: Topic, side: Side, payload: bytes) -> None:
+        self.buses[side].show(topic, payload)
 
     def ask(self, action: PutQuestion, stamp: Stamp) -> None:
         on_end = partial(self._answer_came_in, action.question, stamp)
@@ -215,8 +239,11 @@ class LockstepProcess(Process):
 
     def _take_question(self, topic: Topic, question: Question) -> None:
         stamp = read_stamp(question.attachment)
-        if stamp is not None and not self._joined:
-            question.leave()  # its asker counts on nobody's answering: this process does not take part yet
+        if not self._joined:
+            self._early.append((topic, question))
+            return
+        if stamp is not None and stamp.step <= self.part.joined_at:
+            question.leave()  # its asker counts on nobody's answering: this process did not take part then
             return
         self._counter += 1
         token = self._counter

@@ -54,6 +54,8 @@ class Participant:
         self.process = process
         self.now: MissionTime = 0
         self.step = 0
+        self.joined_at = -1
+        """The step after which it takes part: what was sent up to then nobody has counted for it."""
         self.granted: Grant | None = None
         """What it may act upon as soon as `ready`."""
         self.finished: Finish | None = None
@@ -88,6 +90,9 @@ class Participant:
         """The time keeper has taken it in; a new time keeper may be ahead of it, never behind."""
         self.now = max(self.now, answer.now)
         self.step = max(self.step, answer.step)
+        if self.joined_at < 0:
+            self.joined_at = answer.step
+            self._taken = [taken for taken in self._taken if taken.sender == OUTSIDE or taken.step > answer.step]
 
     def start(self, incarnation: int) -> None:
         """Let the node begin, in the first step that is granted."""

@@ -177,7 +177,7 @@ class Process:
     def _listen(self, host: Host, side: Side, bus: Bus) -> None:
         for topic, where in host.heard_topics():
             if where is side:
-                bus.subscribe(topic, partial(self._came, topic))
+                bus.subscribe(self.heard_as(topic), partial(self._came, topic))
         for topic in host.interface.serves:
             if side in topic.sides:
                 if self._answers is not None and self._service.answers and topic in self._service.answers.topics:
@@ -185,6 +185,10 @@ class Process:
                         self._answers.serve(topic, bus)
                 else:
                     bus.serve(topic, partial(self._asked, topic))
+
+    def heard_as(self, topic: Topic) -> Topic:
+        """On which topic's key that topic's messages reach this process."""
+        return topic
 
     def open(self, side: Side, endpoint: str) -> Bus | None:
         """A bus on that side, as soon as its router is there; None when told to stop first."""

@@ -15,12 +15,12 @@ from functools import partial
 from he3.errors import He3Error, InvalidInput
 from schemas.link import ClockMode, ClockState
 from schemas.lockstep import Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
-from schemas.topics import TIME_CONTROL, Side, Topic, addressed
+from schemas.topics import TIME_CONTROL, Side, Topic
 from schemas.wire import Refused, decode, encode
 from services.bus import Bus, Question, open_session
 from services.link.pace import Pace
 from services.link.timekeeper import TimeKeeper
-from services.lockstep import GRANT, JOIN, MEMBERS, TO_KEEPER, LockstepProcess
+from services.lockstep import JOIN, MEMBERS, TO_KEEPER, LockstepProcess, grant_to
 from services.node import MissionTime
 from services.options import Options
 from services.questions import request_of
@@ -118,7 +118,7 @@ class LockstepLinkProcess(LockstepProcess):
                 self.part.grant(grant)
             else:
                 side = self._homes[name]
-                self.buses[side].publish(addressed(GRANT[side], name), encode(self.header(), grant))
+                self.buses[side].publish(grant_to(name, side), encode(self.header(), grant))
         self._last = max(self._last, instant)
 
     def report(self, done: StepDone) -> None:
@@ -286,7 +286,7 @@ class LockstepLinkProcess(LockstepProcess):
             start_ns=self.options.scenario.start_ns,
         )
         for side, bus in self.buses.items():
-            bus.publish(CLOCKS[side], self._clock_message())
+            bus.show(CLOCKS[side], self._clock_message())
 
     def _clock_message(self) -> bytes:
         assert self.clock is not None, "the time is shown before anybody can ask"
