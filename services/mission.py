@@ -9,7 +9,7 @@ from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import LinkStatus
 from schemas.topics import GROUND_STATUS, LINK_STATUS, SAMPLE, Side, Topic
-from schemas.wire import Wire, decode
+from schemas.wire import Refused, Wire, decode
 from services.host import Trace
 from services.node import SECOND, MissionTime, Node
 from services.recorder.node import Sink
@@ -101,9 +101,15 @@ class InProcessMission:
     def _listen(self, topic: Topic, side: Side, payload: bytes, now: MissionTime) -> None:
         if side is not Side.EARTH:
             return
-        if topic is GROUND_STATUS:
-            self.status = decode(topic, payload, self.scenario.name)[1]
-        elif topic is LINK_STATUS:
-            self.link = decode(topic, payload, self.scenario.name)[1]
-        elif topic is SAMPLE:
+        if topic is SAMPLE:
             self.samples_on_earth += 1
+        if topic is not GROUND_STATUS and topic is not LINK_STATUS:
+            return
+        try:
+            said = decode(topic, payload, self.scenario.name)[1]
+        except Refused:
+            return  # a stranger's; the nodes count those, an onlooker passes over them
+        if topic is GROUND_STATUS:
+            self.status = said
+        else:
+            self.link = said
