@@ -9,11 +9,12 @@ distances along it, the last at its end. Information enters by the target alone.
 target is reached. That is after 900 iterations as a rule (450 to 2600), of the 5000 that are allowed; the setting
 ``refine_iterations`` goes on to so many, for shorter paths.
 
-Three cases the paper does not speak of. Equally uncertain places (the first round; places far from all samples, under
-a short length scale) are drawn among by the request's seed. Where a tree does not reach its target within the bound,
-the next two most uncertain targets are tried, then the longest of the paths that came nearest is driven. Under a
-finite budget, targets lie no further than the round's even share of it, and a path ends after ``PACE`` times that
-share.
+Three cases the paper does not speak of. Far from all samples the uncertainty is the prior's, to the last digits of a
+float32; of places that are so far equally uncertain, the one farthest from all samples is the target, as it would be
+with more digits (in the first round, the one farthest from the rover). Where a tree does not reach its target within
+the bound, the next two most uncertain targets are tried, then the longest of the paths that came nearest is driven.
+Under a finite budget, targets lie no further than the round's even share of it, and a path ends after ``PACE`` times
+that share.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.kernels import Kernel, kernel_from
 from services.ground.planners.rounds import cut, planned
-from services.ground.planners.tour_design import drawn_taut, first_design, tour_of, worth
+from services.ground.planners.tour_design import drawn_taut, first_design, fitted, tour_of, worth
 from services.ground.planners.tour_route import route_through
 from services.ground.planners.tour_site import Site, site_about
 from services.ground.planning import PlannedRound, PlanningRequest, checked
@@ -42,6 +42,8 @@ STEPS = 10
 STEP_ON_M = 1.5
 """Root mean square step [m] with which the places of an outlook begin to move on."""
 KICKS = 20
+MOST_REFITTED = 0.34
+"""An outlook over more or fewer samples is used as long as the difference is at most this share of them."""
 ROUNDING = 1e-9
 """Share of the budget that is left alone, so that sums of legs in another order do not exceed it."""
 SETTINGS = ("thrift", "designs", "first_steps", "steps", "kicks")
@@ -79,8 +81,8 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     variance = _average_variance(request, site)
     leg_m = LEG_CONSTANT * sqrt(site.area_m2 / samples)
     thrift = float(extra.get("thrift", THRIFT)) / (samples * leg_m)
-    if request.outlook_m is not None and len(request.outlook_m) == left:
-        places = site.settle(request.outlook_m)
+    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MOST_REFITTED * left:
+        places = fitted(site, request.observed_m, request.outlook_m, left)
         metres = budget_m if isfinite(budget_m) else tour_of(site, places)[0]
         price = thrift * variance(places)
         return drawn_taut(site, variance, places, price, metres, int(extra.get("steps", STEPS)), STEP_ON_M)

@@ -50,6 +50,19 @@ def first_design(site: Site, taken_m: FloatArray, samples: int, budget_m: float,
     return route[1:] if shares == samples else site.settle(along(route, samples))
 
 
+def fitted(site: Site, taken_m: FloatArray, outlook_m: FloatArray, samples: int) -> FloatArray:
+    """The outlook's places (k, 2) [m], as many as there are samples: the most crowded left out, or gaps filled up."""
+    places = site.settle(outlook_m)
+    while len(places) > samples:
+        around = np.vstack((places, taken_m))
+        apart = cKDTree(around).query(places, k=2)[0][:, 1]
+        places = np.delete(places, int(np.argmin(apart)), axis=0)
+    if len(places) < samples:
+        more = spread(site, np.vstack((taken_m, places)), samples - len(places), 0)
+        places = np.vstack((places, more))
+    return places
+
+
 def spread(site: Site, taken_m: FloatArray, count: int, first_node: int) -> FloatArray:
     """Places (count, 2) [m], each the centre of the cells that are nearer to it than to any other or any taken.
 

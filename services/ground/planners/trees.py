@@ -59,8 +59,8 @@ class Growth:
     """Longest edge made by extending the tree [m]; rewiring makes longer ones."""
     goal_tolerance_m: float = 10.0
     """The target counts as reached within this distance [m]."""
-    goal_bias: float = 0.05
-    """Share of iterations that aim at the target itself, until it is reached (OMPL's default)."""
+    goal_bias: float = 0.0
+    """Share of iterations that aim at the target itself. The paper has none, and its path lengths bear that out."""
     rewire_most_m: float = 50.0
     """Largest radius within which RRT* chooses parents and rewires [m]."""
     rewire_scale_m: float = 150.0
