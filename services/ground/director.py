@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from he3.errors import He3Error, NoRoute
-from he3.frames import SiteGrid
+from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
@@ -79,6 +79,7 @@ class Director:
         self._origin: Place | None = scenario.start_m
         self._plans_asked = 0
         self._attempt = 0
+        self._outlook_m: FloatArray | None = None
         self._rejections = 0
         self._last_sent = False
         self._completed = 0
@@ -329,7 +330,11 @@ class Director:
 
     def _drop(self, records: Iterable[RoundRecord]) -> None:
         """Take back rounds that have not begun, and whatever is being planned to follow them."""
-        self.ledger.drop(list(records))
+        dropped = list(records)
+        self.ledger.drop(dropped)
+        if self._outlook_m is not None:  # what they were to sample is still to be sampled
+            ahead = [(planned.x_m, planned.y_m) for record in dropped for planned in record.plan.samples]
+            self._outlook_m = np.vstack((np.array(ahead, dtype=np.float64).reshape(-1, 2), self._outlook_m))
         self.in_work = None
         self._last_sent = False
         self._exhausted = ""
@@ -420,6 +425,7 @@ class Director:
             seed=int(seed.generate_state(1)[0]),
             interest=self._interest,
             options=PlannerOptions(clearance_m=ground.clearance_m, information_exponent=ground.information_exponent),
+            outlook_m=self._outlook_m,
         )
         return [Compute(self.in_work.job, run_planner, (self._planner, request, len(ahead)), ground.planning_s)]
 
@@ -430,6 +436,7 @@ class Director:
         version = f"v{revision}" if known else ""
         planned = round_plan(work, result, self.grid, version, self.scenario.sample_depth_m)
         self.revision = revision
+        self._outlook_m = result.outlook_m
         self.ledger.append(planned, revision)
         self._origin = None
         self._attempt = 0

@@ -191,9 +191,22 @@ def test_an_outlook_over_ground_that_has_closed_is_moved_to_where_it_is_open():
     check(asked, plan("tour", asked))
 
 
-def test_an_outlook_of_another_length_is_no_hindrance():
-    asked = request(outlook_m=np.full((7, 2), 60.5))
-    check(asked, plan("tour", asked))
+@pytest.mark.parametrize("more", [-20, -5, 5, 20])
+def test_an_outlook_over_more_or_fewer_samples_is_no_hindrance(more):
+    first = plan("tour", request(samples_left=30 + more))
+    asked = request(outlook_m=np.vstack((first.samples_m, first.outlook_m)))
+    answer = plan("tour", asked)
+    check(asked, answer)
+    assert len(answer.outlook_m) == 25
+
+
+def test_an_outlook_that_is_a_few_places_short_keeps_those_that_it_has():
+    first = plan("tour", request())
+    lost = np.vstack((first.samples_m, first.outlook_m))[3:]
+    answer = plan("tour", request(outlook_m=lost))
+    again = np.vstack((answer.samples_m, answer.outlook_m))
+    moved = np.hypot(*(lost[:, None] - again[None]).transpose(2, 0, 1)).min(axis=1)
+    assert np.median(moved) < 5.0
 
 
 def test_a_rover_on_the_edge_of_a_closed_cell_starts_all_the_same():
