@@ -1,0 +1,132 @@
+"""Lockstep over Zenoh, in real processes: the same mission as in one process, to the byte, whatever the load."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections import defaultdict, deque
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+pytestmark = pytest.mark.timeout(300)
+
+LONG_S = 120.0
+"""For one mission of four samples, on cores that everybody wants."""
+SECOND = 1_000_000_000
+LIGHT = 1_282_000_000
+"""One-way light time of the short mission [ns]."""
+SHORTER = ("rounds=2", "samples_per_round=2")
+THIN = ("link.down.rate_bit_s=4000", "link.up.rate_bit_s=2000", "ground.pipeline=1")
+"""Messages take seconds to be sent, and the next round is planned while this one is driven."""
+RATES = {"tm": 4000, "tc": 2000}
+BURN = "while True: sum(range(10_000))"
+
+
+@contextmanager
+def both_cores_busy() -> Iterator[None]:
+    """As many processes that only compute as there are cores, for as long as this lasts."""
+    with ExitStack() as stack:
+        for _ in range(os.cpu_count() or 1):
+            burner = stack.enter_context(subprocess.Popen([sys.executable, "-c", BURN]))
+            stack.callback(burner.kill)
+        yield
+
+
+class Ran(NamedTuple):
+    events: bytes
+    report: dict[str, Any]
+
+
+def ran(folder: Path, *words: str, settings: tuple[str, ...] = ()) -> Ran:
+    """Merged event log and report of a run of the short mission by the command line."""
+    folder.mkdir()
+    sets = [word for setting in (*SHORTER, *settings) for word in ("--set", setting)]
+    command = [sys.executable, "-m", "services.console", "run", "short", *words, *sets, "--quiet"]
+    files = ["--events", str(folder / "events.log"), "--report", str(folder / "report.json")]
+    done = subprocess.run([*command, *files], capture_output=True, text=True, timeout=LONG_S)
+    assert done.returncode == 0, done.stderr
+    return Ran((folder / "events.log").read_bytes(), json.loads((folder / "report.json").read_text()))
+
+
+class Delivery(NamedTuple):
+    topic: str
+    size: int
+    offered: int
+    """When it was sent: the link hears it in the same instant."""
+    arrived: int
+    idle: bool
+    """Whether whatever had been sent before it that way had left for certain."""
+
+
+def deliveries(events: bytes, rates: dict[str, int]) -> list[Delivery]:
+    """Every message that crossed, from the lines of the link and of those on the other side."""
+    offered: dict[tuple[str, ...], deque[tuple[int, bool]]] = defaultdict(deque)
+    busy_until = {"tm": 0, "tc": 0}
+    lines = [line.split("\t") for line in events.decode().splitlines()]
+    for at, node, what in lines:
+        words = what.split()
+        if node == "link" and words[0] == "received":
+            way, time = words[1][:2], int(at)
+            offered[tuple(words[1:])].append((time, busy_until[way] <= time))
+            if way in rates:
+                busy_until[way] = max(busy_until[way], time) + transmission(int(words[2]), rates[way])
+    crossed = []
+    for at, node, what in lines:
+        words = what.split()
+        if words[0] == "received" and node == {"tm": "ground", "tc": "rover"}.get(words[1][:2]):
+            sent, idle = offered[tuple(words[1:])].popleft()
+            crossed.append(Delivery(words[1], int(words[2]), sent, int(at), idle))
+    return crossed
+
+
+def transmission(size: int, rate: int) -> int:
+    return round(size * 8 / rate * SECOND)
+
+
+def test_lockstep_and_in_process_runs_have_the_same_events_to_the_byte_with_losses_and_repetitions(
+    tmp_path: Path,
+) -> None:
+    settings = (*THIN, "link.down.loss=0.05", "link.up.loss=0.05", "link.down.duplicate=0.05", "link.down.reorder=0.1")
+    alone = ran(tmp_path / "in-process", "--in-process", settings=settings)
+    apart = ran(tmp_path / "lockstep", "--lockstep", settings=settings)
+    assert alone.events.count(b"\n") > 500
+    assert apart.events == alone.events
+    same = ("samples", "rounds", "rmse_ppb", "rmse_history", "coverage_68", "path_length_m", "mission_time_s")
+    assert {name: apart.report[name] for name in same} == {name: alone.report[name] for name in same}
+
+
+def test_with_both_cores_busy_every_delivery_takes_exactly_its_light_time(tmp_path: Path) -> None:
+    with both_cores_busy():
+        loaded = ran(tmp_path / "lockstep", "--lockstep", "--out", str(tmp_path / "recorded"))
+    crossed = deliveries(loaded.events, {})
+    assert {each.topic for each in crossed} >= {"tm/sample", "tm/state", "tm/event", "tc/plan"}
+    assert len(crossed) > 100
+    assert {each.arrived - each.offered for each in crossed} == {LIGHT}
+    assert loaded.events == ran(tmp_path / "in-process", "--in-process").events
+
+
+def test_with_both_cores_busy_every_delivery_takes_its_transmission_time_too_and_never_less(tmp_path: Path) -> None:
+    with both_cores_busy():
+        loaded = ran(tmp_path / "lockstep", "--lockstep", settings=THIN)
+    crossed = deliveries(loaded.events, RATES)
+    at_least = [LIGHT + transmission(each.size, RATES[each.topic[:2]]) for each in crossed]
+    took = [each.arrived - each.offered for each in crossed]
+    alone = [(took, expected) for took, expected, each in zip(took, at_least, crossed, strict=True) if each.idle]
+    assert len(alone) > 100
+    assert all(took == expected for took, expected in alone)
+    assert all(took >= expected for took, expected in zip(took, at_least, strict=True))
+    assert len({took for took, _ in alone}) > 10, "sizes differ, and so do times"
+
+
+@pytest.mark.parametrize("words", [("--rate", "50"), ()])
+def test_an_event_log_is_refused_where_times_are_not_exact(words: tuple[str, ...], tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "services.console", "run", "short", *words, "--events", str(tmp_path / "e.log")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith("he3: --events: expected it with --in-process or --lockstep")
