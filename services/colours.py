@@ -49,4 +49,5 @@ def shaded(values: NDArray[np.floating], low: float, high: float, name: str) -> 
     """The values (rows, columns) as colours (rows, columns, 3): `low` and less the first, `high` and more the last."""
     span = high - low if high > low else 1.0
     shades = np.clip((values - low) * (255.0 / span), 0, 255).astype(np.uint8)
-    return table(name)[shades]
+    coloured: NDArray[np.uint8] = table(name)[shades]
+    return coloured

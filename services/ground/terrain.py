@@ -108,7 +108,8 @@ class GroundTerrain:
             cell = cell_of(self.grid, (x, y))
             if self._open[cell]:
                 beside = ndimage.binary_dilation(track, structure=_SQUARE)
-                return self._open | track | (beside & self._bare)
+                way_out: NDArray[np.bool_] = self._open | track | (beside & self._bare)
+                return way_out
             track[cell] = True
         return None
 
