@@ -129,6 +129,7 @@ class SnapshotServer:
         reply = self._service.answer(topic, request, snapshot)
         if payload is None:
             return Encoded(reply.model_dump_json().encode(), JSON, b"")
-        made_at: MissionTime = self._now() or getattr(snapshot, "mission_time_ns", 0)
+        now = self._now()
+        made_at: MissionTime = getattr(snapshot, "mission_time_ns", 0) if now is None else now
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=made_at)
         return Encoded(encode(header, reply), JSON, b"")
