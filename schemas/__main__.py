@@ -1,4 +1,7 @@
-"""Prints or writes the JSON Schema of every message on the wire: ``python -m schemas [FOLDER]``."""
+"""Prints or writes the JSON Schema of every message on the wire: ``python -m schemas [FOLDER]``.
+
+``python -m schemas --table`` prints the table of topics as it stands in docs/zenoh.md.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from schemas.report import MissionReport
-from schemas.topics import TOPICS
+from schemas.topics import KEY_ROOT, TOPICS, Crosses, Custody, Latest, Topic
 from schemas.wire import Envelope, Wire
 
-USAGE = "usage: python -m schemas [FOLDER]   (without a folder: one JSON document on standard output)"
+USAGE = """usage: python -m schemas [FOLDER | --table]
+without a folder: one JSON document on standard output; --table: the topics as Markdown"""
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:
@@ -29,10 +33,51 @@ def _travelling(body: type[Wire]) -> dict[str, Any]:
     return Envelope[body].model_json_schema()  # type: ignore[valid-type]
 
 
+def topic_table() -> str:
+    """The topics as a Markdown table, a row each, in the table's order."""
+    rows = [
+        f"Keys begin with `{KEY_ROOT}/{{mission}}/`; sizes are the longest message and the longest answer.",
+        "",
+        "| key | payload | answer | way | service | kept by | at most |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    return "\n".join([*rows, *(_row(topic) for topic in TOPICS)]) + "\n"
+
+
+def _row(topic: Topic) -> str:
+    way = {Crosses.UP: "Earth to Moon", Crosses.DOWN: "Moon to Earth", Crosses.NEVER: f"on the {topic.sides[0].title()}"}
+    match topic.service:
+        case Custody(priority):
+            service = f"custody, priority {priority}"
+        case Latest(_, distinct):
+            service = f"latest of each {', '.join(distinct)}" if distinct else "latest"
+        case _:
+            service = "question"
+    keepers = [name for name, keeps in (("recorder", topic.recorded), ("sender", topic.kept)) if keeps]
+    most = [_size(topic.max_bytes), *([_size(topic.max_reply_bytes)] if topic.reply is not None else [])]
+    cells = (
+        f"`{topic.name}`",
+        f"`{topic.payload.__name__}`",
+        "" if topic.reply is None else f"`{topic.reply.__name__}`",
+        way[topic.crosses],
+        service,
+        ", ".join(keepers),
+        ", ".join(most),
+    )
+    return f"| {' | '.join(cells)} |"
+
+
+def _size(count: int) -> str:
+    return f"{count >> 20} MiB" if count >= 1 << 20 else f"{count >> 10} KiB"
+
+
 def main(arguments: list[str]) -> int:
     if len(arguments) > 1 or arguments[:1] in (["-h"], ["--help"]):
         sys.stderr.write(USAGE + "\n")
         return 0 if arguments[:1] in (["-h"], ["--help"]) else 2
+    if arguments == ["--table"]:
+        sys.stdout.write(topic_table())
+        return 0
     schemas = json_schemas()
     if not arguments:
         sys.stdout.write(json.dumps(schemas, indent=2) + "\n")
