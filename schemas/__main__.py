@@ -45,7 +45,11 @@ def topic_table() -> str:
 
 
 def _row(topic: Topic) -> str:
-    way = {Crosses.UP: "Earth to Moon", Crosses.DOWN: "Moon to Earth", Crosses.NEVER: f"on the {topic.sides[0].title()}"}
+    way = {
+        Crosses.UP: "Earth to Moon",
+        Crosses.DOWN: "Moon to Earth",
+        Crosses.NEVER: f"on the {topic.sides[0].title()}",
+    }
     match topic.service:
         case Custody(priority):
             service = f"custody, priority {priority}"
