@@ -25,7 +25,7 @@ MODULES: Final = {
     "link": "link_timing",
     "map": "map_speed",
     "operator": "operator_load",
-    "planners": "planner_speed",
+    "planners": "planners_speed",
 }
 """Benchmarks whose module has another name."""
 
