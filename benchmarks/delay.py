@@ -13,10 +13,12 @@ time, with the real nodes, custody and link, so that light time is exact.
 from __future__ import annotations
 
 import json as json_format
+import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
+from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from schemas.ground import MissionPhase
 from services.ground.planner_process import PlannerProcess
 from services.mission import InProcessMission
 from services.scenario import Scenario, checked_scenario
+from services.seat import Executor
 
 MOON_S = 1.282
 """Light time of the black-out rows: the Moon at its mean distance."""
@@ -86,7 +89,7 @@ def run(
         f"{'RMSE':>8} {'samples':>7}"
     )
     rows: list[Row] = []
-    for row in _flown(cases, jobs):
+    for row in _flown(sorted(cases, key=lambda case: case.pipeline), jobs):
         rows.append(row)
         base = next(each for each in rows if each["pipeline"] == row["pipeline"])
         say(
@@ -103,11 +106,15 @@ def run(
 
 
 def _flown(cases: Sequence[Case], jobs: int) -> Iterator[Row]:
+    """The rows in the order of the cases: those of one pipeline depth one after the other in one process."""
+    groups = [[case for case in cases if case.pipeline == depth] for depth in sorted({case.pipeline for case in cases})]
     if jobs == 1:
-        yield from map(fly, cases)
+        for group in groups:
+            yield from fly_all(group)
         return
-    with ProcessPoolExecutor(min(jobs, len(cases)), mp_context=get_context("spawn")) as pool:
-        yield from pool.map(fly, cases)
+    with ProcessPoolExecutor(min(jobs, len(groups)), mp_context=get_context("spawn")) as pool:
+        for rows in pool.map(fly_all, groups):
+            yield from rows
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -131,13 +138,36 @@ def scenario_of(case: Case) -> Scenario:
     )
 
 
-def fly(case: Case) -> Row:
+class Remembering:
+    """An executor that computes nothing twice: a result is a function of the arguments alone.
+
+    Light time changes when a round is planned, not what is asked; so the missions of a study share most plans.
+    """
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self._known: dict[bytes, Future[Any]] = {}
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        question = sha256(pickle.dumps((function, arguments))).digest()
+        if question not in self._known:
+            self._known[question] = self._executor.submit(function, *arguments)
+        return self._known[question]
+
+
+def fly_all(cases: Sequence[Case]) -> list[Row]:
+    """The rows of those cases."""
+    with PlannerProcess(parallel=1) as planners:
+        remembering = Remembering(planners)
+        return [fly(case, remembering) for case in cases]
+
+
+def fly(case: Case, executor: Executor) -> Row:
     """The row of that case; raises He3Error if its mission does not come to its end with all samples."""
     scenario = scenario_of(case)
     began = time.monotonic()
-    with PlannerProcess(parallel=1) as planners:
-        mission = InProcessMission(scenario, planners)
-        end = mission.run(until_s=SLACK_S)
+    mission = InProcessMission(scenario, executor)
+    end = mission.run(until_s=SLACK_S)
     status = mission.status
     assert status is not None, "a mission that has ended has said so"
     if end is not MissionPhase.COMPLETED or status.samples != scenario.samples or status.score is None:

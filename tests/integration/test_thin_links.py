@@ -1,0 +1,90 @@
+"""Links on which Zenoh's own recovery gives up, with real processes: long, lossy, dark and thin. Nothing is lost.
+
+The missions run so fast that hours take seconds; light time and rates are in mission time, and a second of mission time
+is still longer than what the machine's timers are off by.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from benchmarks.kills import Mission
+from services.console.launcher import free_endpoints
+
+HERE = Path(__file__).resolve().parent
+CHECKOUT = HERE.parents[1]
+RATE = 1500.0
+
+CONDITIONS = {
+    "a round trip of 12 s": ["link.up.one_way_light_time_s=6", "link.down.one_way_light_time_s=6"],
+    "a round trip of 20 s": ["link.up.one_way_light_time_s=10", "link.down.one_way_light_time_s=10"],
+    "30 % loss": ["link.up.loss=0.3", "link.down.loss=0.3"],
+    "a black-out of two hours": [
+        "link.at_edge=drop",
+        'link.windows=[{"opens_s": 0, "closes_s": 3600}, {"opens_s": 10800, "closes_s": 1e8}]',
+    ],
+    "125 bit/s up and 700 bit/s down": ["link.up.rate_bit_s=125", "link.down.rate_bit_s=700"],
+}
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("settings", CONDITIONS.values(), ids=CONDITIONS.keys())
+def test_a_mission_in_separate_processes_is_complete_in_spite_of(tmp_path: Path, settings: list[str]) -> None:
+    with Mission(tmp_path, [f"rate={RATE}", "ground.pipeline=1", *settings]) as mission:
+        mission.wait_until_over(150.0)
+        lost, doubled, unequal = mission.judged()
+
+    assert (lost, doubled, unequal) == (0, 0, 0)
+
+
+@pytest.fixture
+def processes() -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """Processes by name, all gone when the test ends."""
+    started: dict[str, subprocess.Popen[bytes]] = {}
+    yield started
+    for process in started.values():
+        process.terminate()
+    for process in started.values():
+        try:
+            process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.timeout(240)
+def test_thirty_messages_of_100_kb_pass_a_link_of_32_kb_a_second(
+    tmp_path: Path, processes: dict[str, subprocess.Popen[bytes]]
+) -> None:
+    ends = free_endpoints()
+    flags = ["short", "--rate", "20", "--moon", ends.moon, "--earth", ends.earth, "--set", "link.up.rate_bit_s=256000"]
+    script = str(HERE / "big_letters.py")
+    commands = {
+        "link": ["-m", "services.link", *flags, "--wait-for", "rover,ground"],
+        "rover": [script, "rover", *flags],
+        "ground": [script, "ground", *flags],
+    }
+    for name, command in commands.items():
+        with (tmp_path / name).open("wb") as log:
+            processes[name] = subprocess.Popen(
+                [sys.executable, *command], cwd=CHECKOUT, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                env={**os.environ, "PYTHONPATH": str(CHECKOUT), "OPENBLAS_NUM_THREADS": "1"},
+            )  # fmt: skip
+    give_up = time.monotonic() + 180.0
+    while "finished" not in (said := (tmp_path / "rover").read_text()):
+        logs = "\n".join((tmp_path / name).read_text() for name in commands)
+        assert all(process.poll() is None for process in processes.values()), logs
+        assert time.monotonic() < give_up, logs
+        time.sleep(0.05)
+
+    came = [int(number) for number in re.findall(r"a letter came.*?number=(\d+)", said)]
+    assert came == list(range(1, 31))
+    assert said.count("whole=True") == 30
