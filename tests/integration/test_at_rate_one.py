@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from itertools import count
+from pathlib import Path
 
 import pytest
 import zenoh
 
 from he3.errors import He3Error, PeerUnreachable
 from schemas.commands import CommandKind, CommandStage, Telecommand
-from schemas.link import LinkChange
+from schemas.link import ClockChange, LinkChange
 from schemas.topics import (
     BY_NAME,
+    CLOCK_SET,
     COMMAND,
     COMMAND_STATUS,
     EARTH_CLOCK,
@@ -132,6 +135,31 @@ def test_a_stock_client_that_knows_only_the_key_is_told_mean_deviation_revision_
             assert "\n" not in error
 
 
+def test_every_selector_that_the_page_on_the_wire_shows_is_answered(mission, earth, listen):
+    told = listen(earth, COMMAND_STATUS)
+    page = (Path(__file__).parents[2] / "docs" / "zenoh.md").read_text()
+    selectors = re.findall(r"\| `(he3/\{mission\}/[^`]*)`", page.split("## Asking")[1].split("## Listening")[0])
+    assert len(selectors) > 8
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([mission.earth]))
+    try:
+        with zenoh.open(config) as session:
+            for selector in selectors:
+                (reply,) = session.get(selector.replace("{mission}", mission.name))
+                assert reply.ok is not None, f"{selector}: {reply.err.payload.to_bytes()!r}"
+                assert isinstance(json.loads(reply.ok.payload.to_bytes()), dict)
+            status = earth.query(LINK_SET, LinkChange())
+            assert status.conditions.up.one_way_light_time_s == 3.0
+            assert (status.conditions.up.loss, status.conditions.down.loss) == (0.0, 0.3)
+            assert earth.latest(EARTH_CLOCK)[1].rate == 10
+    finally:
+        earth.query(LINK_SET, LinkChange(one_way_light_time_s=1.282, loss=0.0))
+        earth.query(CLOCK_SET, ClockChange(rate=1.0))
+    # What follows must not have to wait for it: commands are handed up in the order in which they were sent.
+    told.wait(lambda _, body: body.command.command_id == "mine-1" and passed(body, CommandStage.RECEIVED) is not None)
+
+
 def test_there_are_three_ways_to_have_no_answer_and_a_client_tells_them_apart(earth):
     with pytest.raises(PeerUnreachable, match="nobody is there to answer"):
         earth.query(BY_NAME["moon/field/measure"], LinkChange())
@@ -167,10 +195,11 @@ def test_a_command_takes_its_light_time_and_a_change_of_it_holds_for_what_follow
 
 @pytest.mark.usefixtures("ordinary_link")
 def test_what_is_on_its_way_keeps_its_arrival_when_the_light_time_changes(earth, moon, listen):
-    arrived = listen(moon, COMMAND)
+    arrived, told = listen(moon, COMMAND), listen(earth, COMMAND_STATUS)
     clock = earth.latest(EARTH_CLOCK)[1]
     earth.query(LINK_SET, LinkChange(one_way_light_time_s=1.5))
     issued = command(earth).command.command_id
+    told.wait(lambda _, body: body.command.command_id == issued and passed(body, CommandStage.RADIATED) is not None)
     status = earth.query(LINK_SET, LinkChange(one_way_light_time_s=60.0))
     earth.query(LINK_SET, LinkChange(one_way_light_time_s=0.1))
     message = arrived.wait(lambda _, body: body.command_id == issued)
@@ -276,8 +305,8 @@ def test_a_killed_rover_and_a_killed_ground_go_on_where_they_were(mission, earth
     for name in ("rover", "ground"):
         mission[name].kill()
         mission.start(name)
-        line = mission[name].line("restarted from its journal")
-        assert "torn_bytes=" in line
+    for name in ("rover", "ground"):
+        assert "torn_bytes=" in mission[name].line("restarted from its journal")
         mission.ready(name)
     again = earth.query(LIST_COMMANDS, BY_NAME["earth/ground/commands"].payload())
     assert again == commands
