@@ -178,7 +178,7 @@ class Host:
         try:
             header, body = decode(topic, payload, self._mission)
         except Refused as refusal:
-            return [self._refuse(str(refusal))]
+            return [self.refuse(str(refusal))]
         desk = self._desk
         if desk is None or topic.direction is None:
             return self._handle(Received(topic, header, body), now, what)
@@ -194,7 +194,7 @@ class Host:
         try:
             _, body = decode(topic, payload, self._mission)
         except Refused as refusal:
-            return [self._refuse(str(refusal)), ReplyError(token, topic, str(refusal))]
+            return [self.refuse(str(refusal)), ReplyError(token, topic, str(refusal))]
         return self.ask_checked(topic, body, token, now)
 
     def ask_checked(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
@@ -212,7 +212,7 @@ class Host:
             _, reply = decode_reply(topic, payload, self._mission)
         except Refused as refusal:
             unanswered = Unanswered(topic, question, Silence.REFUSED, str(refusal))
-            return [self._refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
+            return [self.refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
         return self._handle(
             Answered(topic, question, reply), now, f"answered {topic.name} {zlib.crc32(payload):08x} {question}"
         )
@@ -290,6 +290,7 @@ class Host:
             made_at=now,
         )
 
-    def _refuse(self, why: str) -> Note:
+    def refuse(self, why: str) -> Note:
+        """The line for the log about something from outside that was refused, which is counted."""
         self._refused += 1
         return Note(Level.WARNING, f"refused: {why}", {"refused": self._refused})

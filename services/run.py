@@ -323,6 +323,7 @@ class Process:
             request: Wire = request_of(topic, question.parameters)
         except He3Error as error:
             self._tokens.pop(token).refuse(str(error))
+            self.refused(str(error))
             return
         self._put(Kind.QUESTION, Input("ask_checked", (topic, request, token)))
 
@@ -332,9 +333,13 @@ class Process:
         try:
             _, state = decode(CLOCKS[side], payload, self.mission)
         except Refused as refusal:
-            self.log.warning(f"refused: {refusal}")
+            self.refused(str(refusal))
             return
         self.clock = state
+
+    def refused(self, why: str) -> None:
+        """Count and log something from outside that never reached the node."""
+        self.log.write(self.seat.host.refuse(why))
 
     # --- time ---------------------------------------------------------------------------------------------------
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -12,6 +15,10 @@ from he3.errors import He3Error
 from services.lockstep import LockstepProcess
 from services.options import parse_options
 from services.run import Process, Service, Stop
+
+
+ENDS_WITHIN_S = 1.4
+"""From the signal on: a call that hangs in the network then no longer keeps the process alive."""
 
 
 def serve(
@@ -24,6 +31,7 @@ def serve(
     stop = Stop()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
+    _end_in_time()
     # A thread that computes hands over after 0.5 ms, so that a question waits no longer for it than for the network.
     sys.setswitchinterval(0.0005)
     try:
@@ -33,6 +41,20 @@ def serve(
     except He3Error as error:
         sys.stderr.write(f"he3 {service.name}: {error}\n")
         return 2
+
+
+def _end_in_time() -> None:
+    """See to it that a process that was told to end does, even where it hangs in a call that no signal interrupts."""
+    told, tell = socket.socketpair()
+    tell.setblocking(False)
+    signal.set_wakeup_fd(tell.fileno(), warn_on_full_buffer=False)
+
+    def wait(_tell: socket.socket = tell) -> None:
+        told.recv(1)
+        time.sleep(ENDS_WITHIN_S)
+        os._exit(0)
+
+    threading.Thread(target=wait, name="ending", daemon=True).start()
 
 
 def leave(code: int) -> NoReturn:

@@ -71,6 +71,7 @@ class LinkProcess(Process):
                 _, change = decode(CLOCK_SET, payload, self.mission)
         except (He3Error, Refused) as error:
             question.refuse(str(error))
+            self.refused(str(error))
             return
         self._missing.clear()
         self._change_rate(change.rate)
