@@ -16,7 +16,6 @@ from services.lockstep import LockstepProcess
 from services.options import parse_options
 from services.run import Process, Service, Stop
 
-
 ENDS_WITHIN_S = 1.4
 """From the signal on: a call that hangs in the network then no longer keeps the process alive."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import signal
+import socket
 import time
 
 import pytest
@@ -13,6 +14,7 @@ from services.recorder.reader import Recording
 
 ALL = ("recorder", "ground", "rover", "field", "link")
 RATE = "2000"
+READY_WITHIN_S = 45.0
 
 
 @pytest.mark.parametrize(("number", "seed"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
@@ -60,3 +62,16 @@ def test_a_rover_ends_in_time_when_its_link_has_just_been_killed(missions):
     mission.ready()
     mission["link"].kill()
     assert mission["rover"].stop(signal.SIGINT) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_service_ends_in_time_while_it_waits_for_a_router_that_says_nothing(missions, number):
+    """Something listens at the endpoint and never answers: Zenoh waits for it in a call that no signal interrupts."""
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        mission = missions("short")
+        mission.moon = f"tcp/127.0.0.1:{mute.getsockname()[1]}"
+        mission.start("rover")
+        mute.settimeout(READY_WITHIN_S)
+        connection, _ = mute.accept()
+        with connection:
+            assert mission["rover"].stop(number) == 0
