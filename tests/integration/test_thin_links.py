@@ -38,7 +38,7 @@ CONDITIONS = {
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("settings", CONDITIONS.values(), ids=CONDITIONS.keys())
 def test_a_mission_in_separate_processes_is_complete_in_spite_of(tmp_path: Path, settings: list[str]) -> None:
-    with Mission(tmp_path, [f"rate={RATE}", "ground.pipeline=1", *settings]) as mission:
+    with Mission(tmp_path, [f"rate={RATE}", "rounds=2", "ground.pipeline=1", *settings]) as mission:
         mission.wait_until_over(150.0)
         lost, doubled, unequal = mission.judged()
 

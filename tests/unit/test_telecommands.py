@@ -17,7 +17,7 @@ from schemas.link import AtEdge, LinkChange
 from schemas.telemetry import EventKind, RoverMode, RoverState
 from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, STATE, TRACK, Side, Topic
 from schemas.wire import Header, decode, encode
-from services.console.commands.command import command_lines
+from services.console.commands.command import _has_come_to, command_lines
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
 from services.ground.planning import PlannedRound, PlanningRequest
@@ -459,6 +459,19 @@ def test_a_command_under_way_outlives_the_restart_of_any_process_and_is_executed
     assert ends == [stage for stage in ALL_GOES_WELL if stage != "radiated"]
     assert flown.events.count(EventKind.PAUSED) == 1
     flown.completes()
+
+
+def test_waiting_for_a_stage_ends_with_it_with_a_later_one_and_with_any_end() -> None:
+    flown = Flown()
+    flown.until(RoverMode.DRIVING)
+    status = flown.command("pause")
+    assert _has_come_to(status, CommandStage.RELEASED)
+    assert not _has_come_to(status, CommandStage.RADIATED)
+    flown.simulation.run_for(1000.0)
+    seen = flown.status()
+    unseen = seen.model_copy(update={"stages": tuple(r for r in seen.stages if r.stage is not CommandStage.RADIATED)})
+    assert _has_come_to(unseen, CommandStage.RADIATED)
+    assert _has_come_to(unseen, CommandStage.COMPLETED)
 
 
 def test_what_became_of_a_command_can_be_read_without_a_log() -> None:

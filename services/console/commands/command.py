@@ -171,6 +171,14 @@ def _ends() -> frozenset[CommandStage]:
     return frozenset({Stage.REJECTED, Stage.COMPLETED, Stage.FAILED, Stage.EXPIRED, Stage.LOST})
 
 
+def _has_come_to(status: CommandStatus, stage: CommandStage) -> bool:
+    """Whether the command has passed that stage, or one that only comes after it, or has ended."""
+    from schemas.commands import CommandStage as Stage
+
+    order = list(Stage)
+    return any(order.index(report.stage) >= order.index(stage) for report in status.stages)
+
+
 def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: float) -> CommandStatus:
     """The command's status once it has passed that stage or ended; raises PeerUnreachable when time runs out."""
     import queue
@@ -186,7 +194,7 @@ def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: 
     listed: CommandList = client.query(LIST_COMMANDS, NoParameters())
     status = next((each for each in listed.commands if each.command.command_id == name), status)
     deadline = time.monotonic() + timeout_s
-    while not ({report.stage for report in status.stages} & (_ends() | {stage})):
+    while not _has_come_to(status, stage):
         try:
             heard = news.get(timeout=max(0.0, deadline - time.monotonic()))
         except queue.Empty:
