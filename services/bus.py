@@ -124,8 +124,11 @@ class Bus:
     def _publisher(self, topic: Topic) -> zenoh.Publisher:
         publisher = self._publishers.get(topic)
         if publisher is None:
+            # A priority of its own: whoever does not take the answers that he asked for blocks the queue of theirs.
             publisher = self._session.declare_publisher(
-                topic.key(self._mission), congestion_control=zenoh.CongestionControl.DROP
+                topic.key(self._mission),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_HIGH,
             )
             self._publishers[topic] = publisher
         return publisher

@@ -101,7 +101,7 @@ class LockstepProcess(Process):
 
     def _take_joined(self, answer: bytes | Silence, detail: str) -> None:
         if answer is Silence.REFUSED:
-            raise PeerUnreachable(f"the time keeper refuses: {detail}")
+            raise He3Error(detail)
         if isinstance(answer, Silence):
             return  # nobody there yet, or a step is under way; ask again
         try:
@@ -135,7 +135,7 @@ class LockstepProcess(Process):
             self.log.warning(f"refused: {refusal}")
             return
         if grant.process != self.process_id and grant.step > self.part.step:
-            raise PeerUnreachable(f"another process has taken part as {self.name} since: {grant.process}")
+            raise He3Error(f"another process has taken part as {self.name} since: {grant.process}")
         self._granted_at = time.monotonic()
         self.part.grant(grant)
 

@@ -61,7 +61,7 @@ class LockstepLinkProcess(LockstepProcess):
         self.part.start(max(self._incarnation, self.keeper.starts(self.name)))
         self._show_time()
         for side, bus in self.buses.items():
-            bus.serve(CLOCKS[side], lambda question: question.reply(self._clock_message()))
+            bus.serve(CLOCKS[side], lambda question: self.later(partial(self._tell_time, question)))
             bus.serve(JOIN[side], partial(self._join_asked, side))
             for family in TO_KEEPER:
                 bus.subscribe(family[side], partial(self._heard, family[side]))
@@ -278,6 +278,14 @@ class LockstepLinkProcess(LockstepProcess):
 
     def _show_time(self) -> None:
         self._shown = time.monotonic()
+        message = self._clock_message()
+        for side, bus in self.buses.items():
+            bus.show(CLOCKS[side], message)
+
+    def _tell_time(self, question: Question) -> None:
+        question.reply(self._clock_message())
+
+    def _clock_message(self) -> bytes:
         self.clock = ClockState(
             mode=ClockMode.LOCKSTEP,
             rate=0.0,
@@ -285,9 +293,4 @@ class LockstepLinkProcess(LockstepProcess):
             anchor_mission_ns=self.keeper.now,
             start_ns=self.options.scenario.start_ns,
         )
-        for side, bus in self.buses.items():
-            bus.show(CLOCKS[side], self._clock_message())
-
-    def _clock_message(self) -> bytes:
-        assert self.clock is not None, "the time is shown before anybody can ask"
         return encode(self.header(), self.clock)

@@ -59,9 +59,12 @@ class TimeKeeper:
     def join(self, joining: Join) -> None:
         """A process wants to take part, or asks whether it still does; `admit` takes it in between two steps.
 
-        An earlier process of that name is given up. Raises InvalidInput when somebody else serves what it serves:
-        nobody could say then whom a question reaches.
+        An earlier process of that name is given up. Raises InvalidInput for that earlier process, should it wake up
+        and ask, and when somebody else serves what it serves: nobody could say then whom a question reaches.
         """
+        latest = self._starts.get(joining.name, [joining.process])[-1]
+        if joining.process != latest and joining.process in self._starts[joining.name]:
+            raise InvalidInput(f"another process has taken part as {joining.name} since: {latest}")
         for other in self.members.values():
             both = other.serves & frozenset(joining.serves)
             if other.name != joining.name and both:

@@ -204,6 +204,23 @@ def test_a_new_process_takes_the_place_of_a_hung_one_whose_reports_count_no_more
     assert grants["field"].expects == {}
 
 
+def test_a_process_that_was_replaced_is_refused_when_it_asks_again() -> None:
+    keeper = keeper_of(joining("rover"))
+    keeper.join(joining("rover", start=2))
+    keeper.admit()
+    with pytest.raises(InvalidInput, match=r"another process has taken part as rover since: rover\.2"):
+        keeper.join(joining("rover", start=1))
+    assert keeper.members["rover"].process == "rover.2"
+
+
+def test_a_process_that_was_thought_gone_takes_part_again() -> None:
+    keeper = keeper_of(joining("rover", next_wake=50))
+    keeper.leave("rover.1")
+    keeper.join(joining("rover", next_wake=50))
+    keeper.admit()
+    assert (keeper.missing(), keeper.starts("rover")) == ([], 1)
+
+
 def test_the_late_news_that_an_earlier_process_is_gone_does_not_concern_its_successor() -> None:
     keeper = keeper_of(joining("rover"))
     keeper.join(joining("rover", start=2))

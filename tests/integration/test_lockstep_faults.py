@@ -1,0 +1,259 @@
+"""Lockstep when something goes wrong: who dies, hangs or comes back, who only looks on, and what an operator does."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from he3.errors import He3Error
+from schemas.link import LinkChange
+from schemas.lockstep import TimeControl, TimeStatus
+from schemas.measurement import MeasurementRequest
+from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_SET, MEASURE, TIME_CONTROL, Side
+from services.bus import Client
+from services.node import SECOND
+
+pytestmark = pytest.mark.timeout(240)
+
+SERVICES = ("link", "field", "rover", "ground")
+WAIT_FOR = ("--wait-for", "field,rover,ground", "--stop-when", "ground")
+START = 1893456000 * SECOND
+NAMED_WITHIN_S = 15.0
+"""A process that hangs is named after 5 s of wall time; a busy machine gets more."""
+
+
+class Lockstep:
+    """A mission in lockstep, seen by an operator."""
+
+    def __init__(self, mission: object) -> None:
+        self.mission = mission
+        self._client: Client | None = None
+
+    @property
+    def client(self) -> Client:
+        if self._client is None:
+            self._client = self.mission.client()
+        return self._client
+
+    def control(self, **wanted: object) -> TimeStatus:
+        return self.client.query(TIME_CONTROL, TimeControl(**wanted))
+
+    def until(self, wanted: Callable[[TimeStatus], bool], within_s: float = 60.0) -> TimeStatus:
+        """The first status that is wanted."""
+        deadline = time.monotonic() + within_s
+        while True:
+            status = self.control()
+            if wanted(status):
+                return status
+            assert time.monotonic() < deadline, f"not within {within_s:g} s: {status}\n{self.mission['link'].text}"
+            time.sleep(0.02)
+
+    def standing(self, **wanted: object) -> TimeStatus:
+        """The status once time stands where the operator wanted it to."""
+        self.control(**wanted)
+        return self.until(lambda status: status.paused and not status.waits_for)
+
+    def moves_on(self) -> None:
+        """Fails unless time goes on."""
+        step = self.control().step
+        self.until(lambda status: status.step > step + 50)
+
+
+@pytest.fixture
+def lockstep(missions: Callable[..., object], tmp_path: Path) -> Callable[..., Lockstep]:
+    def begin(*settings: str, journal: bool = True) -> Lockstep:
+        flags = [word for setting in settings for word in ("--set", setting)]
+        flags += ["--journal", str(tmp_path / "journal")] if journal else []
+        mission = missions("short", "--lockstep", *flags)
+        mission.start("link", flags=WAIT_FOR)
+        mission.start("field", "rover", "ground")
+        mission.ready()
+        return Lockstep(mission)
+
+    return begin
+
+
+# --- an operator ------------------------------------------------------------------------------------------------
+
+
+def test_an_operator_pauses_steps_goes_to_a_time_slows_down_and_releases_time(
+    lockstep: Callable[..., Lockstep],
+) -> None:
+    mission = lockstep()
+    first = mission.standing(paused=True)
+    assert first.next_at is not None
+    assert first.next_at > first.now
+
+    second = mission.standing(steps=1)
+    assert second.now == first.next_at
+
+    fifth = mission.standing(steps=3)
+    assert fifth.now > second.now
+
+    hour = START + 3600 * SECOND
+    there = mission.standing(until=hour)
+    assert there.now == hour
+    assert there.next_at is not None
+    assert there.next_at > hour
+
+    began, wall = there.now, time.monotonic()
+    mission.control(paused=False, rate=50.0)
+    later = mission.until(lambda status: status.now >= began + 50 * SECOND)
+    took = time.monotonic() - wall
+    assert (later.now - began) / SECOND <= 50.0 * took + 1.0, "no faster than the operator said"
+    assert took >= 0.9
+
+    mission.control(unlimited=True)
+    over = mission.until(lambda status: "ground" in status.finished, within_s=120.0)
+    assert over.rate is None
+    mission.until(lambda status: status.paused)
+
+
+def test_a_paused_mission_answers_and_takes_changes_in_at_the_time_at_which_it_stands(
+    lockstep: Callable[..., Lockstep],
+) -> None:
+    mission = lockstep()
+    stands = mission.standing(until=START + 600 * SECOND)
+    changed = mission.client.query(LINK_SET, LinkChange(one_way_light_time_s=5.0))
+    assert changed.conditions.up.one_way_light_time_s == 5.0
+    assert mission.control().now == stands.now
+    _, clock = mission.client.latest(EARTH_CLOCK)
+    assert clock.anchor_mission_ns == stands.now
+    assert mission.client.latest(GROUND_STATUS)[0].made_at <= stands.now
+
+
+def test_a_bad_wish_is_refused_in_one_line_and_changes_nothing(lockstep: Callable[..., Lockstep]) -> None:
+    mission = lockstep()
+    before = mission.standing(paused=True)
+    header = b'{"version":1,"mission":"short","source":"x","incarnation":0,"sequence":0,"made_at":0}'
+    wish = b'{"header":%b,"body":{"rate":-1.0}}' % header
+    with pytest.raises(He3Error, match=r"body.rate: input should be greater than 0, got -1.0"):
+        mission.client._ask(TIME_CONTROL, wish, 5.0)
+    assert mission.control() == before
+
+
+# --- who dies, hangs, comes back --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["field", "rover", "ground"])
+def test_who_is_killed_is_named_at_once_time_stands_and_goes_on_when_it_is_back(
+    name: str, lockstep: Callable[..., Lockstep]
+) -> None:
+    mission = lockstep()
+    mission.standing(until=START + 1800 * SECOND)
+    mission.control(paused=False, rate=2000.0)
+    mission.until(lambda status: status.now > START + 2000 * SECOND)
+    mission.mission[name].kill()
+    stands = mission.until(lambda status: status.waits_for == (name,), within_s=2.0)
+    assert re.match(rf"{name} \({name}\.\d+\.\w+\) is gone.*; mission time stands until it is back$", stands.detail)
+    again = mission.control()
+    assert (again.now, again.step) == (stands.now, stands.step), "time stands cleanly"
+    mission.mission.start(name)
+    mission.mission.ready(name)
+    mission.moves_on()
+    assert mission.control().detail == ""
+    mission.control(unlimited=True)
+    mission.until(lambda status: "ground" in status.finished, within_s=120.0)
+
+
+def test_who_hangs_is_named_within_a_bound_time_stands_and_goes_on_when_it_does(
+    lockstep: Callable[..., Lockstep],
+) -> None:
+    mission = lockstep(journal=False)
+    mission.standing(until=START + 1800 * SECOND)
+    rover = mission.mission["rover"]
+    os.kill(rover.pid, signal.SIGSTOP)
+    try:
+        mission.control(paused=False)
+        named = mission.until(lambda status: bool(status.detail), within_s=NAMED_WITHIN_S)
+        assert named.waits_for == ("rover",)
+        assert named.detail.startswith(f"step {named.step}: not finished by rover within 5 s; mission time stands")
+        assert mission.control().step == named.step
+    finally:
+        os.kill(rover.pid, signal.SIGCONT)
+    mission.moves_on()
+    assert mission.control().detail == ""
+
+
+def test_a_process_that_hangs_can_be_replaced_and_then_ends_when_it_wakes_up(
+    lockstep: Callable[..., Lockstep],
+) -> None:
+    mission = lockstep(journal=False)
+    mission.standing(until=START + 1800 * SECOND)
+    hung = mission.mission["field"]
+    os.kill(hung.pid, signal.SIGSTOP)
+    mission.mission.start("field")
+    mission.mission.ready("field")
+    os.kill(hung.pid, signal.SIGCONT)
+    mission.control(paused=False)
+    mission.moves_on()
+    assert hung.end(within_s=20.0) == 2
+    assert "he3 field: another process has taken part as field since" in hung.text
+
+
+def test_when_the_link_is_killed_the_others_wait_and_go_on_with_its_successor(
+    lockstep: Callable[..., Lockstep],
+) -> None:
+    mission = lockstep()
+    stood = mission.standing(until=START + 1800 * SECOND)
+    mission.mission["link"].kill()
+    mission.mission.close_clients()
+    mission._client = None
+    mission.mission.start("link", flags=WAIT_FOR)
+    mission.mission.ready("link")
+    mission.until(lambda status: not status.waits_for and status.now >= stood.now, within_s=90.0)
+    mission.moves_on()
+    assert mission.control().now > stood.now, "time never ran backwards"
+
+
+# --- who only looks on ------------------------------------------------------------------------------------------
+
+LOOKS_ON_AND_HANGS = """
+import os, signal, sys
+from services.bus import open_session
+from schemas.topics import Side
+session = open_session(Side.EARTH, "client", sys.argv[1])
+heard = session.declare_subscriber("he3/**", lambda sample: None)
+queries = [session.get("he3/short/earth/map/layer?layer=mean") for _ in range(20)]
+print("hangs", flush=True)
+os.kill(os.getpid(), signal.SIGSTOP)
+"""
+
+
+def test_clients_that_subscribe_to_everything_and_hang_hold_nothing_up(lockstep: Callable[..., Lockstep]) -> None:
+    mission = lockstep(journal=False)
+    mission.standing(until=START + 600 * SECOND)
+    hung = [
+        subprocess.Popen([sys.executable, "-c", LOOKS_ON_AND_HANGS, mission.mission.earth], stdout=subprocess.PIPE)
+        for _ in range(3)
+    ]
+    try:
+        for process in hung:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"hangs\n"
+        mission.control(paused=False)
+        mission.until(lambda status: "ground" in status.finished, within_s=120.0)
+    finally:
+        for process in hung:
+            process.kill()
+            process.communicate()
+
+
+def test_a_stranger_s_question_is_answered_and_what_he_publishes_is_not_counted(
+    lockstep: Callable[..., Lockstep],
+) -> None:
+    mission = lockstep(journal=False)
+    mission.standing(until=START + 600 * SECOND)
+    moon = mission.mission.client(Side.MOON)
+    request = MeasurementRequest(sample_id="mine", x_m=30.0, y_m=30.0, depth_m=0.1)
+    assert moon.query(MEASURE, request).sample_id == "mine"
+    mission.control(paused=False)
+    mission.moves_on()
