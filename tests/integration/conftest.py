@@ -191,6 +191,10 @@ class Mission:
             command = [sys.executable, "-m", f"services.{name}", self.scenario, "--moon", self.moon]
             self.processes[name] = Process(name, [*command, "--earth", self.earth, *self._flags, *flags])
 
+    def run(self, name: str, command: Sequence[str]) -> None:
+        """Start a process of the test's own under that name."""
+        self.processes[name] = Process(name, command)
+
     def ready(self, *names: str) -> None:
         """Wait until those services (all, if none is named) take part."""
         for name in names or tuple(self.processes):
