@@ -125,15 +125,19 @@ class Launcher:
             if code is not None:
                 raise He3Error(f"the {name} service ended by itself, {_in_words(code)}{self._last_words(name)}")
 
+    def tell_to_end(self) -> None:
+        """Ask every service to end, and wait for none."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.terminate()
+
     def stop(self) -> None:
         """End all services: politely, then not."""
         with uninterrupted():
             self._stop()
 
     def _stop(self) -> None:
-        for process in self._processes.values():
-            if process.poll() is None:
-                process.terminate()
+        self.tell_to_end()
         deadline = time.monotonic() + STOP_WITHIN_S
         for process in self._processes.values():
             try:

@@ -56,15 +56,19 @@ def _run_separate(
     services = services_of(chosen, where, free_endpoints(), lockstep=lockstep, events=events)
     with services as (launcher, endpoints):  # noqa: SIM117 - two things end apart
         with join_when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
-            watcher = Watcher(client, scenario.start_ns)
-            watcher.catch_up()
-            status = _watched_to_its_end(watcher, launcher, progress)
-            wall_time_s = time.monotonic() - began
-            if status.phase is not MissionPhase.COMPLETED:
-                raise He3Error(f"the mission failed {watcher.status_time_s:.0f} s after its beginning: {status.detail}")
-            driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
-            run = Run(driver, rate, region.provenance, watcher.status_time_s, wall_time_s)
-            outcome: Outcome = gather(client.query, scenario, status, run)
+            try:
+                watcher = Watcher(client, scenario.start_ns)
+                watcher.catch_up()
+                status = _watched_to_its_end(watcher, launcher, progress)
+                wall_time_s = time.monotonic() - began
+                if status.phase is not MissionPhase.COMPLETED:
+                    at = f"{watcher.status_time_s:.0f} s after its beginning"
+                    raise He3Error(f"the mission failed {at}: {status.detail}")
+                driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
+                run = Run(driver, rate, region.provenance, watcher.status_time_s, wall_time_s)
+                outcome: Outcome = gather(client.query, scenario, status, run)
+            finally:
+                launcher.tell_to_end()  # they end while this session closes, which takes a second if a router is gone
     return outcome.report, write_outcome(outcome, region, where)
 
 
