@@ -3,7 +3,7 @@
 A whole mission runs in separate processes, fast, so that plan follows upon plan. An operator asks for the map at a
 point, and in turn asks a queryable in a process of its own that answers each query with the same number of bytes and
 does nothing else. Only pairs of queries count that were asked while a plan was being computed, from beginning to end;
-the first plan, for which the planner process only starts, does not count, and no plan counts for more than a quarter.
+the first plan, for which the planner process only starts, does not count, and at least `plans` others do.
 
     queries              how many pairs counted
     point_p50_s, point_p99_s       median and 99th percentile of the map query [s]
@@ -51,17 +51,19 @@ def run(
     planner: str = "rrtstar",
     rate: float = 3000.0,
     seed: int = 1,
+    plans: int = 4,
     json: Path | str | None = None,
     *,
     say: Callable[[str], None] = print,
 ) -> Row:
     """The figures of `queries` pairs asked while plans were being computed; printed, and written to ``json``.
 
-    rate: mission seconds a wall second. Raises InvalidInput for figures that make no sense, He3Error when the mission
+    rate: mission seconds a wall second. plans: no plan counts for more than its share of so many.
+    Raises InvalidInput for figures that make no sense, He3Error when the mission
     has not planned for long enough to ask that often.
     """
-    if queries < 1 or rate <= 0:
-        raise InvalidInput(f"expected at least 1 query and a rate above 0, got {queries} and {rate:g}")
+    if queries < 1 or plans < 1 or rate <= 0:
+        raise InvalidInput(f"expected at least 1 query, 1 plan and a rate above 0, got {queries}, {plans} and {rate:g}")
     path = find_scenario(scenario)
     mission = load_scenario(path)
     endpoints = free_endpoints()
@@ -77,7 +79,7 @@ def run(
         bare.answer()
         session = open_session(Side.EARTH, "client", endpoints.earth)
         ends.callback(session.close)
-        row = _measured(session, mission.name, watcher, services, queries)
+        row = _measured(session, mission.name, watcher, services, queries, -(-queries // plans))
     row |= {"planner": planner, "scenario": mission.name, "cpus": os.cpu_count(), "load": os.getloadavg()[0]}
     say(
         f"map point query while planning ({planner}, {row['plans']} plans, {row['queries']} queries): median "
@@ -107,13 +109,14 @@ class _Planning:
         return None if status is None or not status.plans_in_work else status.plan_revision or None
 
 
-def _measured(session: zenoh.Session, mission: str, watcher: _Planning, services: list[Peer], queries: int) -> Row:
+def _measured(
+    session: zenoh.Session, mission: str, watcher: _Planning, services: list[Peer], queries: int, most: int
+) -> Row:
     random = np.random.default_rng(1)
     key = MAP_POINT.key(mission)
     point: list[float] = []
     bare: list[float] = []
     plans: Counter[int] = Counter()
-    most = max(1, -(-queries // 4))
     give_up = time.monotonic() + GIVE_UP_S
     while len(point) < queries:
         for service in services:

@@ -1,0 +1,60 @@
+"""The benchmarks of running services, in small: what they print and write, and bounds that hold on a busy machine."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from benchmarks import link_timing, query_latency
+from he3.errors import InvalidInput
+
+
+def test_the_link_s_light_time_is_measured_each_way_before_and_after_a_live_change(tmp_path):
+    lines: list[str] = []
+    link_timing.run(messages=40, interval_s=0.01, changed_to_s=0.5, json=tmp_path / "link.json", say=lines.append)
+    document = json.loads((tmp_path / "link.json").read_text())
+    assert (document["owlt_s"], document["messages"]) == (1.282, 80)
+    shown = [(row["owlt_s"], row["direction"], row["messages"]) for row in document["rows"]]
+    assert shown == [
+        (1.282, "up", 40),
+        (1.282, "down", 40),
+        (1.282, "both", 80),
+        (0.5, "up", 40),
+        (0.5, "down", 40),
+        (0.5, "both", 80),
+    ]
+    for row in [document, *document["rows"]]:
+        assert 0 < row["error_p50_s"] <= row["error_p99_s"] <= row["error_max_s"]
+        assert row["error_p50_s"] < 0.05
+    assert len(lines) == 7
+
+
+def test_a_map_query_while_planning_is_measured_beside_a_bare_queryable(tmp_path):
+    lines: list[str] = []
+    query_latency.run(
+        queries=40, scenario="short", rate=20_000.0, plans=1, json=tmp_path / "query.json", say=lines.append
+    )
+    row = json.loads((tmp_path / "query.json").read_text())
+    assert row["queries"] == 40
+    assert row["plans"] >= 1
+    assert 0 < row["point_p50_s"] <= row["point_p99_s"]
+    assert 0 < row["bare_p50_s"] <= row["bare_p99_s"]
+    assert row["ratio"] < 10, "a plan being computed must never delay a query"
+    assert "ratio of the medians" in lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("benchmark_run", "figures"),
+    [
+        (link_timing.run, {"messages": 0}),
+        (link_timing.run, {"interval_s": -1.0}),
+        (link_timing.run, {"changed_to_s": float("nan")}),
+        (query_latency.run, {"queries": 0}),
+        (query_latency.run, {"rate": 0.0}),
+        (query_latency.run, {"scenario": "t9-nominal"}),
+    ],
+)
+def test_figures_that_make_no_sense_are_refused_before_anything_is_started(benchmark_run, figures):
+    with pytest.raises(InvalidInput):
+        benchmark_run(**figures)
