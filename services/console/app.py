@@ -19,6 +19,7 @@ from services.console.commands import (
     status,
     time,
     up,
+    watch,
     web,
 )
 
@@ -44,7 +45,7 @@ def build() -> typer.Typer:
     app.command("run", short_help="A whole mission, and a report on it.", epilog=run.EXAMPLES)(run.run)
     app.command("up", short_help="Start the services and stay; Ctrl-C ends it.", epilog=up.EXAMPLES)(up.up)
     app.command("status", short_help="Who is alive, where the rover is.", epilog=status.EXAMPLES)(status.status)
-    app.command("watch", short_help="Follow a running mission.", epilog=status.WATCH_EXAMPLES)(status.watch)
+    app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
     app.command("web", short_help="The operator's page, in a browser.", epilog=web.EXAMPLES)(web.web)
     app.add_typer(map.app, name="map", help="The live map: a place, a picture, numbers.")
     app.add_typer(

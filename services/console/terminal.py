@@ -28,7 +28,8 @@ def drawn(values: NDArray[Any], raster: MapRaster, width: int, colours: bool | N
     lines = _coloured(unit, raster.layer.value == "std") if colours else _lettered(unit)
     extent = f"{columns * raster.resolution_m:g} x {rows * raster.resolution_m:g} m, north up"
     unit_name = "" if raster.unit == "1" else f" {raster.unit}"
-    scale = f"{low:.3g} to {high:.3g}{unit_name}" if unit_name else "dark: closed, light: open"
+    closed_or_open = raster.layer.value == "traversable"
+    scale = "dark: closed, light: open" if closed_or_open else f"{low:.3g} to {high:.3g}{unit_name}"
     return [*lines, f"{raster.layer.value}: {scale}; {extent}; revision {raster.revision}, {raster.samples} samples"]
 
 

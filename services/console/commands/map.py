@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from services.console.commands import mapparts
 from services.console.commands.options import AsJson, Earth, Mission
 
 if TYPE_CHECKING:
@@ -22,6 +23,11 @@ Examples:
   he3 map show exceedance --threshold 10
   he3 map export belief.npz
   he3 map score --json
+  he3 map box mean 100 100 200 200 --resolution 5
+  he3 map save exceedance rich.tif --threshold 9
+  he3 map resource 100,100 200,100 150,200 --cutoff 9
+  he3 map samples --csv
+  he3 map show mean --as-of 12
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -184,3 +190,6 @@ def score(mission: Mission = None, earth: Earth = None, json: AsJson = False) ->
         f"{figures.coverage_95:.1%} within 2 std (nominal 95.4 %)"
     )
     typer.echo(f"map         revision {figures.revision}, {figures.samples} samples")
+
+
+mapparts.add_to(app, EXAMPLES)

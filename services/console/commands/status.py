@@ -1,4 +1,4 @@
-"""``he3 status`` and ``he3 watch``: who is alive, where the rover is, what is in flight."""
+"""``he3 status``: who is alive, where the rover is, what is in flight."""
 
 from __future__ import annotations
 
@@ -18,10 +18,6 @@ Examples:
   he3 status
   he3 status --json | jq .ground.score.rmse_ppb
   he3 status --mission t1-nominal --earth tcp/10.0.0.2:7448
-"""
-WATCH_EXAMPLES = """\b
-Examples:
-  he3 watch                 until Ctrl-C, or until the mission is over
 """
 
 LIVELINESS_S = 0.3
@@ -91,7 +87,7 @@ def _lines(document: dict[str, Any], watcher: Watcher) -> list[str]:
         ]
     if ground is not None and ground.rover is not None and ground.rover_made_at is not None:
         rover = ground.rover
-        age = "" if clock is None else f", {duration(_age_s(watcher, ground.rover_made_at))} ago"
+        age = "" if clock is None else f", {duration(age_s(watcher, ground.rover_made_at))} ago"
         rows.append(
             (
                 "rover",
@@ -110,7 +106,7 @@ def _lines(document: dict[str, Any], watcher: Watcher) -> list[str]:
     return [f"{name:<10} {text}" for name, text in rows]
 
 
-def _age_s(watcher: Watcher, made_at: int) -> float:
+def age_s(watcher: Watcher, made_at: int) -> float:
     start = 0 if watcher.clock is None else watcher.clock.start_ns
     return max(0.0, (watcher.mission_time_s or 0.0) - (made_at - start) / 1e9)
 
@@ -121,25 +117,3 @@ def _counts(counts: Any) -> str:
         f"{counts.offered} sent, {counts.delivered} delivered, {counts.in_flight} in flight, "
         f"{counts.waiting} waiting, {gone} lost"
     )
-
-
-def watch(mission: Mission = None, earth: Earth = None) -> None:
-    """Follow a running mission until it is over, or until Ctrl-C."""
-    from schemas.ground import MissionPhase
-    from services.console.joining import Watcher, join
-    from services.console.progress import progress_for
-    from services.console.runfile import find
-
-    endpoint, name = find(mission, earth)
-    with join(name, endpoint) as client, progress_for(f"{name} at {endpoint}", "Ctrl-C leaves; it goes on") as progress:
-        watcher = Watcher(client)
-        watcher.catch_up()
-        heard = time.monotonic()
-        while watcher.status is None or watcher.status.phase not in (MissionPhase.COMPLETED, MissionPhase.FAILED):
-            progress.show(watcher.moment)
-            if watcher.changed.wait(0.1):
-                heard = time.monotonic()
-                watcher.changed.clear()
-            elif time.monotonic() - heard > 15.0:
-                raise PeerUnreachable(f"mission '{name}' at {endpoint}: nothing heard for 15 s")
-    typer.echo(f"mission '{name}' is over: {watcher.status.phase.value}")
