@@ -37,6 +37,8 @@ BLACKOUTS = (0.25, 0.5)
 PERIOD_S = 4 * 3600.0
 """A black-out of half the time lasts two hours."""
 SLACK_S = 60 * 86400.0
+WAITING, AHEAD = "#c2410c", "#1d4ed8"
+"""Colours of stop-and-wait and of the pipeline."""
 
 Row = dict[str, Any]
 
@@ -208,6 +210,24 @@ def _drawn(rows: Sequence[Row], path: Path) -> Path:
                 places = range(len(few)) if column == 0 else [100 * row["blackout"] for row in few]
                 axes[0][column].plot(places, [row["mission_time_s"] / 3600 for row in few], **style)
                 axes[1][column].plot(places, [row["rmse_ppb"] for row in few], **style)
+        fastest = min(row["mission_time_s"] for row in rows)
+        longest = max(row["mission_time_s"] for row in rows)
+        for column, (some, key) in enumerate(((by_light_time, "light_time_s"), (by_blackout, "blackout"))):
+            places = sorted({float(row[key]) for row in some})
+            for row in some:
+                place = places.index(row[key]) if column == 0 else 100 * row["blackout"]
+                more = row["mission_time_s"] / fastest - 1
+                axes[0][column].annotate(
+                    f"+{more:.3%}" if 1e-6 < more < 1e-4 else f"+{more:.2%}" if more > 1e-6 else "fastest",
+                    (place, row["mission_time_s"] / 3600),
+                    xytext=(0, -15 if row["pipeline"] else 9),
+                    textcoords="offset points",
+                    ha="center",
+                    color=AHEAD if row["pipeline"] else WAITING,
+                    fontsize=8,
+                )
+            axes[0][column].margins(x=0.16)
+        axes[0][0].set_ylim(0, 1.15 * longest / 3600)
         times = sorted({row["light_time_s"] for row in by_light_time})
         axes[1][0].set_xticks(range(len(times)), [_duration(seconds) for seconds in times])
         axes[1][0].set_xlabel("one-way light time")
@@ -216,9 +236,9 @@ def _drawn(rows: Sequence[Row], path: Path) -> Path:
         axes[1][0].set_ylabel("RMSE [ppb]")
         axes[0][0].set_title("Light time, always in contact")
         axes[0][1].set_title(f"Black-outs at {MOON_S:g} s")
+        axes[1][0].set_ylim(bottom=0)
         for row in axes:
             for axis in row:
-                axis.set_ylim(bottom=0)
                 axis.grid(color="#d9dde2", linewidth=0.6)
                 axis.spines[["top", "right"]].set_visible(False)
         axes[0][0].legend(loc="lower left")
@@ -231,11 +251,12 @@ def _kinds(rows: Iterable[Row]) -> Iterator[tuple[dict[str, Any], list[Row]]]:
     waiting = [row for row in rows if not row["pipeline"]]
     ahead = [row for row in rows if row["pipeline"]]
     if waiting:
-        yield {"color": "#c2410c", "marker": "s", "linestyle": "--", "label": "stop-and-wait"}, waiting
+        hollow = {"markerfacecolor": "white", "markersize": 9.0}
+        yield {"color": WAITING, "marker": "s", "linestyle": "--", "label": "stop-and-wait", **hollow}, waiting
     if ahead:
         depth = ahead[0]["pipeline"]
         label = f"pipelined, {depth} round{'s' * (depth > 1)} on board"
-        yield {"color": "#1d4ed8", "marker": "o", "linestyle": "-", "label": label}, ahead
+        yield {"color": AHEAD, "marker": "o", "linestyle": "-", "label": label}, ahead
 
 
 def _duration(seconds: float) -> str:
