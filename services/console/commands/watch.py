@@ -141,7 +141,7 @@ class _Screen:
         layout.split_column(upper, Layout(name="events", size=8))
         upper.split_row(left, right)
         picture = Text.from_ansi("\n".join(self._picture(map_width)), no_wrap=True)
-        left.update(Panel(picture, title="helium-3, mean [ppb]", border_style="dim"))
+        left.update(Panel(picture, title="helium-3, mean, in ppb", border_style="dim"))
         commands = command_lines(list(self._commands.values())[-3:])
         lower = Layout(Panel("\n".join(commands) or "none sent", title="commands", border_style="dim"))
         right.split_column(

@@ -1,0 +1,237 @@
+"""Operators of a mission in separate processes: queries, the feed, the client, the shell, the notebook."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from he3.errors import He3Error, InvalidInput
+from schemas.maps import MapAbout
+from schemas.topics import Side
+from services.bus import open_session
+from services.console.client import MissionClient
+from services.console.joining import join_when_up
+from services.console.launcher import Endpoints, Launcher, free_endpoints
+
+MISSION, RATE = "t1-nominal", 120.0
+ROOT = Path(__file__).parents[2]
+WITHIN_S = 90.0
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Launcher, Endpoints]]:
+    endpoints = free_endpoints()
+    quick = ("--set", "rover.drill_s_per_m=600.0", "--set", "rover.analysis_s=30.0", "--set", "rover.speed_m_s=2.0")
+    scenario = ROOT / "deploy" / "scenarios" / f"{MISSION}.toml"
+    logs = tmp_path_factory.mktemp("logs")
+    with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
+        join_when_up(endpoints.earth, MISSION, launcher.check).close()
+        with MissionClient(endpoints.earth, MISSION) as client:
+            wait_for(lambda: quietly(lambda: len(client.samples()) >= 2), "two samples")
+        yield launcher, endpoints
+
+
+@pytest.fixture
+def client(running: tuple[Launcher, Endpoints]) -> Iterator[MissionClient]:
+    with MissionClient(running[1].earth, MISSION) as joined:
+        yield joined
+
+
+def wait_for(seen: Callable[[], Any], what: str, within_s: float = WITHIN_S) -> Any:
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        if found := seen():
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"waited {within_s:g} s for {what}")
+
+
+def quietly(what: Callable[[], Any]) -> Any:
+    try:
+        return what()
+    except He3Error:
+        return None
+
+
+def test_a_stock_zenoh_client_asks_with_a_selector_and_gets_json_arrays_and_pictures(
+    running: tuple[Launcher, Endpoints],
+) -> None:
+    session = open_session(Side.EARTH, "client", running[1].earth)
+
+    def get(selector: str) -> tuple[str, bytes, bytes]:
+        (reply,) = list(session.get(f"he3/{MISSION}/{selector}", timeout=20.0))
+        assert reply.ok is not None, reply.err.payload.to_string()
+        about = b"" if reply.ok.attachment is None else reply.ok.attachment.to_bytes()
+        return str(reply.ok.encoding), reply.ok.payload.to_bytes(), about
+
+    try:
+        encoding, payload, _ = get("earth/map/point?x=120;y=340;threshold=8")
+        point = json.loads(payload)
+        assert encoding == "application/json"
+        assert 0 <= point["exceedance"] <= 1
+        encoding, payload, about = get("earth/map/layer?layer=std;format=npy;as_of=1")
+        values, shown = np.load(io.BytesIO(payload)), MapAbout.model_validate_json(about)
+        assert (encoding, values.dtype, values.shape) == ("application/x-npy", np.float32, (500, 500))
+        assert (shown.revision, shown.samples, shown.unit) == (1, 0, "ppb")
+        for form, magic in (("png", b"\x89PNG"), ("tiff", b"II*\0"), ("csv", b"x_m,y_m,mean_ppb\n100.5,100.5,")):
+            box = "x_min=100;y_min=100;x_max=120;y_max=110"
+            _, payload, _ = get(f"earth/map/box?layer=mean;{box};format={form}")
+            assert payload.startswith(magic)
+        for wrong, why in (
+            ("point?x=120;y=900", "expected a place within 0..500 m"),
+            ("layer?layer=gold", "input should be"),
+            ("layer?layer=exceedance", "expected threshold="),
+            ("box?layer=mean;x_min=0;y_min=0;x_max=500;y_max=500;resolution_m=0.01", "expected at most 4000000 cells"),
+            ("point?x=1;y=1;as_of=yesterday", "as_of"),
+            ("resource?polygon=1,1,2,2", "3 to 256 corners"),
+        ):
+            (reply,) = list(session.get(f"he3/{MISSION}/earth/map/{wrong}", timeout=20.0))
+            assert why in json.loads(reply.err.payload.to_bytes())["error"]
+    finally:
+        session.close()
+
+
+def test_a_point_a_box_and_a_layer_of_one_revision_say_the_same(client: MissionClient) -> None:
+    revision = client.history().revisions[-1].revision
+    layer = client.layer("mean", as_of=revision)
+    box = client.box("mean", (100, 200), (300, 350), as_of=revision)
+    assert np.array_equal(box.values, layer.values[300:350, 100:200])
+    assert (box.x_m[0], box.y_m[0], box.extent) == (100.5, 300.5, (100.0, 200.0, 300.0, 350.0))
+    coarse = client.box("std", (0, 500), (0, 500), resolution_m=50, as_of=revision)
+    assert np.array_equal(coarse.values, client.layer("std", as_of=revision).values[25::50, 25::50])
+    point = client.point(150.2, 320.9, threshold=8.0, as_of=revision)
+    assert point.mean_ppb == layer.values[320, 150]
+    exceedance = client.layer("exceedance", threshold=8.0, as_of=revision)
+    assert point.exceedance == pytest.approx(exceedance.values[320, 150], abs=1e-5)
+    information = client.layer("information", as_of=revision)
+    assert point.information_nats == pytest.approx(information.values[320, 150], rel=1e-4)
+
+
+def test_the_feed_ends_with_the_grounds_arrays(client: MissionClient) -> None:
+    seen = 0
+    for current in client.maps(timeout_s=60.0):
+        seen += 1
+        for name, values in (("mean", current.mean_ppb), ("std", current.std_ppb)):
+            assert client.layer(name, as_of=current.revision).values.tobytes() == values.tobytes()
+        assert current.traversable.shape == (500, 500)
+        if seen == 3:
+            break
+    assert seen == 3
+
+
+def test_samples_come_as_a_table_and_news_as_they_happen(client: MissionClient) -> None:
+    table = client.samples()
+    assert len(table) >= 2
+    assert np.isfinite(table.helium3_ppb).all()
+    assert len(client.samples(as_of=1)) == 0
+    heard = {news.topic for news, _ in zip(client.live(timeout_s=60.0), range(6), strict=False)}
+    assert heard & {"tm/state", "earth/ground/status", "earth/link/status", "tm/event", "tm/sample"}
+
+
+def test_a_command_passes_its_stages_in_order_with_the_light_time(client: MissionClient) -> None:
+    paused = client.command("pause")
+    status = paused.wait("completed")
+    at = {report.stage.value: report.at / 1e9 for report in status.stages}
+    assert [stage for stage in at if stage != "accepted"] == [
+        "queued", "released", "radiated", "received", "started", "completed",
+    ]  # fmt: skip
+    assert 1.282 - 1e-6 <= at["received"] - at["radiated"] <= 1.282 + 0.5 * RATE
+    assert client.command("resume").wait("completed").stages[-1].stage.value == "completed"
+    with pytest.raises(InvalidInput, match="expected one of pause"):
+        client.command("dance")
+    with pytest.raises(He3Error, match="expected a target within"):
+        client.command("go-to", target_m=(900.0, 1.0))
+
+
+def test_an_area_of_interest_is_kept_by_the_ground_until_it_is_taken_back(client: MissionClient) -> None:
+    areas = client.set_interest("ridge", [(100, 100), (200, 100), (150, 200)], 3.0)
+    assert [(area.area_id, area.weight) for area in areas] == [("ridge", 3.0)]
+    assert client.set_interest() == areas
+    with pytest.raises(He3Error, match="expected corners within"):
+        client.set_interest("far", [(100, 100), (900, 100), (150, 200)])
+    assert client.set_interest("ridge") == ()
+
+
+def he3(endpoints: Endpoints, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "services.console", *words, "--mission", MISSION, "--earth", endpoints.earth]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+def test_the_shell_asks_for_all_of_it(running: tuple[Launcher, Endpoints], tmp_path: Path) -> None:
+    endpoints = running[1]
+    for words in (
+        ("map", "box", "mean", "0", "0", "100", "100", "--resolution", "10"),
+        ("map", "resource", "100,100", "200,100", "150,200"),
+        ("map", "samples"),
+        ("map", "plan"),
+        ("map", "history"),
+        ("map", "save", "mean", str(tmp_path / "mean.tif")),
+    ):
+        for flags in ((), ("--json",)):
+            done = he3(endpoints, *words, *flags)
+            assert (done.returncode, done.stderr) == (0, ""), words
+            assert done.stdout
+            if flags:
+                json.loads(done.stdout)
+    follow = he3(endpoints, "map", "follow", "--seconds", "2", "--json")
+    assert json.loads(follow.stdout.splitlines()[0])["samples"] >= 2
+    refused = he3(endpoints, "map", "box", "mean", "0", "0", "1000", "100")
+    assert refused.returncode != 0
+    assert refused.stderr.count("\n") == 1
+    assert "expected edges within" in refused.stderr
+
+
+def test_the_notebook_runs_top_to_bottom(running: tuple[Launcher, Endpoints], monkeypatch: pytest.MonkeyPatch) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    monkeypatch.setenv("HE3_EARTH", running[1].earth)
+    monkeypatch.setenv("HE3_MISSION", MISSION)
+    notebook = json.loads((ROOT / "examples" / "operator.ipynb").read_text(encoding="utf-8"))
+    names: dict[str, Any] = {"__name__": "__main__"}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), f"operator.ipynb {cell['id']}", "exec"), names)
+    assert names["resumed"].stages[-1].stage.value == "completed"
+    mpl.pyplot.close("all")
+
+
+def _answerer_of(ground: int) -> int:
+    """Process id of the process that answers for the ground."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+                parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            except (OSError, IndexError):
+                continue
+            if b"services.ground.map_process" in words and parent == ground:
+                return int(entry.name)
+    return 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_an_answerer_that_is_killed_is_replaced_and_the_ground_does_not_notice(
+    running: tuple[Launcher, Endpoints], client: MissionClient
+) -> None:
+    launcher, _ = running
+    before = _answerer_of(launcher.pids["ground"])
+    os.kill(before, signal.SIGKILL)
+    after = wait_for(lambda: (pid := _answerer_of(launcher.pids["ground"])) not in (0, before) and pid, "another one")
+    assert after != before
+    point = wait_for(lambda: quietly(lambda: client.point(10.0, 20.0)), "an answer")
+    assert point.samples >= 2
+    launcher.check()
