@@ -182,7 +182,14 @@ def scenario_of(seed: int, planner: str | None = None) -> Scenario:
             "seed": seed,
             "rounds": int(rng.integers(3, 6)),
             "samples_per_round": int(rng.integers(2, 4)),
-            "rover": {"state_period_s": 600.0, "look_ahead_m": 10.0},
+            # Some meet boulders that no map shows, some have to charge on the way.
+            "field": {"hidden_hazards": int(rng.choice([0, 0, 3])), "hazard_radius_m": 2.0},
+            "rover": {
+                "state_period_s": 600.0,
+                "look_ahead_m": 10.0,
+                "solar_w": float(rng.choice([450.0, 450.0, 200.0])),
+                "capacity_wh": float(rng.choice([5000.0, 600.0])),
+            },
             "ground": {
                 "planner": planner or drawn,
                 "kernel": "matern52",
