@@ -117,5 +117,7 @@ class TimeStatus(Wire):
     waits_for: tuple[Text, ...]
     """Who is missing, or else who has not finished the present step."""
     finished: dict[str, str]
+    computing_s: Annotated[float, Field(ge=0)]
+    """Wall time [s] for which time has stood because somebody was computing."""
     detail: Text = ""
     """What is wrong, in one line; empty while nothing is."""

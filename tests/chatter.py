@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from random import Random
 from time import sleep
+from typing import NoReturn
 
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import Query, Side, Topic
@@ -146,17 +147,17 @@ class DawdlingExecutor:
         self._pool.shutdown(cancel_futures=True)
 
 
-def main(name: str, seed: str, *arguments: str) -> int:
+def main(name: str, seed: str, *arguments: str) -> NoReturn:
     """One chatter in this process."""
     from services.link.lockstep import LockstepLinkProcess
     from services.lockstep import LockstepProcess
     from services.run import Service
-    from services.serve import serve
+    from services.serve import leave, serve
 
     node = next(each for each in chatters(int(seed)) if each.interface.name == name)
     service = Service(name, lambda options: node, executor=DawdlingExecutor, journals=False)
-    return serve(service, arguments, in_lockstep=LockstepLinkProcess if name == "link" else LockstepProcess)
+    leave(serve(service, arguments, in_lockstep=LockstepLinkProcess if name == "link" else LockstepProcess))
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    main(*sys.argv[1:])

@@ -23,6 +23,7 @@ FOLDER: Final = "benchmarks"
 
 MODULES: Final = {
     "link": "link_timing",
+    "lockstep": "lockstep_speed",
     "map": "map_speed",
     "operator": "operator_load",
     "planners": "planners_speed",

@@ -47,6 +47,8 @@ class LockstepLinkProcess(LockstepProcess):
         self._busy: dict[str, StepBusy] = {}
         self._shown = 0.0
         self._began_step = 0.0
+        self._computing_since: float | None = None
+        self._computing_s = 0.0
         self._detail = ""
 
     def open(self, side: Side, endpoint: str) -> Bus | None:
@@ -113,6 +115,9 @@ class LockstepLinkProcess(LockstepProcess):
         self._all_is_well()
         self._began_step = time.monotonic()
         self._busy.clear()
+        if self._computing_since is not None:
+            self._computing_s += self._began_step - self._computing_since
+            self._computing_since = None
         for name, grant in self.keeper.grant(instant).items():
             if name == self.name:
                 self.part.grant(grant)
@@ -236,6 +241,8 @@ class LockstepLinkProcess(LockstepProcess):
                 self.keeper.done(word)
             case StepBusy() if word.step == self.keeper.step:
                 self._busy[word.name] = word
+                if word.computing and self._computing_since is None:
+                    self._computing_since = time.monotonic()
             case Poke():
                 self.keeper.poke(word.name, word.process)
 
@@ -273,6 +280,7 @@ class LockstepLinkProcess(LockstepProcess):
             members=tuple(sorted(keeper.members)),
             waits_for=tuple(keeper.missing() or sorted(keeper.outstanding)),
             finished={name: member.finished for name, member in keeper.members.items() if member.finished is not None},
+            computing_s=self._computing_s,
             detail=self._detail,
         )
 

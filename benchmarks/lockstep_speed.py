@@ -1,0 +1,174 @@
+"""How fast virtual time goes in separate processes in lockstep, beside all in one process; and that both are the same.
+
+The same mission runs once in this process and once as four processes over Zenoh, whose time the link keeps.
+
+    events              what the nodes handled: messages, questions, answers, results, timers
+    mission_h           mission time from beginning to end [h]
+    wall_s              wall time from the first event to the last [s]
+    start_s             before that: starting processes, reading the region, finding each other [s]
+    planning_s          of wall_s, what everybody waited for a plan [s]
+    events_per_s        events / (wall_s - planning_s)
+    wall_s_per_mission_h
+    identical           whether the event log is that of the first row, to the byte
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from he3.errors import He3Error, PeerUnreachable
+from schemas.lockstep import TimeControl, TimeStatus
+from schemas.topics import TIME_CONTROL
+from services.bus import Client
+from services.console.joining import join_when_up
+from services.console.launcher import Launcher, free_endpoints
+from services.console.scenarios import Chosen, choose
+from services.ground.planner_process import PlannerProcess
+from services.mission import InProcessMission
+from services.node import SECOND
+from services.seat import Executor
+from services.trace import EventLog, merge_event_logs
+
+Row = dict[str, Any]
+
+SERVICES = ("link", "field", "rover", "ground")
+LOOK_EVERY_S = 0.05
+
+
+def run(
+    scenario: str = "t1-nominal",
+    seed: int | None = None,
+    json: Path | str | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """A row for each driver; printed, and written to ``json``. Raises He3Error when a mission does not end well."""
+    chosen = choose(scenario, seed=seed)
+    say(
+        f"{'driver':<12} {'events':>8} {'mission':>9} {'start':>8} {'wall':>8} {'planning':>9} "
+        f"{'events/s':>9} {'s per h':>8}  same events"
+    )
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory(prefix="he3-lockstep-") as folder:
+        logs = Path(folder)
+        for measure in (_in_process, _lockstep):
+            row = measure(chosen, logs)
+            same = (logs / f"{row['driver']}.log").read_bytes() == (logs / "in-process.log").read_bytes()
+            rows.append({**row, "identical": same})
+            say(
+                f"{row['driver']:<12} {row['events']:>8,} {row['mission_h']:>7.2f} h {row['start_s']:>6.2f} s "
+                f"{row['wall_s']:>6.2f} s {row['planning_s']:>7.2f} s {row['events_per_s']:>9,.0f} "
+                f"{row['wall_s_per_mission_h']:>8.3f}  {'yes' if same else 'NO'}"
+            )
+    if json is not None:
+        Path(json).write_text(json_format.dumps({"rows": rows}, indent=2) + "\n", encoding="utf-8")
+    return rows
+
+
+def _in_process(chosen: Chosen, logs: Path) -> Row:
+    log = logs / "in-process.log"
+    began = time.monotonic()
+    with PlannerProcess() as planners:
+        waiting = _Waiting(planners)
+        events = EventLog(log)
+        mission = InProcessMission(chosen.scenario, waiting, trace=events)
+        started = time.monotonic()
+        mission.run()
+        ended = time.monotonic()
+        events.close()
+    count = merge_event_logs([log], log)
+    return _row("in-process", count, mission.mission_time_s, started - began, ended - started, waiting.waited_s)
+
+
+def _lockstep(chosen: Chosen, logs: Path) -> Row:
+    parts = {name: logs / f"{name}.part" for name in SERVICES}
+    flags: dict[str, list[str]] = {name: ["--events", str(parts[name])] for name in SERVICES}
+    flags["link"] += ["--stop-when", "ground"]
+    endpoints = free_endpoints()
+    began = time.monotonic()
+    words = (*chosen.flags, "--lockstep", "--log-level", "warning")
+    with (
+        Launcher(chosen.path, endpoints, words, service_flags=dict(flags)) as launcher,
+        join_when_up(endpoints.earth, chosen.scenario.name, launcher.check) as client,
+    ):
+        started = _when(client, launcher, lambda status: status.step > 0)[0]
+        ended, status = _when(client, launcher, lambda status: "ground" in status.finished and status.paused)
+    log = logs / "lockstep.log"
+    count = merge_event_logs(parts.values(), log)
+    lasted_s = (status.now - status.start_ns) / SECOND
+    return _row("lockstep", count, lasted_s, started - began, ended - started, status.computing_s)
+
+
+def _when(client: Client, launcher: Launcher, wanted: Callable[[TimeStatus], bool]) -> tuple[float, TimeStatus]:
+    """Wall time and status as soon as the time keeper's status is wanted."""
+    while True:
+        launcher.check()
+        try:
+            status: TimeStatus = client.query(TIME_CONTROL, TimeControl())
+        except PeerUnreachable:
+            time.sleep(LOOK_EVERY_S)
+            continue
+        if wanted(status):
+            return time.monotonic(), status
+        if status.detail:
+            raise He3Error(f"lockstep: {status.detail}")
+        time.sleep(LOOK_EVERY_S)
+
+
+def _row(driver: str, events: int, lasted_s: float, start_s: float, wall_s: float, planning_s: float) -> Row:
+    hours = lasted_s / 3600.0
+    return {
+        "driver": driver,
+        "events": events,
+        "mission_h": hours,
+        "start_s": start_s,
+        "wall_s": wall_s,
+        "planning_s": planning_s,
+        "events_per_s": events / max(wall_s - planning_s, 1e-9),
+        "wall_s_per_mission_h": wall_s / hours,
+    }
+
+
+class _Waiting:
+    """An executor that knows for how long its results were waited for."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.waited_s = 0.0
+        self._executor = executor
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        return _Awaited(self._executor.submit(function, *arguments), self)
+
+
+class _Awaited(Future[Any]):
+    """What came of it; the wait for it is counted."""
+
+    def __init__(self, future: Future[Any], waiting: _Waiting) -> None:
+        super().__init__()
+        self._future = future
+        self._waiting = waiting
+        future.add_done_callback(self._take)
+
+    def _take(self, future: Future[Any]) -> None:
+        error = future.exception()
+        if error is None:
+            self.set_result(future.result())
+        else:
+            self.set_exception(error)
+
+    def exception(self, timeout: float | None = None) -> BaseException | None:
+        began = time.monotonic()
+        try:
+            return super().exception(timeout)
+        finally:
+            self._waiting.waited_s += time.monotonic() - began
+
+
+if __name__ == "__main__":
+    run()

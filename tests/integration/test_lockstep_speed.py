@@ -1,0 +1,27 @@
+"""The benchmark of lockstep tells what it promises, beside the in-process driver."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.lockstep_speed import run
+
+pytestmark = pytest.mark.timeout(240)
+
+
+def test_both_drivers_have_a_row_and_the_same_events(tmp_path: Path) -> None:
+    said: list[str] = []
+    rows = run(scenario="short", json=tmp_path / "speed.json", say=said.append)
+    assert json.loads((tmp_path / "speed.json").read_text()) == {"rows": rows}
+    assert [row["driver"] for row in rows] == ["in-process", "lockstep"]
+    assert all(row["identical"] for row in rows)
+    assert rows[0]["mission_h"] == pytest.approx(rows[1]["mission_h"])
+    for row in rows:
+        assert row["events"] == rows[0]["events"] > 1000
+        assert 0 < row["planning_s"] < row["wall_s"]
+        assert row["events_per_s"] == pytest.approx(row["events"] / (row["wall_s"] - row["planning_s"]))
+        assert row["wall_s_per_mission_h"] == pytest.approx(row["wall_s"] / row["mission_h"])
+    assert len(said) == 3
