@@ -365,7 +365,7 @@ function showCommands() {
   $("commands").replaceChildren(...statuses.slice(0, 40).map(({ command: sent, stages }) => {
     const first = stages[0]?.at ?? 0, last = stages.at(-1);
     const end = stages.map(({ stage }) => ENDS[stage]).find(Boolean);
-    const about = sent.target_m ? ` to (${sent.target_m.join(", ")})` : sent.area_id ? ` ${sent.area_id}` : "";
+    const about = sent.target_m ? ` (${sent.target_m.join(", ")}) m` : sent.area_id ? ` ${sent.area_id}` : "";
     const shown = stages.map(({ stage, at, why }) => element("li", { class: ENDS[stage] ?? "", title: why || utc(at) }, element("b", {}, stage), ` +${duration((at - first) / 1e9)}`));
     const why = last?.why ? [element("p", { class: "dim" }, last.why)] : [];
     const item = element("li", { class: end === "good" ? "done" : end === "bad" ? "failed" : "open" },
