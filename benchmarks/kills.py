@@ -28,8 +28,8 @@ from he3.errors import He3Error, InvalidInput
 from schemas.commands import NoParameters
 from schemas.ground import MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapLayerQuery
-from schemas.topics import GROUND_STATUS, MAP_LAYER, SAMPLE, TRACK
-from schemas.wire import decode
+from schemas.topics import GROUND_STATUS, MAP_LAYER, SAMPLE, TRACK, Topic
+from schemas.wire import Wire, decode
 from services.bus import Client
 from services.console.launcher import free_endpoints
 from services.deployment import find_scenario
@@ -166,6 +166,11 @@ class Mission:
         self._wait_until_ready(name)
         return time.monotonic() - began
 
+    def ask(self, topic: Topic, request: Wire, timeout_s: float = 30.0) -> Any:
+        """The answer to an operator's question."""
+        assert self._client is not None, "the mission was entered"
+        return self._client.query(topic, request, timeout_s)
+
     def wait_until_over(self, within_s: float) -> None:
         """Return when the ground says that the mission is over; raises He3Error if it does not."""
         end = time.monotonic() + within_s
@@ -180,8 +185,7 @@ class Mission:
 
     def judged(self) -> tuple[int, int, int]:
         """How many samples were lost, how many doubled, and whether the map is another one after a restart."""
-        assert self._client is not None, "the mission was entered"
-        track: MissionTrack = self._client.query(TRACK, NoParameters(), 30.0)
+        track: MissionTrack = self.ask(TRACK, NoParameters())
         before = self._layers()
         self.restart("ground")
         after = self._layers()
@@ -192,12 +196,11 @@ class Mission:
         return lost, doubled, int(before != after)
 
     def _layers(self) -> list[str]:
-        assert self._client is not None, "the mission was entered"
         end = time.monotonic() + 30.0
         while True:
             try:
                 return [
-                    self._client.query(MAP_LAYER, MapLayerQuery(layer=layer), 10.0).data_base64
+                    self.ask(MAP_LAYER, MapLayerQuery(layer=layer), 10.0).data_base64
                     for layer in (MapLayer.MEAN, MapLayer.STD)
                 ]
             except He3Error:  # whoever answers has not the map yet

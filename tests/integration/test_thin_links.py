@@ -17,6 +17,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.kills import Mission
+from schemas.link import ClockChange
+from schemas.topics import CLOCK_SET
 from services.console.launcher import free_endpoints
 
 HERE = Path(__file__).resolve().parent
@@ -39,6 +41,19 @@ CONDITIONS = {
 @pytest.mark.parametrize("settings", CONDITIONS.values(), ids=CONDITIONS.keys())
 def test_a_mission_in_separate_processes_is_complete_in_spite_of(tmp_path: Path, settings: list[str]) -> None:
     with Mission(tmp_path, [f"rate={RATE}", "rounds=2", "ground.pipeline=1", *settings]) as mission:
+        mission.wait_until_over(150.0)
+        lost, doubled, unequal = mission.judged()
+
+    assert (lost, doubled, unequal) == (0, 0, 0)
+
+
+@pytest.mark.timeout(240)
+def test_a_mission_is_complete_whatever_rate_its_clock_is_given_on_the_way(tmp_path: Path) -> None:
+    settings = [f"rate={RATE}", "rounds=2", "ground.pipeline=1", "link.up.loss=0.2", "link.down.loss=0.2"]
+    with Mission(tmp_path, settings) as mission:
+        for rate in (200.0, 3000.0, 0.0, 800.0, 20_000.0, 50.0, RATE):
+            mission.ask(CLOCK_SET, ClockChange(rate=rate))
+            time.sleep(0.3)
         mission.wait_until_over(150.0)
         lost, doubled, unequal = mission.judged()
 
