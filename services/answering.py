@@ -37,7 +37,9 @@ BEAT_S = 2.0
 FEED_WANTED_S = 600.0
 """A feed goes on for so long after somebody asked for its beginning, heard or not."""
 
-_LENGTH = struct.Struct("<Q")
+SETTLE_WITHIN_S = 5.0
+
+_HEAD = struct.Struct("<QQ")  # number and length of a snapshot
 
 
 class AnsweringProcess:
@@ -49,16 +51,33 @@ class AnsweringProcess:
         self._changed = threading.Condition()
         self._newest: tuple[int, Any] = (0, None)
         self._closed = False
+        self._answered_from = 0
         self._ready = threading.Event()
         self._process: subprocess.Popen[bytes] | None = None
         self._thread = threading.Thread(target=self._work, name="answering", daemon=True)
         self._thread.start()
 
+    @property
+    def pid(self) -> int | None:
+        """Process id of the answerer; None before the first has started."""
+        return None if self._process is None else self._process.pid
+
     def show(self, snapshot: object) -> None:
         """Answer from that snapshot from now on."""
         with self._changed:
             self._newest = (self._newest[0] + 1, snapshot)
-            self._changed.notify()
+            self._changed.notify_all()
+
+    def settle(self, within_s: float = SETTLE_WITHIN_S) -> bool:
+        """Wait until questions are answered from what was shown last; whether that came about in time."""
+        deadline = time.monotonic() + within_s
+        with self._changed:
+            while self._answered_from < self._newest[0] and not self._closed:
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    return False
+                self._changed.wait(left)
+        return True
 
     def wait_until_ready(self, stop: threading.Event) -> None:
         """Return when questions are answered, or when `stop` is set; raises He3Error when they are not in time."""
@@ -73,7 +92,7 @@ class AnsweringProcess:
         """End the answerer."""
         with self._changed:
             self._closed = True
-            self._changed.notify()
+            self._changed.notify_all()
         self._thread.join(CLOSE_WITHIN_S)
         process = self._process
         if self._thread.is_alive() and process is not None:
@@ -104,8 +123,13 @@ class AnsweringProcess:
         return process
 
     def _await_ready(self, stdout: Any) -> None:
-        if stdout.readline() == READY:
-            self._ready.set()
+        while line := stdout.readline():
+            if line == READY:
+                self._ready.set()
+            elif line.strip().isdigit():
+                with self._changed:
+                    self._answered_from = int(line)
+                    self._changed.notify_all()
 
     def _hand_over(self, process: subprocess.Popen[bytes]) -> None:
         given = 0
@@ -121,7 +145,7 @@ class AnsweringProcess:
                 given, snapshot = self._newest
             assert process.stdin is not None
             payload = pickle.dumps(snapshot, protocol=pickle.HIGHEST_PROTOCOL)
-            _write_all(process.stdin, _LENGTH.pack(len(payload)))
+            _write_all(process.stdin, _HEAD.pack(given, len(payload)))
             _write_all(process.stdin, payload)
 
     def _end(self, process: subprocess.Popen[bytes]) -> None:
@@ -172,9 +196,10 @@ def answer_from_pipe(
     connecting = threading.Thread(target=connect, name="connect", daemon=True)
     connecting.start()
     pipe = sys.stdin.buffer
-    while (snapshot := _read(pipe)) is not None:
-        kept = server.show(snapshot)
-        feed.show(kept)
+    while (given := _read(pipe)) is not None:
+        number, snapshot = given
+        feed.show(server.show(snapshot))
+        os.write(1, b"%d\n" % number)
     ended.set()
     for opened in bus:
         opened.close()
@@ -182,13 +207,14 @@ def answer_from_pipe(
     os._exit(0)
 
 
-def _read(pipe: BinaryIO) -> Any | None:
-    head = pipe.read(_LENGTH.size)
-    if len(head) < _LENGTH.size:
+def _read(pipe: BinaryIO) -> tuple[int, Any] | None:
+    """Number and content of the next snapshot; None at the end."""
+    head = pipe.read(_HEAD.size)
+    if len(head) < _HEAD.size:
         return None
-    (length,) = _LENGTH.unpack(head)
+    number, length = _HEAD.unpack(head)
     payload = pipe.read(length)
-    return pickle.loads(payload) if len(payload) == length else None
+    return (number, pickle.loads(payload)) if len(payload) == length else None
 
 
 class _Feed:
@@ -209,7 +235,7 @@ class _Feed:
     def show(self, snapshot: Any) -> None:
         with self._changed:
             self._newest = snapshot
-            self._changed.notify()
+            self._changed.notify_all()
 
     def _answer(self, question: Question) -> None:
         self._asked_at = time.monotonic()

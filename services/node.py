@@ -179,6 +179,8 @@ class Show:
     """Hand a new immutable snapshot to those who answer operators' queries; the old one is dropped."""
 
     snapshot: object
+    awaited: bool = False
+    """What follows is said only when questions are answered from it: whoever hears it and asks finds no older one."""
 
 
 class Level(Enum):

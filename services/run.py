@@ -269,9 +269,11 @@ class Process:
                 self._question_of(token, lambda question: question.reply(payload))
             case ReplyError(token, _, why):
                 self._question_of(token, lambda question: question.refuse(why))
-            case Show(snapshot):
+            case Show(snapshot, awaited):
                 if self._answers is not None:
                     self._answers.show(snapshot)
+                if awaited and isinstance(self._answers, AnsweringProcess):
+                    self._answers.settle()
             case Note():
                 self.log.write(action, self._last)
             case Finish(ok, why):

@@ -101,6 +101,7 @@ class GroundNode:
         self._heard_at: MissionTime | None = None
         self._silent = False
         self._begun = False
+        self._shown_at_the_end = False
         self._map: tuple[object, object] | None = None
         self._revision = 0
         self._map_time: MissionTime = scenario.start_ns
@@ -309,6 +310,9 @@ class GroundNode:
             and before.driven_path_m is driven
             and before.planned_path_m is planned
         ):
+            if director.ended is not None and not self._shown_at_the_end:
+                self._shown_at_the_end = True
+                yield Show(before, awaited=True)
             return
         self._snapshot = MapSnapshot(
             grid=director.grid,
@@ -326,7 +330,9 @@ class GroundNode:
             process=director.belief.process,
             origin_deg=self._origin_deg,
         )
-        yield Show(self._snapshot)
+        # Reports are made from answers that are asked for as soon as the mission is said to be over.
+        self._shown_at_the_end = director.ended is not None
+        yield Show(self._snapshot, awaited=self._shown_at_the_end)
 
     def _told(self, now: MissionTime, anyway: bool) -> Iterable[Effect]:
         """The status, if it has changed or its time has come."""

@@ -189,7 +189,9 @@ async function loadMap() {
     const got = await askLayer({ layer, threshold, as_of });
     // By the time it comes, another may be wanted.
     if (layer === chosenLayer() && as_of === (state.past?.revision ?? null)) {
-      shownKey = key;
+      // The ground says that there is a new map a moment before it answers from it.
+      shownKey = got.about.revision >= revision || as_of !== null ? key : "";
+      if (!shownKey) wanted = true;
       const range = layer === "exceedance" || layer === "traversable" ? [0, 1] : [got.about.low, got.about.high];
       const stops = colours.stops[colours.of_layer[layer]];
       map.setLayer(got, stops, range);
