@@ -61,22 +61,22 @@ class Served:
         ]  # fmt: skip
 
     def __enter__(self) -> str:
-        self._process = subprocess.Popen(self._command, stderr=subprocess.PIPE, text=True)
-        assert self._process.stderr is not None
-        line = self._process.stderr.readline()
+        self.process = subprocess.Popen(self._command, stderr=subprocess.PIPE, text=True)
+        assert self.process.stderr is not None
+        line = self.process.stderr.readline()
         found = re.search(r"http://\S+", line)
         assert found is not None, line
         wait_for(lambda: get(found[0])[0] == 200, "the server to answer")
         return found[0]
 
     def __exit__(self, *_: object) -> None:
-        self._process.terminate()
+        self.process.terminate()
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(5)
-        self._process.kill()
-        self._process.wait()
-        if self._process.stderr is not None:
-            self._process.stderr.close()
+            self.process.wait(5)
+        self.process.kill()
+        self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
 
 
 def get(url: str, headers: dict[str, str] | None = None, document: object = None) -> tuple[int, bytes]:
@@ -125,6 +125,19 @@ def test_without_authority_nothing_is_commanded_and_the_reason_is_said(mission: 
             code, body = get(f"{own}/api/{path}", {**OUR_PAGE, "origin": own}, document)
             assert (code, b"--authority" in body) == (400, True)
         assert len(mission.commands()) == before
+
+
+def test_the_server_ends_at_once_and_quietly_while_somebody_looks_on(mission: MissionClient) -> None:
+    server = Served(mission)
+    with server as where, urllib.request.urlopen(f"{where}api/stream", timeout=10) as stream:
+        assert stream.readline() == b"retry: 1000\n"
+        began = time.monotonic()
+        server.process.terminate()
+        assert stream.read().endswith(b"\n\n")
+        assert server.process.wait(5) != 0
+        assert time.monotonic() - began < 3.0
+        assert server.process.stderr is not None
+        assert server.process.stderr.read() == "he3: terminated\n"
 
 
 def test_bad_questions_are_answered_with_one_line_that_says_why(address: str) -> None:

@@ -36,7 +36,13 @@ def serve(
     config = uvicorn.Config(
         page(hub, sorted(hosts)), log_level="warning", ws="none", lifespan="off", timeout_graceful_shutdown=1
     )
-    server = uvicorn.Server(config)
+
+    class PageServer(uvicorn.Server):
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            hub.close()  # streams never end by themselves
+            await super().shutdown(sockets)
+
+    server = PageServer(config)
     shown = "127.0.0.1" if bind in ("0.0.0.0", "::") else bind
     say(
         f"mission '{mission.mission}' at http://{shown}:{listening.getsockname()[1]}/ "
