@@ -18,6 +18,8 @@ for."""
 class Join(Wire):
     """A process takes part, or asks whether it still does: what it hears and serves, so that every message counts."""
 
+    term: Text
+    """Which grants it obeys: one time keeper's, until that one gives it up. Empty at first."""
     name: Identifier
     process: ProcessId
     hears: tuple[tuple[Text, Text], ...]
@@ -29,20 +31,25 @@ class Join(Wire):
     now: MissionTimeNs = 0
     """Where it stands, from its journal or from a time keeper that is gone; time goes on from no earlier."""
     step: Count = 0
+    """The last step that it has heard of; steps are numbered on from there, so that no two are confused."""
 
 
 class Joined(Wire):
-    """The time keeper has taken a process in."""
+    """What the time keeper says to a process that wants to take part."""
 
+    term: Text
+    admitted: bool
+    """Whether it takes part now; else it is to obey the grants of this term first, and none before, and ask again."""
     now: MissionTimeNs
     step: Count
-    starts: Annotated[int, Field(ge=1)]
-    """How many processes of that name have taken part, this one included."""
+    starts: Count
+    """How many processes of that name have taken part."""
 
 
 class Grant(Wire):
     """It is `at`: the one whom this is for acts once all that was sent to it in the step before has reached it."""
 
+    term: Text
     step: Annotated[int, Field(ge=1)]
     at: MissionTimeNs
     process: ProcessId
@@ -62,8 +69,8 @@ class StepDone(Wire):
     """(topic, side, how many)."""
     asked: tuple[tuple[Text, Text], ...] = ()
     """(topic, side) of each question put."""
-    answered: tuple[ProcessId, ...] = ()
-    """Who asked, for each question answered."""
+    answered: tuple[tuple[ProcessId, Count], ...] = ()
+    """Who asked, and in which step, for each question answered."""
     finished: Text | None = None
     """Why the process has nothing left to do, once it says so."""
 

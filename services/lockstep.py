@@ -44,6 +44,8 @@ MEMBERS = "member"
 
 ASKS_AGAIN_S = 1.0
 """A process that has not been granted anything for so long asks whether it still takes part."""
+SILENT_AFTER_S = 5.0
+"""A time keeper that neither grants anything nor answers for so long is reported."""
 LACKS_LONG_S = 1.0
 """A process tells that inputs are missing when they have been for so long."""
 FOREVER_S = 1e6
@@ -59,6 +61,8 @@ class LockstepProcess(Process):
         self._joined = False
         self._asked_at = 0.0
         self._granted_at = 0.0
+        self._clock_at = time.monotonic()
+        self._told_silent = False
         self._told_busy: StepBusy | None = None
         self._counted_topics: dict[str, Topic] = {}
         self._early: list[tuple[Topic, Question]] = []
@@ -92,22 +96,27 @@ class LockstepProcess(Process):
         if now - self._asked_at < ASKS_AGAIN_S:
             return
         self._asked_at = now
-        payload = encode(self.header(), self.part.join())
-        on_end = partial(self._join_answered, self.seat.host.incarnation)
-        self.buses[self._home].ask(JOIN[self._home], payload, ASKS_AGAIN_S, on_end)
-
-    def _join_answered(self, _: int, answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
-        self.later(partial(self._take_joined, answer, detail))
+        self.buses[self._home].ask(
+            JOIN[self._home],
+            encode(self.header(), self.part.join()),
+            ASKS_AGAIN_S,
+            lambda answer, detail, _: self.later(partial(self._take_joined, answer, detail)),
+        )
 
     def _take_joined(self, answer: bytes | Silence, detail: str) -> None:
         if answer is Silence.REFUSED:
             raise He3Error(detail)
         if isinstance(answer, Silence):
-            return  # nobody there yet, or a step is under way; ask again
+            return  # nobody there, or a step is under way; ask again
         try:
             _, joined = decode_reply(JOIN[self._home], answer, self.mission)
         except Refused as refusal:
             raise PeerUnreachable(f"the time keeper speaks another language: {refusal}") from None
+        if not joined.admitted:
+            self.part.obey(joined.term)
+            self._asked_at = 0.0
+            self._ask_whether_i_take_part()
+            return
         self.part.joined(joined)
         self._last = self.part.now
         if not self._joined:
@@ -124,9 +133,23 @@ class LockstepProcess(Process):
             with contextlib.suppress(queue.Empty):
                 self.stop.inbox.get(timeout=IDLE_S)()
             self.go_on()
-            if self.part.granted is None and time.monotonic() - self._granted_at > ASKS_AGAIN_S:
-                self._ask_whether_i_take_part()
+            self._look_after_the_keeper()
             self.heartbeat.beat(time.monotonic(), self._last)
+
+    def _look_after_the_keeper(self) -> None:
+        now = time.monotonic()
+        if now - self._granted_at > ASKS_AGAIN_S:
+            self._ask_whether_i_take_part()
+        if now - max(self._granted_at, self._clock_at) > SILENT_AFTER_S and not self._told_silent:
+            self._told_silent = True
+            self.log.warning(f"nothing heard of the time keeper for {SILENT_AFTER_S:g} s; waiting for it")
+
+    def set_clock(self, side: Side, payload: bytes | Silence) -> None:
+        super().set_clock(side, payload)
+        self._clock_at = time.monotonic()
+        if self._told_silent:
+            self._told_silent = False
+            self.log.info("the time keeper is back")
 
     def _granted(self, payload: bytes) -> None:
         try:
@@ -134,7 +157,7 @@ class LockstepProcess(Process):
         except Refused as refusal:
             self.log.warning(f"refused: {refusal}")
             return
-        if grant.process != self.process_id and grant.step > self.part.step:
+        if grant.process != self.process_id and grant.at >= self.part.now:
             raise He3Error(f"another process has taken part as {self.name} since: {grant.process}")
         self._granted_at = time.monotonic()
         self.part.grant(grant)

@@ -55,7 +55,12 @@ class Participant:
         self.now: MissionTime = 0
         self.step = 0
         self.joined_at = -1
-        """The step after which it takes part: what was sent up to then nobody has counted for it."""
+        """The step after which it first took part: who asked it something up to then was told that nobody serves."""
+        self._term = ""
+        self._admitted = False
+        self._heard_of = 0
+        self._uncounted_until = -1
+        """What was sent up to this step, the time keeper has not counted."""
         self.granted: Grant | None = None
         """What it may act upon as soon as `ready`."""
         self.finished: Finish | None = None
@@ -65,7 +70,7 @@ class Participant:
         self._askers: dict[int, Stamp] = {}
         self._published: Counter[tuple[str, str]] = Counter()
         self._asked: list[tuple[str, str]] = []
-        self._answered: list[str] = []
+        self._answered: list[tuple[str, int]] = []
 
     @property
     def name(self) -> str:
@@ -77,22 +82,32 @@ class Participant:
         """What the time keeper has to know of it."""
         host = self.seat.host
         return Join(
+            term=self._term,
             name=self.name,
             process=self.process,
             hears=tuple((topic.name, side.value) for topic, side in host.heard_topics()),
             serves=tuple((topic.name, side.value) for topic, side in host.served_topics()),
             next_wake=self._next_wake(),
             now=self.now,
-            step=self.step,
+            step=self._heard_of,
         )
 
+    def obey(self, term: str) -> None:
+        """Act upon the grants of that term from now on; what was granted before is void."""
+        if term != self._term:
+            self._term = term
+            self._admitted = False
+            self.granted = None
+
     def joined(self, answer: Joined) -> None:
-        """The time keeper has taken it in; a new time keeper may be ahead of it, never behind."""
+        """The time keeper has taken it in. Time may be ahead of it, never behind; nothing sent before was counted."""
+        if answer.term != self._term or self._admitted:
+            return
+        self._admitted = True
         self.now = max(self.now, answer.now)
-        self.step = max(self.step, answer.step)
+        self._uncounted_until = answer.step
         if self.joined_at < 0:
             self.joined_at = answer.step
-            self._taken = [taken for taken in self._taken if taken.sender == OUTSIDE or taken.step > answer.step]
 
     def start(self, incarnation: int) -> None:
         """Let the node begin, in the first step that is granted."""
@@ -121,14 +136,14 @@ class Participant:
         if answered is not None:
             order = (Kind.ANSWER, answered.sender, asked.number)
             self._taken.append(_Taken(answered.step, answered.sender, order, given))
-            return False
+            return answered.step <= self._uncounted_until
         self._taken.append(_Taken(asked.step, self.name, (Kind.ANSWER, OUTSIDE, asked.number), given))
         return True
 
     def _take(self, kind: Kind, given: Input, stamp: Stamp | None) -> bool:
         if stamp is not None:
             self._taken.append(_Taken(stamp.step, stamp.sender, (kind, stamp.sender, stamp.number), given))
-            return False
+            return stamp.step <= self._uncounted_until
         self._from_outside += 1
         self._taken.append(_Taken(0, OUTSIDE, (kind, OUTSIDE, self._from_outside), given))
         return True
@@ -137,8 +152,9 @@ class Participant:
 
     def grant(self, grant: Grant) -> None:
         """It may act, once everything is there."""
-        if grant.process == self.process and grant.step > self.step:
+        if grant.term == self._term and grant.process == self.process and grant.step > self._heard_of:
             self.granted = grant
+            self._heard_of = grant.step
 
     def lacks(self) -> dict[str, int]:
         """How many of the inputs that are promised for the step have not come, by sender."""
@@ -208,7 +224,7 @@ class Participant:
             case Reply(token) | ReplyError(token):
                 asked = self._askers.pop(token, None)
                 if asked is not None:
-                    self._answered.append(asked.process)
+                    self._answered.append((asked.process, asked.step))
                 transport.answer(action, self._stamped())
             case Finish():
                 self.finished = action

@@ -14,7 +14,7 @@ from functools import partial
 
 from he3.errors import He3Error, InvalidInput
 from schemas.link import ClockMode, ClockState
-from schemas.lockstep import Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
+from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.topics import TIME_CONTROL, Side, Topic
 from schemas.wire import Refused, decode, encode
 from services.bus import Bus, Question, open_session
@@ -38,7 +38,9 @@ class LockstepLinkProcess(LockstepProcess):
 
     def __init__(self, service: Service, options: Options, stop: Stop) -> None:
         super().__init__(service, options, stop)
-        self.keeper = TimeKeeper(options.scenario.start_ns, frozenset(options.wait_for) | {service.name})
+        self.keeper = TimeKeeper(
+            options.scenario.start_ns, frozenset(options.wait_for) | {service.name}, self.process_id
+        )
         self.pace = Pace()
         self._over = options.stop_when is None
         self._homes: dict[str, Side] = {}
@@ -57,10 +59,12 @@ class LockstepLinkProcess(LockstepProcess):
 
     def take_part(self) -> bool:
         """Be the one whom the others join."""
+        self.part.obey(self.keeper.term(self.process_id))
         self.keeper.join(self.part.join())
-        self.keeper.admit()
+        for joining in self.keeper.admit():
+            self.part.joined(self.keeper.answer(joining, admitted=True))
         self._joined = True
-        self.part.start(max(self._incarnation, self.keeper.starts(self.name)))
+        self.part.start(self._incarnation)
         self._show_time()
         for side, bus in self.buses.items():
             bus.serve(CLOCKS[side], lambda question: self.later(partial(self._tell_time, question)))
@@ -188,11 +192,14 @@ class LockstepLinkProcess(LockstepProcess):
     def _take_join(self, side: Side, question: Question) -> None:
         try:
             _, joining = decode(JOIN[side], question.payload or b"", self.mission)
-            self.keeper.join(joining)
+            obeys = self.keeper.join(joining)
         except (Refused, InvalidInput) as refusal:
             question.refuse(str(refusal))
             return
-        self._join_questions[joining.name] = (side, question)
+        if obeys:
+            self._join_questions[joining.name] = (side, question)
+        else:
+            question.reply(encode(self.header(), self.keeper.answer(joining, admitted=False)))
 
     def _admit(self) -> None:
         """Between two steps: take in who asked for it, and tell them where time stands."""
@@ -201,8 +208,7 @@ class LockstepLinkProcess(LockstepProcess):
             if side is None or question is None:
                 continue
             self._homes[joining.name] = side
-            starts = self.keeper.starts(joining.name)
-            question.reply(encode(self.header(), Joined(now=self.keeper.now, step=self.keeper.step, starts=starts)))
+            question.reply(encode(self.header(), self.keeper.answer(joining, admitted=True)))
             if joining.process not in self._known:
                 self._known.add(joining.process)
                 missing = ", ".join(self.keeper.missing())
@@ -211,7 +217,7 @@ class LockstepLinkProcess(LockstepProcess):
     def _member_seen(self, process: str, alive: bool) -> None:
         if alive:
             return  # it asks to take part by itself
-        at_work = self.keeper.outstanding
+        at_work = frozenset(self.keeper.outstanding)
         name = self.keeper.leave(process)
         if name is None:
             return
@@ -239,12 +245,18 @@ class LockstepLinkProcess(LockstepProcess):
         match word:
             case StepDone():
                 self.keeper.done(word)
-            case StepBusy() if word.step == self.keeper.step:
-                self._busy[word.name] = word
-                if word.computing and self._computing_since is None:
-                    self._computing_since = time.monotonic()
+            case StepBusy():
+                self._take_busy(word)
             case Poke():
                 self.keeper.poke(word.name, word.process)
+
+    def _take_busy(self, busy: StepBusy) -> None:
+        member = self.keeper.members.get(busy.name)
+        if member is None or member.process != busy.process or busy.step != self.keeper.step:
+            return
+        self._busy[busy.name] = busy
+        if busy.computing and self._computing_since is None:
+            self._computing_since = time.monotonic()
 
     def _control(self, question: Question) -> None:
         payload = question.payload

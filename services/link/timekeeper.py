@@ -16,7 +16,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from he3.errors import InvalidInput
-from schemas.lockstep import Grant, Join, StepDone
+from schemas.lockstep import Grant, Join, Joined, StepDone
 from services.node import MissionTime
 
 
@@ -28,6 +28,8 @@ class Member:
     process: str
     hears: frozenset[tuple[str, str]]
     serves: frozenset[tuple[str, str]]
+    since: int
+    """The step after which it takes part."""
     next_wake: MissionTime | None
     poked: bool = True
     inputs: Counter[str] = field(default_factory=Counter)
@@ -43,8 +45,9 @@ class Member:
 class TimeKeeper:
     """Who takes part, where each stands, and what the next step is."""
 
-    def __init__(self, now: MissionTime, required: frozenset[str]) -> None:
-        """required: time does not move while one of these does not take part."""
+    def __init__(self, now: MissionTime, required: frozenset[str], identity: str = "keeper") -> None:
+        """required: time does not move while one of these does not take part. identity: of this start of it."""
+        self._identity = identity
         self.now = now
         self.step = 0
         self.required = required
@@ -53,11 +56,15 @@ class TimeKeeper:
         """Who has been granted the present step and has not finished it."""
         self._candidates: dict[str, Join] = {}
         self._starts: dict[str, list[str]] = {}
+        self._given_up: Counter[str] = Counter()
 
     # --- who takes part -----------------------------------------------------------------------------------------
 
-    def join(self, joining: Join) -> None:
+    def join(self, joining: Join) -> bool:
         """A process wants to take part, or asks whether it still does; `admit` takes it in between two steps.
+
+        False if it obeys grants of another term, of a time keeper that is gone or from before it was given up: it may
+        still act upon those, and what it says of itself be out of date before it is taken in.
 
         An earlier process of that name is given up. Raises InvalidInput for that earlier process, should it wake up
         and ask, and when somebody else serves what it serves: nobody could say then whom a question reaches.
@@ -76,7 +83,10 @@ class TimeKeeper:
         member = self.members.get(joining.name)
         if member is not None and member.process != joining.process:
             self.leave(member.process)
+        if joining.term != self.term(joining.process):
+            return False
         self._candidates[joining.name] = joining
+        return True
 
     def admit(self) -> list[Join]:
         """Take in everybody who wants to take part, unless a step is under way; returns whom to tell so.
@@ -87,21 +97,40 @@ class TimeKeeper:
             return []
         admitted = list(self._candidates.values())
         self._candidates.clear()
+        new: list[Member] = []
         for joining in admitted:
             if joining.name in self.members:
                 continue
             self.now, self.step = max(self.now, joining.now), max(self.step, joining.step)
             self.members[joining.name] = Member(
-                joining.name, joining.process, frozenset(joining.hears), frozenset(joining.serves), joining.next_wake
+                name=joining.name,
+                process=joining.process,
+                hears=frozenset(joining.hears),
+                serves=frozenset(joining.serves),
+                since=0,
+                next_wake=joining.next_wake,
             )
             processes = self._starts.setdefault(joining.name, [])
             if joining.process not in processes:
                 processes.append(joining.process)
+            new.append(self.members[joining.name])
+        for member in new:
+            member.since = self.step
         return admitted
 
-    def starts(self, name: str) -> int:
-        """How many processes of that name have taken part."""
-        return len(self._starts.get(name, ()))
+    def term(self, process: str) -> str:
+        """Which grants that process has to obey."""
+        return f"{self._identity}/{self._given_up[process]}"
+
+    def answer(self, joining: Join, admitted: bool) -> Joined:
+        """What to tell a process that was taken in, or that obeys another term."""
+        return Joined(
+            term=self.term(joining.process),
+            admitted=admitted,
+            now=self.now,
+            step=self.step,
+            starts=len(self._starts.get(joining.name, ())),
+        )
 
     def leave(self, process: str) -> str | None:
         """That process is gone: nobody waits for it any more. Its name, or None if it did not take part.
@@ -115,6 +144,7 @@ class TimeKeeper:
         if member is None:
             return None
         del self.members[member.name]
+        self._given_up[process] += 1
         self.outstanding.discard(member.name)
         for other in self.members.values():
             other.poked = True
@@ -137,11 +167,15 @@ class TimeKeeper:
             member.poked = True
 
     def done(self, report: StepDone) -> bool:
-        """Take in what a process did in the present step. Whether that was expected of it."""
+        """Take in what a process did in the present step. Whether that was expected of it.
+
+        If not, it was given up before; everybody acts once more, so that what it sent all the same does not lie about.
+        """
         member = self.members.get(report.name)
-        if member is None or member.process != report.process:
-            return False  # of somebody who was given up
-        if report.step != self.step or report.name not in self.outstanding:
+        expected = report.step == self.step and report.name in self.outstanding
+        if member is None or member.process != report.process or not expected:
+            for other in self.members.values():
+                other.poked = True
             return False
         self.outstanding.discard(report.name)
         member.next_wake = report.next_wake
@@ -152,10 +186,11 @@ class TimeKeeper:
                     other.inputs[report.name] += count
         for question in report.asked:
             self._server_of(question, member).inputs[report.name] += 1
-        for process in report.answered:
-            asker = next((other for other in self.members.values() if other.process == process), None)
-            if asker is not None:
-                asker.inputs[report.name] += 1
+        for process, step in report.answered:
+            for asker in self.members.values():
+                # A question does not outlive the connection of either; then its answer goes nowhere.
+                if asker.process == process and step > max(asker.since, member.since):
+                    asker.inputs[report.name] += 1
         return True
 
     def next_instant(self) -> MissionTime | None:
@@ -181,7 +216,13 @@ class TimeKeeper:
         grants = {}
         for name, member in self.members.items():
             if member.wants_now or (member.next_wake is not None and member.next_wake <= at):
-                grants[name] = Grant(step=self.step, at=at, process=member.process, expects=dict(member.inputs))
+                grants[name] = Grant(
+                    term=self.term(member.process),
+                    step=self.step,
+                    at=at,
+                    process=member.process,
+                    expects=dict(member.inputs),
+                )
                 member.inputs.clear()
                 member.poked = False
         self.outstanding = set(grants)

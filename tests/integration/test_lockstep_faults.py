@@ -214,6 +214,37 @@ def test_when_the_link_is_killed_the_others_wait_and_go_on_with_its_successor(
     assert mission.control().now > stood.now, "time never ran backwards"
 
 
+def test_a_server_that_dies_with_a_question_on_its_desk_is_asked_again_when_it_is_back(
+    lockstep: Callable[..., Lockstep],
+) -> None:
+    mission = lockstep()
+    mission.standing(until=START + 1800 * SECOND)
+    field = mission.mission["field"]
+    os.kill(field.pid, signal.SIGSTOP)
+    mission.control(paused=False)
+    asked = mission.until(lambda status: status.waits_for == ("field",))
+    field.kill()
+    mission.until(lambda status: "is gone in step" in status.detail)
+    assert mission.control().now == asked.now
+    mission.mission.start("field")
+    mission.moves_on()
+    mission.until(lambda status: "ground" in status.finished, within_s=120.0)
+
+
+def test_a_time_keeper_that_hangs_is_reported_by_those_who_wait_for_it(lockstep: Callable[..., Lockstep]) -> None:
+    mission = lockstep(journal=False)
+    mission.standing(until=START + 1800 * SECOND)
+    link = mission.mission["link"]
+    os.kill(link.pid, signal.SIGSTOP)
+    try:
+        for name in ("field", "rover", "ground"):
+            mission.mission[name].line("nothing heard of the time keeper for 5 s", within_s=NAMED_WITHIN_S)
+    finally:
+        os.kill(link.pid, signal.SIGCONT)
+    mission.control(paused=False)
+    mission.moves_on()
+
+
 # --- who only looks on ------------------------------------------------------------------------------------------
 
 LOOKS_ON_AND_HANGS = """

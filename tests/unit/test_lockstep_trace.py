@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.lockstep import Grant, StepDone
+from schemas.lockstep import Grant, Joined, StepDone
 from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.host import Host, Input
 from services.link.timekeeper import TimeKeeper
@@ -39,7 +39,7 @@ class LateExecutor:
 
     def submit(self, function: Callable[..., object], /, *arguments: object) -> Future[object]:
         future: Future[object] = Future()
-        self._network.later(lambda: future.set_result(function(*arguments)))
+        self._network.compute(lambda: future.set_result(function(*arguments)))
         return future
 
 
@@ -47,7 +47,9 @@ class Network:
     """Carries everything, later, in an order that is drawn at random: worse than any network that keeps order."""
 
     def __init__(self, nodes: list[Node], mission: str, start: int, trace: Trace, dice: Random) -> None:
-        self.keeper = TimeKeeper(start, frozenset(node.interface.name for node in nodes))
+        self._required = frozenset(node.interface.name for node in nodes)
+        self._keepers = count(1)
+        self.keeper = self._new_keeper(start)
         self.parts: dict[str, Participant] = {}
         self.questions: dict[int, tuple[Participant, str, PutQuestion, Stamp]] = {}
         self.steps = 0
@@ -55,9 +57,39 @@ class Network:
         self._trace = trace
         self._dice = dice
         self._under_way: list[Callable[[], None]] = []
+        self._computations: list[Callable[[], None]] = []
         self._starts: Counter[str] = Counter()
+        self._connections: Counter[str] = Counter()
         for node in dice.sample(nodes, len(nodes)):
             self.begin(node)
+
+    def _new_keeper(self, start: int) -> TimeKeeper:
+        return TimeKeeper(start, self._required, f"keeper.{next(self._keepers)}")
+
+    def lose_keeper(self) -> None:
+        """End the time keeper, and the router with it: all that was under way is lost; a new one is asked to join."""
+        self._under_way = [task for task in self._under_way if task in self._computations]
+        self.keeper = self._new_keeper(1000)
+        for token in list(self.questions):
+            asker, _, question, asked = self.questions.pop(token)
+            self.silence(asker, question, asked)
+        for part in self.parts.values():
+            self._ask_to_join(part)
+
+    def _ask_to_join(self, part: Participant) -> None:
+        """The keeper answers at once that it is another whom this process has to obey, or later that it takes part."""
+        joining = part.join()
+
+        def arrive() -> None:
+            if self.parts.get(part.name) is part and not self.keeper.join(joining):
+                answer = self.keeper.answer(joining, admitted=False)
+                self.later(lambda: self._obey(part, answer))
+
+        self.later(arrive)
+
+    def _obey(self, part: Participant, answer: Joined) -> None:
+        part.obey(answer.term)
+        self._ask_to_join(part)
 
     def begin(self, node: Node) -> None:
         """Start a process for that node; it asks to take part."""
@@ -67,7 +99,7 @@ class Network:
         part = Participant(Seat(host, LateExecutor(self)), f"{name}.{self._starts[name]}")
         part.start(self._starts[name])
         self.parts[part.name] = part
-        self.later(lambda: self.keeper.join(part.join()) if self.parts.get(name) is part else None)
+        self._ask_to_join(part)
 
     def kill(self, name: str) -> None:
         """End a process: what it sent is under way, what is sent to it is lost, who asked it hears nothing."""
@@ -77,14 +109,32 @@ class Network:
             asker, _, question, asked = self.questions.pop(token)
             self.silence(asker, question, asked)
 
+    def cut_off(self, name: str) -> None:
+        """Lose the connection of a process that lives on: what is under way to it, what it asked, what it was asked."""
+        part = self.parts[name]
+        self._connections[part.process] += 1
+        for token, (asker, server, question, asked) in list(self.questions.items()):
+            if server == part.process or asker is part:
+                del self.questions[token]
+                self.silence(asker, question, asked)
+        self.keeper.leave(part.process)  # the router notices before anything comes over a new connection
+        self._ask_to_join(part)
+
     def later(self, happen: Callable[[], None]) -> None:
         self._under_way.append(happen)
+
+    def compute(self, end: Callable[[], None]) -> None:
+        self._computations.append(end)
+        self.later(end)
 
     def to(self, part: Participant, take: Callable[[], bool]) -> None:
         """Let something reach a process, if it still runs then; poke the time keeper if the process says so."""
 
+        connection = self._connections[part.process]
+
         def arrive() -> None:
-            if self.parts.get(part.name) is part and take():
+            connected = self.parts.get(part.name) is part and self._connections[part.process] == connection
+            if connected and take():
                 self.later(lambda: self.keeper.poke(part.name, part.process))
 
         self.later(arrive)
@@ -108,7 +158,8 @@ class Network:
 
     def _step(self) -> bool:
         before = self.keeper.now
-        self.keeper.admit()
+        for joining in self.keeper.admit():
+            self._welcome(self.parts.get(joining.name), self.keeper.answer(joining, admitted=True))
         instant = self.keeper.next_instant()
         if instant is None:
             waits = {name: part.lacks() for name, part in self.parts.items() if part.granted is not None}
@@ -122,8 +173,12 @@ class Network:
                 self._grant(part, Grant.model_validate_json(grant.model_dump_json()))
         return True
 
+    def _welcome(self, part: Participant | None, answer: Joined) -> None:
+        if part is not None:
+            self.later(lambda: part.joined(answer))
+
     def _grant(self, part: Participant, grant: Grant) -> None:
-        self.later(lambda: part.grant(grant))
+        self.to(part, lambda: part.grant(grant) or False)
 
     def _report(self, done: StepDone) -> None:
         told = StepDone.model_validate_json(done.model_dump_json())
@@ -158,6 +213,8 @@ class Carrier:
         network.to(server, lambda: server.take_question(given, token, stamp))
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
+        if action.token not in self._network.questions:
+            return  # asked through a router that is gone
         asker, _, question, asked = self._network.questions.pop(action.token)
         if isinstance(action, Reply):
             given = Input("answered", (question.question, action.payload))
@@ -221,7 +278,9 @@ def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_neve
             del gone[name]
             back(name, move)
         name = kills.get(move)
-        if name in network.parts:
+        if name in network.parts and dice.random() < 0.3:
+            network.cut_off(name)
+        elif name in network.parts:
             network.kill(name)
             gone[name] = move
 
@@ -232,6 +291,23 @@ def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_neve
     network.run()
     assert not network.keeper.missing()
     assert all(now <= later for (now, _, _), (later, _, _) in pairwise(trace)), "time ran backwards"
+
+
+@given(st.integers(0, 10**6), st.integers(0, 10**6))
+@settings(max_examples=200, deadline=None)
+def test_a_time_keeper_that_dies_at_any_moment_is_succeeded_and_time_goes_on_from_where_it_stood(
+    seed: int, order: int
+) -> None:
+    dice = Random(order)
+    trace: Trace = []
+    network = Network(chatter.chatters(seed), "m", 1000, trace, dice)
+    deaths = {dice.randrange(400) for _ in range(4)}
+    moves = count()
+    network.run(lambda: network.lose_keeper() if next(moves) in deaths else None)
+    assert not network.keeper.missing()
+    for name in network.parts:
+        times = [now for now, who, _ in trace if who == name]
+        assert times == sorted(times), "time ran backwards"
 
 
 @pytest.mark.parametrize("seed", range(3))

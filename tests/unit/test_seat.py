@@ -73,12 +73,13 @@ def seat_of(node: Scripted, executor: object = None) -> Seat:
 
 def part_of(node: Scripted, executor: object = None) -> Participant:
     part = Participant(seat_of(node, executor), "rover.1")
-    part.joined(Joined(now=100, step=0, starts=1))
+    part.obey("k")
+    part.joined(Joined(term="k", admitted=True, now=100, step=0, starts=1))
     return part
 
 
 def granted(part: Participant, step: int, at: int, **expects: int) -> Participant:
-    part.grant(Grant(step=step, at=at, process=part.process, expects=expects))
+    part.grant(Grant(term="k", step=step, at=at, process=part.process, expects=expects))
     return part
 
 
@@ -151,11 +152,33 @@ def test_a_process_does_not_hear_itself() -> None:
 
 def test_a_grant_for_another_process_of_the_name_or_of_a_past_step_is_no_grant() -> None:
     part = part_of(Scripted())
-    part.grant(Grant(step=1, at=100, process="rover.2", expects={}))
+    part.grant(Grant(term="k", step=1, at=100, process="rover.2", expects={}))
     assert not part.ready()
     granted(part, 4, 100).act(Carrier())
     granted(part, 4, 100)
     assert not part.ready()
+
+
+def test_what_an_earlier_term_granted_is_void_and_what_it_counted_asks_for_a_poke() -> None:
+    part = part_of(Scripted())
+    granted(part, 5, 100, field=1)
+    part.obey("another")
+    assert part.granted is None
+    granted(part, 6, 100)
+    assert part.granted is None, "nobody of this term has said so"
+    assert part.join().step == 5
+    part.joined(Joined(term="another", admitted=True, now=100, step=7, starts=1))
+    assert part.take_message(message(1), stamp("field", 1, step=4))
+    part.grant(Grant(term="another", step=8, at=100, process="rover.1", expects={}))
+    assert part.ready()
+
+
+def test_an_answer_to_the_join_that_comes_after_the_first_grant_takes_nothing_back() -> None:
+    part = part_of(Scripted())
+    part.obey("another")
+    part.grant(Grant(term="another", step=8, at=100, process="rover.1", expects={}))
+    part.joined(Joined(term="another", admitted=True, now=100, step=7, starts=1))
+    assert part.ready()
 
 
 def test_silence_counts_in_the_step_of_the_question_or_asks_for_a_poke() -> None:

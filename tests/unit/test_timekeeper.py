@@ -16,9 +16,8 @@ MEASURE = ("moon/measure", "moon")
 
 
 def joining(name: str, start: int = 1, next_wake: int | None = None, **more: object) -> Join:
-    return Join(
-        **{"name": name, "process": f"{name}.{start}", "hears": (), "serves": (), "next_wake": next_wake, **more}
-    )
+    about = {"name": name, "process": f"{name}.{start}", "hears": (), "serves": (), "next_wake": next_wake}
+    return Join(**{"term": "keeper/0", **about, **more})
 
 
 def done(keeper: TimeKeeper, name: str, start: int = 1, next_wake: int | None = None, **more: object) -> bool:
@@ -99,7 +98,7 @@ def test_a_question_is_expected_by_who_serves_it_and_its_answer_by_who_asked() -
     keeper.grant(50)
     done(keeper, "rover", asked=(MEASURE, MEASURE))
     assert keeper.grant(50)["field"].expects == {"rover": 2}
-    done(keeper, "field", answered=("rover.1", "rover.1"))
+    done(keeper, "field", answered=(("rover.1", keeper.step - 1),) * 2)
     assert keeper.grant(50)["rover"].expects == {"field": 2}
 
 
@@ -170,7 +169,7 @@ def test_who_asks_again_whether_it_takes_part_is_told_so_and_nothing_changes() -
     keeper = keeper_of(joining("rover", next_wake=50))
     keeper.join(joining("rover", next_wake=60))
     assert [join.name for join in keeper.admit()] == ["rover"]
-    assert (keeper.next_instant(), keeper.starts("rover")) == (50, 1)
+    assert (keeper.next_instant(), keeper.answer(joining("rover"), True).starts) == (50, 1)
 
 
 def test_time_stands_when_a_required_process_dies_and_goes_on_when_it_is_back() -> None:
@@ -182,7 +181,7 @@ def test_time_stands_when_a_required_process_dies_and_goes_on_when_it_is_back() 
     keeper.admit()
     assert keeper.next_instant() == 50
     assert set(keeper.grant(50)) == {"rover", "ground"}, "what the dead one sent in its last step is handled at once"
-    assert keeper.starts("rover") == 2
+    assert keeper.answer(joining("rover"), True).starts == 2
 
 
 def test_time_goes_on_without_a_process_that_is_not_required() -> None:
@@ -216,9 +215,11 @@ def test_a_process_that_was_replaced_is_refused_when_it_asks_again() -> None:
 def test_a_process_that_was_thought_gone_takes_part_again() -> None:
     keeper = keeper_of(joining("rover", next_wake=50))
     keeper.leave("rover.1")
-    keeper.join(joining("rover", next_wake=50))
+    assert not keeper.join(joining("rover", next_wake=50)), "it may still act upon what it was granted before"
+    assert keeper.answer(joining("rover"), admitted=False).term == "keeper/1"
+    assert keeper.join(joining("rover", next_wake=50, term="keeper/1"))
     keeper.admit()
-    assert (keeper.missing(), keeper.starts("rover")) == ([], 1)
+    assert (keeper.missing(), keeper.answer(joining("rover"), True).starts) == ([], 1)
 
 
 def test_the_late_news_that_an_earlier_process_is_gone_does_not_concern_its_successor() -> None:
@@ -240,7 +241,7 @@ def test_an_answer_to_an_earlier_process_is_not_owed_to_its_successor() -> None:
     keeper.admit()
     keeper.grant(50)
     done(keeper, "rover", start=2)
-    done(keeper, "field", answered=("rover.1",))
+    done(keeper, "field", answered=(("rover.1", 2),))
     assert keeper.next_instant() is None
 
 
@@ -250,6 +251,43 @@ def test_a_process_that_has_been_further_than_a_new_time_keeper_takes_it_along()
     keeper.admit()
     assert keeper.next_instant() == 60
     assert keeper.grant(60)["rover"].step == 13
+
+
+def test_an_answer_to_a_question_from_before_its_asker_was_given_up_is_not_owed() -> None:
+    keeper = keeper_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
+    keeper.grant(50)
+    asked_in = keeper.step
+    done(keeper, "rover", asked=(MEASURE,))
+    keeper.grant(50)
+    keeper.leave("rover.1")
+    keeper.join(joining("rover", term="keeper/1"))
+    done(keeper, "field", answered=(("rover.1", asked_in),))
+    keeper.admit()
+    assert keeper.grant(50)["rover"].expects == {}
+    done(keeper, "rover")
+    done(keeper, "field", answered=(("rover.1", asked_in),))
+    assert keeper.next_instant() is None
+
+
+def test_an_answer_of_somebody_who_was_given_up_since_he_was_asked_is_not_owed() -> None:
+    keeper = keeper_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
+    keeper.grant(50)
+    asked_in = keeper.step
+    done(keeper, "rover", asked=(MEASURE,))
+    keeper.leave("field.1")
+    keeper.join(joining("field", serves=(MEASURE,), term="keeper/1"))
+    keeper.admit()
+    keeper.grant(50)
+    done(keeper, "rover")
+    done(keeper, "field", answered=(("rover.1", asked_in),))
+    assert keeper.next_instant() is None
+
+
+def test_who_obeys_another_time_keeper_is_not_taken_in() -> None:
+    keeper = TimeKeeper(0, frozenset({"rover"}))
+    assert not keeper.join(joining("rover", term="another/0"))
+    assert keeper.admit() == []
+    assert keeper.missing() == ["rover"]
 
 
 def test_two_processes_that_serve_the_same_are_refused_in_one_line() -> None:
