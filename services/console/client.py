@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from he3.errors import He3Error, InvalidInput, PeerUnreachable
-from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
+from he3.errors import He3Error, InvalidInput
+from schemas.commands import CommandKind, CommandList, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestArea, InterestChange, InterestList, MissionTrack
 from schemas.link import ClockMode, ClockState, LinkChange, LinkStatus
 from schemas.maps import MapAbout, MapHistory, MapPoint, MapScore, ResourceEstimate
@@ -62,14 +62,10 @@ from schemas.topics import (
 from schemas.wire import Header, Wire, one_line
 from services.bus import Client
 from services.clock import mission_time
+from services.console.issued import IssuedCommand
 from services.console.runfile import find
 from services.mapfeed import FeedMap, FeedReader
 from services.node import MissionTime, seconds
-
-ENDS = frozenset(
-    {CommandStage.REJECTED, CommandStage.COMPLETED, CommandStage.FAILED, CommandStage.EXPIRED, CommandStage.LOST}
-)
-"""Stages after which nothing more comes of a command."""
 
 NEWS: tuple[Topic, ...] = (GROUND_STATUS, SAMPLE, EVENT, STATE, COMMAND_STATUS, LINK_STATUS)
 
@@ -114,44 +110,6 @@ class News:
     source: str
     made_at: MissionTime
     body: Wire
-
-
-class IssuedCommand:
-    """A telecommand on its way."""
-
-    def __init__(self, client: Client, status: CommandStatus) -> None:
-        self._client = client
-        self.status = status
-
-    @property
-    def command_id(self) -> str:
-        return self.status.command.command_id
-
-    @property
-    def stages(self) -> tuple[CommandStage, ...]:
-        """The stages passed so far, as last heard."""
-        return tuple(report.stage for report in self.status.stages)
-
-    def wait(self, stage: CommandStage | str = CommandStage.COMPLETED, timeout_s: float = 60.0) -> CommandStatus:
-        """The status once that stage is passed, or the command has ended another way; look at its last stage.
-
-        timeout_s: wall time. Raises PeerUnreachable when it runs out.
-        """
-        wanted = {CommandStage(stage)} | ENDS
-        deadline = time.monotonic() + timeout_s
-        while not wanted & set(self.stages):
-            left = deadline - time.monotonic()
-            if left <= 0:
-                raise PeerUnreachable(
-                    f"command {self.command_id}: not {CommandStage(stage).value} within {timeout_s:g} s; "
-                    f"it is {self.stages[-1].value if self.stages else 'nowhere'} so far"
-                )
-            time.sleep(min(0.1, left))
-            listed: CommandList = self._client.query(LIST_COMMANDS, NoParameters())
-            for status in listed.commands:
-                if status.command.command_id == self.command_id:
-                    self.status = status
-        return self.status
 
 
 class MissionClient:
