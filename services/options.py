@@ -37,6 +37,8 @@ class Options:
     lockstep: bool
     stop_when: str | None
     """The link in lockstep: once this service has nothing left to do, mission time stands."""
+    pace: float | None
+    """The link in lockstep: mission seconds a wall second at most, until an operator says otherwise; None: no limit."""
     events: Path | None
     """File that gets a line for each event handled."""
 
@@ -71,8 +73,11 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     parser.add_argument("--journal", type=Path, metavar="FOLDER", help="keep a journal there, and go on from it")
     parser.add_argument("--lockstep", action="store_true", help="virtual time, granted by the link")
     parser.add_argument("--stop-when", metavar="NAME", help="link in lockstep: stop time when this one is finished")
+    parser.add_argument("--pace", type=float, metavar="R", help="link in lockstep: no faster, until told otherwise")
     parser.add_argument("--events", type=Path, metavar="FILE", help="write a line for each event handled")
     given = parser.parse_args(arguments)
+    if given.pace is not None and not 0 < given.pace <= 1e9:
+        parser.error(f"--pace: expected a number over 0 and up to 1e9, got {given.pace:g}")
     path = find_scenario(given.scenario)
     changes = [parse_setting(text) for text in given.set]
     for key, value in (("seed", given.seed), ("rate", given.rate)):
@@ -90,6 +95,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         journal=given.journal,
         lockstep=given.lockstep,
         stop_when=given.stop_when,
+        pace=given.pace,
         events=given.events,
     )
 

@@ -79,13 +79,15 @@ def services_of(
     endpoints: Endpoints,
     *,
     lockstep: bool = False,
+    pace: float | None = None,
     events: Path | None = None,
     journal: Path | None = None,
     log_to_terminal: bool = False,
 ) -> Iterator[tuple[Launcher, Endpoints]]:
     """All services of the scenario, running and announced on this machine; all gone afterwards.
 
-    Their logs go to the terminal, beside the other files, or into a temporary folder that an error's line quotes from.
+    pace: in lockstep, mission seconds a wall second at most. Their logs go to the terminal, beside the other files,
+    or into a temporary folder that an error's line quotes from.
     """
     with ExitStack() as stack:
         logs: Path | None
@@ -98,7 +100,7 @@ def services_of(
             for old in logs.glob("*.log"):
                 old.unlink()
         flags = (*chosen.flags, *(("--lockstep",) if lockstep else ()))
-        service_flags = _service_flags(lockstep, events, journal)
+        service_flags = _service_flags(lockstep, pace, events, journal)
         launcher = stack.enter_context(
             Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs, service_flags=service_flags)
         )
@@ -109,11 +111,15 @@ def services_of(
         yield launcher, endpoints
 
 
-def _service_flags(lockstep: bool, events: Path | None, journal: Path | None) -> dict[str, Sequence[str]]:
+def _service_flags(
+    lockstep: bool, pace: float | None, events: Path | None, journal: Path | None
+) -> dict[str, Sequence[str]]:
     """What only some services are told: who ends the mission in lockstep, who writes what of events and journals."""
     flags: dict[str, list[str]] = {name: [] for name in ACTING}
     if lockstep:
         flags["link"] += ["--stop-when", "ground"]
+    if lockstep and pace is not None:
+        flags["link"] += ["--pace", str(pace)]
     if events is not None:
         for name in ACTING:
             flags[name] += ["--events", str(events / f"{name}.log")]

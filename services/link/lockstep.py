@@ -42,6 +42,8 @@ class LockstepLinkProcess(LockstepProcess):
             options.scenario.start_ns, frozenset(options.wait_for) | {service.name}, self.process_id
         )
         self.pace = Pace()
+        if options.pace is not None:
+            self._ask_of_pace(TimeControl(rate=options.pace))
         self._over = options.stop_when is None
         self._homes: dict[str, Side] = {}
         self._known: set[str] = set()
@@ -269,12 +271,15 @@ class LockstepLinkProcess(LockstepProcess):
             question.refuse(str(error))
             return
         if control != TimeControl():
-            self.pace.control(control, self.keeper.now, time.monotonic())
+            self._ask_of_pace(control)
             if self.events is not None:
                 self.events.active = True
             self._show_time()
         status = self._status()
         question.reply(status.model_dump_json().encode() if payload is None else encode(self.header(), status))
+
+    def _ask_of_pace(self, control: TimeControl) -> None:
+        self.pace.control(control, self.keeper.now, time.monotonic())
 
     # --- what onlookers see -------------------------------------------------------------------------------------
 

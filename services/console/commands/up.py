@@ -13,6 +13,7 @@ EXAMPLES = """\b
 Examples:
   he3 up t1-nominal                   at the pace of life, where t1-nominal says
   he3 up t1-nominal --rate 100 &      then: he3 status; he3 map at 120 340
+  he3 up t1-nominal --lockstep &      in virtual time: he3 time pause; he3 time step; he3 time rate 100
   he3 up t1-nominal --journal j/      stopped and started again, it goes on
 """
 
@@ -49,7 +50,9 @@ def up(
     where = outputs(out, None)
     load_region(mission.region, mission.field.field_seed)
     endpoints = Endpoints(mission.network.moon, mission.network.earth)
-    services = services_of(chosen, where, endpoints, lockstep=lockstep, journal=journal, log_to_terminal=not quiet)
+    services = services_of(
+        chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
+    )
     with services as (launcher, _):
         with join_when_up(endpoints.earth, mission.name, launcher.check) as client:
             wait_for_ground(client, launcher.check)
