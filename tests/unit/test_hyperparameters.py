@@ -11,6 +11,7 @@ from he3.hyperparameters import (
     fit_hyperparameters,
     information_criterion,
     parameter_bounds,
+    typical_spacing_m,
 )
 from he3.kernels import KERNEL_NAMES, KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential
 from he3.likelihood import log_marginal_likelihood
@@ -129,3 +130,20 @@ def test_values_that_do_not_match_the_places_or_are_not_finite_are_refused() -> 
         fit_hyperparameters(np.zeros((2, 2)), np.array([1.0, np.nan]), "se", rng=rng)
     with pytest.raises(InvalidInput, match="expected noise bounds"):
         fit_hyperparameters(np.eye(2), np.zeros(2), "se", rng=rng, noise_bounds_ppb=(0.2, 0.1))
+
+
+@pytest.mark.parametrize("name", ["matern12", "smooth+rough"])
+def test_an_exponential_covariance_is_not_fitted_shorter_than_the_samples_lie_apart(name: str) -> None:
+    x, y = np.meshgrid(np.arange(6) * 30.0, np.arange(6) * 30.0)
+    places = np.column_stack((x.ravel(), y.ravel()))
+    values = 8.0 + np.random.default_rng(2).normal(size=36)  # white: the likelihood would have it as short as can be
+    fitted = fit_hyperparameters(places, values, name, rng=np.random.default_rng(0))
+    shortest = [value for key, value in fitted.kernel.parameters().items() if key.endswith("length_scale_m")][-1]
+    assert typical_spacing_m(places) == 30.0
+    assert shortest >= 30.0 * (1 - 1e-9)
+
+
+def test_samples_at_one_place_have_no_spacing() -> None:
+    assert typical_spacing_m(np.array([[3.0, 4.0]])) == 0.0
+    assert typical_spacing_m(np.array([[3.0, 4.0], [3.0, 4.0], [3.0, 4.0]])) == 0.0
+    assert typical_spacing_m(np.array([[3.0, 4.0], [3.0, 4.0], [3.0, 9.0]])) == 5.0

@@ -30,7 +30,7 @@ from services.ground.planning import PlannedRound, PlanningRequest, checked
 
 THRIFT = 0.03
 """Per cent of variance that one per cent of the tour has to be worth, whatever the budget."""
-LEG_CONSTANT = 0.95
+LEG_CONSTANT = 1.02
 """Metres a sample that a mission without a budget may drive, as the crow flies, in units of sqrt(reachable area /
 samples), the spacing of a square lattice. The shortest tour through places at random takes 0.7124 (Beardwood, Halton &
 Hammersley 1959), one through a lattice 1; near it, the variance hardly depends on the metres."""
@@ -83,7 +83,7 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     thrift = float(extra.get("thrift", THRIFT)) / (samples * leg_m)
     if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MOST_REFITTED * left:
         places = fitted(site, request.observed_m, request.outlook_m, left)
-        metres = budget_m if isfinite(budget_m) else tour_of(site, places)[0]
+        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
         price = thrift * variance(places)
         return drawn_taut(site, variance, places, price, metres, int(extra.get("steps", STEPS)), STEP_ON_M)
     rng = np.random.default_rng(request.seed)
@@ -91,16 +91,20 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     for _ in range(max(1, int(extra.get("designs", DESIGNS)))):
         first_node = int(rng.integers(len(site.nodes.weights)))
         places = first_design(site, request.observed_m, left, budget_m, first_node)
-        metres = budget_m
-        if not isfinite(metres):
-            round_obstacles, as_the_crow_flies = tour_of(site, places)
-            metres = left * leg_m * round_obstacles / max(as_the_crow_flies, leg_m)
+        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
         price = thrift * variance(places)
         places = drawn_taut(site, variance, places, price, metres, int(extra.get("first_steps", FIRST_STEPS)))
         cost = worth(site, variance, places, price, metres)
         if cost < least:
             best, least = places, cost
     return best
+
+
+def _metres_without_budget(site: Site, places: FloatArray, leg_m: float) -> float:
+    """What the tour through the places (n, 2) [m] may grow or has to shrink to, if nobody says: so many usual legs,
+    and the ways round obstacles."""
+    round_obstacles, as_the_crow_flies = tour_of(site, places)
+    return len(places) * leg_m * round_obstacles / max(as_the_crow_flies, leg_m)
 
 
 def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:
