@@ -23,8 +23,9 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -44,6 +45,7 @@ from services.node import SECOND
 from services.scenario import load_scenario
 
 Row = dict[str, Any]
+T = TypeVar("T")
 
 
 def run(
@@ -94,13 +96,18 @@ def run(
 
 
 def _changed(client: Client, change: LinkChange, check: Callable[[], None]) -> LinkStatus:
-    """The link's word on a change of it; its routers are there a moment before it answers."""
+    """The link's word on a change of it."""
+    status: LinkStatus = _once_it_answers(partial(client.query, LINK_SET, change), check)
+    return status
+
+
+def _once_it_answers(ask: Callable[[], T], check: Callable[[], None] = lambda: None) -> T:
+    """What the link answers; its routers are there a moment before it does."""
     give_up = time.monotonic() + SETTLING_S
     while True:
         check()
         try:
-            status: LinkStatus = client.query(LINK_SET, change)
-            return status
+            return ask()
         except PeerUnreachable:
             if time.monotonic() > give_up:
                 raise
@@ -154,7 +161,7 @@ def _one_side(side: Side, endpoint: str, mission: str) -> None:
     came = _Arrivals()
     with Client(endpoint, mission, "bench", side) as client:
         client.subscribe_raw(HEARS[side], came.take)
-        clock: ClockState = client.latest(CLOCKS[side])[1]
+        clock: ClockState = _once_it_answers(partial(client.latest, CLOCKS[side]))[1]
         bus = Bus(open_session(side, "client", endpoint), mission)
         try:
             first = 0

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,11 @@ class Peer:
 
     def tell(self, line: str) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
+        try:
+            self._process.stdin.write(line + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise He3Error(f"{self._module}: ended before it was told what to do") from None
 
     def answer(self, within_s: float = 0.0) -> Any:
         """What it answers; raises He3Error when nothing comes in that time and the settling."""
@@ -66,7 +69,8 @@ class Peer:
             self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
-                stream.close()
+                with suppress(BrokenPipeError):  # what it was told last, if it ended before it could be
+                    stream.close()
 
 
 def answer_line(answer: object) -> None:

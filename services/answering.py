@@ -34,6 +34,8 @@ CLOSE_WITHIN_S = 0.3
 """How long an answerer may take to end by itself; it has nothing to lose."""
 BEAT_S = 2.0
 """Between two frames that say where the feed stands."""
+END_S = 0.2
+"""How long the end of a feed may take: what is being published at that moment."""
 FEED_WANTED_S = 600.0
 """A feed goes on for so long after somebody asked for its beginning, heard or not."""
 
@@ -201,6 +203,7 @@ def answer_from_pipe(
         feed.show(server.show(snapshot))
         os.write(1, b"%d\n" % number)
     ended.set()
+    feed.end()
     for opened in bus:
         opened.close()
     # Threads of Zenoh may still hold on to what is going away.
@@ -227,10 +230,21 @@ class _Feed:
         self._changed = threading.Condition()
         self._newest: Any = None
         self._asked_at = -FEED_WANTED_S
+        self._ended = False
+        self._thread: threading.Thread | None = None
 
     def begin(self, bus: Bus) -> None:
         bus.serve(MAP_FEED, lambda question: threading.Thread(target=self._answer, args=(question,)).start())
-        threading.Thread(target=self._work, args=(bus,), name="feed", daemon=True).start()
+        self._thread = threading.Thread(target=self._work, args=(bus,), name="feed", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Publish no more; what is being published is."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(END_S)
 
     def show(self, snapshot: Any) -> None:
         with self._changed:
@@ -250,8 +264,10 @@ class _Feed:
         shown = None
         while True:
             with self._changed:
-                if self._newest is shown:
+                if self._newest is shown and not self._ended:
                     self._changed.wait(BEAT_S)
+                if self._ended:
+                    return
                 newest = self._newest
             wanted = bus.listened(MAP_FEED) or time.monotonic() - self._asked_at < FEED_WANTED_S
             with self._lock:

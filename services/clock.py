@@ -39,6 +39,11 @@ def at_rate(state: ClockState, rate: float, wall_ns: int) -> ClockState:
     )
 
 
+def newer(one: ClockState | None, other: ClockState) -> ClockState:
+    """The later word of the two on what time it is: each change is anchored at the wall time at which it was made."""
+    return other if one is None or other.anchor_wall_ns >= one.anchor_wall_ns else one
+
+
 def elapsed_s(state: ClockState, mission_ns: MissionTime) -> float:
     """Seconds of mission time since the mission began."""
     return (mission_ns - state.start_ns) / SECOND

@@ -24,7 +24,7 @@ from schemas.wire import Refused, Wire, decode
 from services.actions import Action, Publish, PutQuestion, Reply, ReplyError
 from services.answering import AnsweringProcess
 from services.bus import Bus, Question, close_all, open_client
-from services.clock import mission_time, wall_time
+from services.clock import mission_time, newer, wall_time
 from services.desk import custody_config
 from services.host import Host, Input
 from services.journal import JournalFolder, identity_of
@@ -337,7 +337,8 @@ class Process:
         except Refused as refusal:
             self.refused(str(refusal))
             return
-        self.clock = state
+        # An answer may have been on its way while the clock changed: it comes later and is older.
+        self.clock = newer(self.clock, state)
 
     def refused(self, why: str) -> None:
         """Count and log something from outside that never reached the node."""

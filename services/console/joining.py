@@ -13,7 +13,7 @@ from schemas.link import ClockMode, ClockState, LinkStatus
 from schemas.topics import EARTH_CLOCK, EARTH_PRESENCE, GROUND_STATUS, LINK_STATUS
 from schemas.wire import Header
 from services.bus import Client
-from services.clock import mission_time
+from services.clock import mission_time, newer
 from services.console.progress import Moment, moment_of
 from services.console.runfile import find
 from services.node import SECOND
@@ -126,7 +126,7 @@ class Watcher:
         self._heard(header)
 
     def _keep_clock(self, header: Header, body: Any) -> None:
-        self.clock = body
+        self.clock = newer(self.clock, body)
         self._heard(header)
 
     def _keep_presence(self, header: Header, body: Any) -> None:

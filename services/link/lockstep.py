@@ -96,6 +96,8 @@ class LockstepLinkProcess(LockstepProcess):
                 self._show_time()
             instant = self.keeper.next_instant()
             if instant is None:
+                if not self.keeper.outstanding:
+                    self._stop_when_over()
                 self._name_the_late(wall_s)
                 self._take_in(SHOW_TIME_EVERY_S)
             elif self._may_go(instant, wall_s):

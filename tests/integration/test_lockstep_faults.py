@@ -59,7 +59,9 @@ class Lockstep:
     def standing(self, **wanted: object) -> TimeStatus:
         """The status once time stands where the operator wanted it to."""
         self.control(**wanted)
-        return self.until(lambda status: status.paused and not status.waits_for)
+        return self.until(  # what happens at one instant takes several rounds
+            lambda status: status.paused and not status.waits_for and status.next_at != status.now
+        )
 
     def moves_on(self) -> None:
         """Fails unless time goes on."""

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.clock import at_rate, elapsed_s, mission_time, started, wall_time
+from services.clock import at_rate, elapsed_s, mission_time, newer, started, wall_time
 from services.node import SECOND
 
 START = 1_893_456_000 * SECOND
@@ -33,6 +33,13 @@ def test_a_clock_that_stands_never_reaches_a_later_time():
     assert mission_time(clock, WALL + 10**15) == START
     assert wall_time(clock, START + 1) is None
     assert wall_time(clock, START) == WALL
+
+
+def test_of_two_words_on_the_time_the_later_holds_in_whatever_order_they_come():
+    waiting = started(START, 0.0, WALL)
+    running = at_rate(waiting, 1500.0, WALL + 5)
+    assert newer(None, waiting) is waiting
+    assert newer(waiting, running) is newer(running, waiting) is running
 
 
 @given(rate=rates, elapsed=later)

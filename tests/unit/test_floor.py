@@ -8,8 +8,9 @@ from math import inf
 import numpy as np
 import pytest
 
-from benchmarks.floor import floor, true_covariance
+from benchmarks.floor import NODES, floor, true_covariance
 from benchmarks.missions import run_mission, without_arrays
+from he3.design_of_samples import AverageVariance, field_nodes
 from he3.errors import InvalidInput
 from services.ground.planning import PlannerOptions
 from services.regions import load_region
@@ -35,9 +36,14 @@ def region(region_file):
 
 def test_the_floor_lies_below_a_mission_and_above_nothing(region):
     lowest = floor(region, samples=40, designs=1, steps=30, cells=200)
-    mission = run_mission(region, "tour", "matern12", 1, rounds=8, options=QUICK)
     assert 0 < lowest.rmse_ppb < region.he3_ppb.std()
-    assert lowest.rmse_ppb < 1.03 * mission.row["rmse_ppb"]
+    # What is achieved on the one field that there is depends on luck; what is to be expected of a design does not.
+    truth = true_covariance(region, cells=200)
+    nodes, none = field_nodes(region.grid, None, NODES), np.zeros((0, 2))
+    variance = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, nodes, none)
+    mission = run_mission(region, "tour", "matern12", 1, rounds=8, options=QUICK)
+    of_mission = truth.scale_ppb * np.sqrt(truth.kernel.prior_variance * variance(mission.samples_m))
+    assert lowest.expected_rmse_ppb < of_mission < region.he3_ppb.std()
     assert 0.7 < lowest.length_m / (0.9 * np.sqrt(40) * 250) < 1.5
     assert lowest.expected_rmse_ppb == pytest.approx(lowest.rmse_ppb, rel=0.35)
 

@@ -26,7 +26,7 @@ from schemas.topics import (
     Topic,
 )
 from schemas.wire import Header
-from services.clock import mission_time
+from services.clock import mission_time, newer
 from services.console.client import MissionClient
 from services.console.web.alarms import Alarms, documents
 from services.node import MissionTime
@@ -179,7 +179,7 @@ class Hub:
     def _keep_clock(self, header: Header, body: ClockState) -> None:
         with self._lock:
             self._hear(header)
-            self._clock = body
+            self._clock = newer(self._clock, body)
             self._tell("clock", self._clock_document())
 
     def _keep_state(self, header: Header, body: RoverState) -> None:
