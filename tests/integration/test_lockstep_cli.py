@@ -79,6 +79,7 @@ def test_it_begins_at_the_pace_that_was_asked_for_and_can_be_paused_and_stepped(
 
 
 def test_it_runs_until_a_time_that_a_person_can_write(up: Up) -> None:
+    up.time("pause")
     up.time("unlimited")
     up.time("until", "30min")
     assert up.until(lambda status: status["paused"])["now"] == START + 1800 * SECOND
@@ -88,6 +89,7 @@ def test_it_runs_until_a_time_that_a_person_can_write(up: Up) -> None:
 
 def test_what_it_says_is_for_people_too(up: Up) -> None:
     up.time("pause")
+    up.time("unlimited")
     said = up.he3("time", "show").stdout
     assert "since the mission's beginning" in said
     assert "paused; else as fast as it goes" in said
@@ -110,6 +112,7 @@ def test_a_wish_that_makes_no_sense_costs_one_line(up: Up, words: tuple[str, ...
 
 
 def test_a_mission_that_is_over_stands_and_goes_on_when_told_to(up: Up) -> None:
+    up.time("unlimited")
     up.time("resume")
     over = up.until(lambda status: "ground" in status["finished"] and status["paused"], within_s=120.0)
     assert over["finished"]["ground"] == "9 of 9 samples are in the map"

@@ -23,7 +23,7 @@ from services.console.launcher import free_endpoints
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parents[1]
-RATE = 1500.0
+RATE = 2500.0
 
 CONDITIONS = {
     "a round trip of 12 s": ["link.up.one_way_light_time_s=6", "link.down.one_way_light_time_s=6"],
