@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -42,6 +45,37 @@ def free_endpoints() -> Endpoints:
             each.bind(("127.0.0.1", 0))
         ports = moon.getsockname()[1], earth.getsockname()[1]
     return Endpoints(*(f"tcp/127.0.0.1:{port}" for port in ports))
+
+
+@contextmanager
+def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
+    """The wanted endpoints, where any client looks for them, if they are free on this machine; else two that are.
+
+    They are kept from other missions of this user while the `with` statement lasts.
+    """
+    ports = [_loopback_port(endpoint) for endpoint in (wanted.moon, wanted.earth)]
+    if None in ports:
+        yield free_endpoints()
+        return
+    name = f"he3-{os.getuid()}-{ports[0]}-{ports[1]}.lock"
+    with ExitStack() as held:
+        try:
+            lock = held.enter_context((Path(tempfile.gettempdir()) / name).open("w", encoding="ascii"))
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for port in ports:
+                with socket.socket() as probe:
+                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                    probe.bind(("127.0.0.1", port))
+        except OSError:
+            held.close()
+            yield free_endpoints()
+            return
+        yield wanted
+
+
+def _loopback_port(endpoint: str) -> int | None:
+    found = re.fullmatch(r"tcp/(?:127\.0\.0\.1|localhost):(\d{1,5})", endpoint)
+    return int(found[1]) if found and 0 < int(found[1]) < 65536 else None
 
 
 class Launcher:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase
 from services.console.joining import Watcher, join_when_up
-from services.console.launcher import SERVICES, Endpoints, Launcher, free_endpoints
+from services.console.launcher import SERVICES, Endpoints, Launcher, endpoints_near
 from services.console.outputs import Outputs, make_folder, write_outcome
 from services.console.progress import Progress
 from services.console.reporting import Outcome, Run, gather
@@ -53,8 +53,11 @@ def _run_separate(
     scenario = chosen.scenario
     region = load_region(scenario.region, scenario.field.field_seed)
     began = time.monotonic()
-    services = services_of(chosen, where, free_endpoints(), lockstep=lockstep, events=events)
-    with services as (launcher, endpoints):  # noqa: SIM117 - two things end apart
+    wanted = Endpoints(scenario.network.moon, scenario.network.earth)
+    with (  # noqa: SIM117 - two things end apart
+        endpoints_near(wanted) as near,
+        services_of(chosen, where, near, lockstep=lockstep, events=events) as (launcher, endpoints),
+    ):
         with join_when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
             try:
                 watcher = Watcher(client, scenario.start_ns)
