@@ -261,3 +261,14 @@ def test_coarse_cells_are_sampled_as_well():
         grid=grid, traversable=np.ones(grid.shape, bool), std_ppb=np.ones(grid.shape, np.float32), start_m=(7.5, 7.5)
     )
     check(asked, plan("tour", asked))
+
+
+@pytest.mark.parametrize("seed", [15, 79, 126])
+def test_one_sample_in_a_small_cave_may_be_where_the_rover_stands(seed):
+    cave = np.random.default_rng(seed).random((28, 28)) < 0.6
+    cave[21, 10] = True
+    asked = request(
+        grid=SiteGrid(28, 28), traversable=cave, start_m=(10.5, 21.5), samples=1, samples_left=1, seed=seed,
+        std_ppb=np.ones((28, 28), np.float32),
+    )  # fmt: skip
+    check(asked, plan("tour", asked))

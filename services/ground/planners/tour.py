@@ -104,7 +104,7 @@ def _metres_without_budget(site: Site, places: FloatArray, leg_m: float) -> floa
     """What the tour through the places (n, 2) [m] may grow or has to shrink to, if nobody says: so many usual legs,
     and the ways round obstacles."""
     round_obstacles, as_the_crow_flies = tour_of(site, places)
-    return len(places) * leg_m * round_obstacles / max(as_the_crow_flies, leg_m)
+    return len(places) * leg_m * max(round_obstacles, leg_m) / max(as_the_crow_flies, leg_m)
 
 
 def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:

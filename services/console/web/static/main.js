@@ -381,21 +381,37 @@ function showCommands() {
 
 // --- alarms, log, time ----------------------------------------------------------------------------------------------
 
+const alarmRows = new Map();
+
+function alarmRow(id) {
+  const row = element("div", { role: "alert" }, element("span", { class: "kind" }), element("span", { class: "text" }),
+    element("span", { class: "dim num" }), element("button", { type: "button" }, "Acknowledge"));
+  row.lastChild.addEventListener("click", () => attempt(() => send("acknowledge", { id })));
+  return row;
+}
+
+// Rows stay where they are while their words change: a click or the keyboard's focus on a button outlives the news.
 function showAlarms() {
-  $("alarms").replaceChildren(...state.alarms.map((alarm) => {
-    const parts = [element("span", { class: "kind" }, words(alarm.kind)), element("span", { class: "text" }, alarm.text),
-      element("span", { class: "dim num" }, `${utc(alarm.raised_at).slice(11)}${alarm.times > 1 ? `, ${alarm.times} times` : ""}${alarm.active ? "" : ", over"}`)];
-    if (!alarm.acknowledged) {
-      const button = element("button", { type: "button" }, "Acknowledge");
-      button.addEventListener("click", () => attempt(() => send("acknowledge", { id: alarm.id })));
-      parts.push(button);
-    } else parts.push(element("span", { class: "dim" }, "acknowledged"));
-    const shown = element("div", { class: alarm.acknowledged ? "alarm seen" : "alarm", role: "alert" }, ...parts);
-    shown.dataset.kind = alarm.kind;
-    return shown;
-  }));
+  const ids = new Set(state.alarms.map((alarm) => alarm.id));
+  for (const [id, row] of alarmRows) if (!ids.has(id)) { row.remove(); alarmRows.delete(id); }
+  state.alarms.forEach((alarm, place) => {
+    const known = alarmRows.get(alarm.id), raisedAgain = known?.classList.contains("seen") && !alarm.acknowledged;
+    if (raisedAgain) known.remove();
+    const row = known && !raisedAgain ? known : alarmRow(alarm.id);
+    alarmRows.set(alarm.id, row);
+    const [kind, text, when] = row.children;
+    row.className = alarm.acknowledged ? "alarm seen" : "alarm";
+    row.dataset.kind = alarm.kind;
+    rewrite(kind, words(alarm.kind));
+    rewrite(text, alarm.text);
+    rewrite(when, `${utc(alarm.raised_at).slice(11)}${alarm.times > 1 ? `, ${alarm.times} times` : ""}${alarm.active ? "" : ", over"}`);
+    if (alarm.acknowledged && row.lastChild.tagName === "BUTTON") row.lastChild.replaceWith(element("span", { class: "dim" }, "acknowledged"));
+    if ($("alarms").children[place] !== row) $("alarms").insertBefore(row, $("alarms").children[place] ?? null);
+  });
   placeRover();
 }
+
+function rewrite(node, text) { if (node.textContent !== text) node.textContent = text; }
 
 function logged(event) {
   const about = [event.round ? `round ${event.round}` : "", event.sample_id ?? "", `(${fixed(event.x_m, 1)}, ${fixed(event.y_m, 1)}) m`, event.detail].filter(Boolean).join(" · ");
