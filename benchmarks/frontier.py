@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from benchmarks.flights import Flight, flown, mean_and_std, region_named, written
@@ -48,7 +49,7 @@ def run(
     missions = flown(flights, jobs, say, began)
     rows = [mission.row for mission in missions.values()]
     if peers:
-        rows += _peer_rows(names, budgets, kernel, seeds, missions, say)
+        rows += _peer_rows(names, budgets, kernel, seeds, missions, jobs, say)
     for name in names:
         say("")
         for line in table(rows, region_named(name).name):
@@ -68,6 +69,7 @@ def _peer_rows(
     kernel: str,
     seeds: int,
     missions: dict[Flight, Mission],
+    jobs: int,
     say: Callable[[str], None],
 ) -> list[Row]:
     from benchmarks.sgptools_peer import fly_sgptools, own_gp_rmse, peer_python
@@ -77,20 +79,22 @@ def _peer_rows(
     except InvalidInput as error:
         say(f"without SGP-Tools: {error}")
         return []
-    rows: list[Row] = []
-    for name in names:
+
+    def fly(name: str, budget: float, seed: int) -> Row:
         region = region_named(name)
-        for budget in (value for value in budgets if value in PEER_BUDGETS_M):
-            for seed in range(1, seeds + 1):
-                ours = missions[Flight(name, "tour", kernel, seed, budget_m=budget)]
-                ours.row["rmse_own_gp_ppb"] = own_gp_rmse(region, ours)
-                row = fly_sgptools(region, ours, kernel, seed, budget).row
-                rows.append(row)
-                say(
-                    f"  {name:<4} sgptools  budget {budget:.0f} m  seed {seed}  rmse {row['rmse_ppb']:.4f} ppb  "
-                    f"{row['path_length_m']:.0f} m  {row['blocked_legs']} legs led round obstacles"
-                )
-    return rows
+        ours = missions[Flight(name, "tour", kernel, seed, budget_m=budget)]
+        ours.row["rmse_own_gp_ppb"] = own_gp_rmse(region, ours)
+        row = fly_sgptools(region, ours, kernel, seed, budget).row
+        say(
+            f"  {name:<4} sgptools  budget {budget:.0f} m  seed {seed}  rmse {row['rmse_ppb']:.4f} ppb  "
+            f"{row['path_length_m']:.0f} m  {row['blocked_legs']} legs led round obstacles"
+        )
+        return row
+
+    asked = [(name, budget, seed) for name in names for budget in budgets if budget in PEER_BUDGETS_M
+             for seed in range(1, seeds + 1)]  # fmt: skip
+    with ThreadPoolExecutor(jobs) as pool:  # the work is done in processes of the peer's
+        return list(pool.map(lambda one: fly(*one), asked))
 
 
 def _groups(rows: Sequence[Row], region: str) -> dict[tuple[str, float], list[Row]]:
