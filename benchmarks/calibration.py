@@ -1,0 +1,113 @@
+"""Do intervals hold what they promise? Coverage of every kernel, on the same samples, over seeds.
+
+Each seed's samples are taken twice, where the paper's `rrtstar` goes and where `tour` goes. Every kernel is fitted to
+the same samples, and the share of the region's cells within 1 and 2 posterior standard deviations of the truth is
+counted. The reference fields have exponential covariance: kernels whose fields are smooth enough to be differentiated
+do not match it, and are marked.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.flights import Flight, fly, mean_and_std, region_named, written
+from benchmarks.missions import Row
+from he3.errors import InvalidInput
+from he3.gp import fit_hyperparameters
+from he3.gridposterior import GridPosterior
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
+from he3.kernels import KERNELS
+from services.ground.scoring import Scorer
+
+MISMATCHED = ("se", "matern32", "matern52")
+DESIGNS = {"rrtstar": "matern52", "tour": "matern12"}
+"""Who chooses the places, and the kernel that it believes in while it does."""
+NOMINAL = (0.683, 0.954)
+
+
+def run(
+    seeds: int = 10,
+    regions: Sequence[str] = ("t1", "t2"),
+    region: Path | None = None,
+    jobs: int = 2,
+    json: Path | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """One row a fit; the table printed, rows written to `json`.
+
+    regions: embedded names; region: somebody's field as .npz in their place. Raises InvalidInput for names that nobody
+    has.
+    """
+    if seeds < 1 or jobs < 1:
+        raise InvalidInput(f"expected one seed and one job at least, got {seeds} and {jobs}")
+    names = [str(region)] if region is not None else list(regions)
+    for name in names:
+        region_named(name)
+    flights = [Flight(name, planner, kernel, seed) for name in names for planner, kernel in DESIGNS.items()
+               for seed in range(1, seeds + 1)]  # fmt: skip
+    rows: list[Row] = []
+    began = time.monotonic()
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        waiting = [pool.submit(coverage, flight) for flight in flights]
+        for count, future in enumerate(as_completed(waiting), start=1):
+            rows += future.result()
+            say(f"  {count:>3}/{len(flights)} sets of samples   ({time.monotonic() - began:.0f} s)")
+    for name in names:
+        say("")
+        for line in table(rows, region_named(name).name):
+            say(line)
+    written(rows, json, say)
+    return rows
+
+
+def coverage(flight: Flight) -> list[Row]:
+    """A row for every kernel, fitted to the samples of that flight."""
+    mission, truth = fly(flight), region_named(flight.region)
+    scorer, count = Scorer(truth.he3_ppb), len(mission.samples_m)
+    rows = []
+    for kernel in KERNELS:
+        rng = np.random.default_rng(np.random.SeedSequence((flight.seed, count)))
+        fitted = fit_hyperparameters(
+            mission.samples_m, mission.values_ppb, kernel, rng=rng, noise_std_ppb=DEFAULT_NOISE_STD_PPB
+        )
+        posterior = GridPosterior.build(truth.grid, fitted, mission.samples_m, mission.values_ppb)
+        score = scorer.score(posterior.mean_ppb, posterior.std_ppb, count, count, 0)
+        rows.append(
+            {
+                "region": truth.name,
+                "planner": flight.planner,
+                "kernel": kernel,
+                "seed": flight.seed,
+                "samples": count,
+                "rmse_ppb": score.rmse_ppb,
+                "coverage_68": score.coverage_68,
+                "coverage_95": score.coverage_95,
+                "log_likelihood": fitted.log_likelihood,
+                "mismatched": kernel in MISMATCHED,
+            }
+        )
+    return rows
+
+
+def table(rows: Sequence[Row], region: str) -> list[str]:
+    """Lines of coverage on one region: mean over seeds, and how far from nominal."""
+    head = f"{'samples of':<11} {'kernel':<14} {'RMSE ppb':>9} {'68.3 %':>8} {'off':>6} {'95.4 %':>8} {'off':>6}"
+    lines = [f"{region_named(region).title if region in ('t1', 't2') else region}", head, "-" * len(head)]
+    for planner in DESIGNS:
+        for kernel in KERNELS:
+            group = [row for row in rows if (row["region"], row["planner"], row["kernel"]) == (region, planner, kernel)]
+            one, two = (mean_and_std(group, key)[0] for key in ("coverage_68", "coverage_95"))
+            lines.append(
+                f"{planner:<11} {kernel + ('*' if kernel in MISMATCHED else ''):<14} "
+                f"{mean_and_std(group, 'rmse_ppb')[0]:9.4f} {one:8.1%} {100 * (one - NOMINAL[0]):+6.1f} "
+                f"{two:8.1%} {100 * (two - NOMINAL[1]):+6.1f}"
+            )
+    lines.append("off: points from nominal; * smoother than a field with exponential covariance: mismatched")
+    return lines
