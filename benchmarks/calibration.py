@@ -103,6 +103,8 @@ def table(rows: Sequence[Row], region: str) -> list[str]:
     for planner in DESIGNS:
         for kernel in KERNELS:
             group = [row for row in rows if (row["region"], row["planner"], row["kernel"]) == (region, planner, kernel)]
+            if not group:
+                continue
             one, two = (mean_and_std(group, key)[0] for key in ("coverage_68", "coverage_95"))
             lines.append(
                 f"{planner:<11} {kernel + ('*' if kernel in MISMATCHED else ''):<14} "

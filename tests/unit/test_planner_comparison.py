@@ -1,0 +1,64 @@
+"""The comparison of planners and of kernels, on a small region that is somebody's own file."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import calibration, paper
+from benchmarks.flights import Flight
+from benchmarks.floor import Floor
+from he3.errors import InvalidInput
+from he3.kernels import KERNELS
+from services.regions import load_region
+
+
+@pytest.fixture(scope="module")
+def region_file(tmp_path_factory):
+    """A quarter of t1, every second cell: 125 x 125 cells of 2 m."""
+    whole = load_region("t1")
+    path = tmp_path_factory.mktemp("comparison") / "quarter.npz"
+    np.savez(
+        path, he3_ppb=whole.he3_ppb[:250:2, :250:2], traversable=whole.traversable[:250:2, :250:2], resolution_m=2.0
+    )
+    return path
+
+
+def test_the_paper_s_table_is_printed_written_and_held_against_the_yardstick(region_file, tmp_path):
+    said, out = [], tmp_path / "rows.json"
+    rows = paper.run(
+        seeds=1, region=region_file, planners=("rrtstar", "tour"), jobs=1, floor=False, json=out, say=said.append
+    )
+    assert [(row["planner"], row["samples"]) for row in rows] == [("rrtstar", 150), ("tour", 150)]
+    document = json.loads(out.read_text())
+    assert document["rows"] == rows
+    assert document["floors"] == []
+    by_name = {row["planner"]: row for row in rows}
+    ratio = by_name["tour"]["path_length_m"] / by_name["rrtstar"]["path_length_m"]
+    assert ratio < 0.6
+    line = next(line for line in said if line.startswith("tour "))
+    assert f"{ratio:.3f}" in line
+
+
+def test_the_floor_stands_in_the_table_and_says_how_far_above_it_tour_is():
+    lines = paper.table({}, "t1", ("tour",), Floor("t1", 150, None, 0.7, 0.69, 6000.0, 3, 1.0))
+    assert any(line.startswith("floor") and "0.7000" in line and "6000" in line for line in lines)
+
+
+def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marked(region_file):
+    rows = calibration.coverage(Flight(str(region_file), "rrtstar", "matern52", 1))
+    assert [row["kernel"] for row in rows] == list(KERNELS)
+    assert {row["kernel"] for row in rows if row["mismatched"]} == {"se", "matern32", "matern52"}
+    assert all(0.2 < row["coverage_68"] < row["coverage_95"] <= 1.0 for row in rows)
+    likelihood = {row["kernel"]: row["log_likelihood"] for row in rows}
+    assert likelihood["matern12"] > likelihood["se"], "the field's covariance is exponential, and the samples tell"
+    lines = calibration.table([{**row, "region": "t1"} for row in rows], "t1")
+    assert any("matern12 " in line for line in lines)
+    assert any("se*" in line for line in lines)
+
+
+def test_a_comparison_of_planners_that_nobody_has_is_refused(region_file):
+    with pytest.raises(InvalidInput, match="expected planners among"):
+        paper.run(seeds=1, region=region_file, planners=("teleport",))
+    with pytest.raises(InvalidInput, match="expected one seed"):
+        calibration.run(seeds=0, region=region_file)
