@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -128,11 +129,17 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
         assert he3("map", "export", str(table), environment=environment).returncode == 0
         assert len(table.read_text().splitlines()) == 1 + 500 * 500
 
+        refused = he3(
+            "command", "resume", "--id", "r1", "--wait", "completed", "--timeout", "50", environment=environment
+        )
+        assert refused.returncode == 1
+        assert re.fullmatch(r"he3: command r1: rejected: .+\n", refused.stderr), refused.stderr
+
         paused = he3("command", "pause", "--id", "p1", "--wait", "accepted", environment=environment)
         assert paused.returncode == 0, paused.stderr
         listed = json.loads(he3("commands", "--json", environment=environment).stdout)["commands"]
-        assert [entry["command"]["command_id"] for entry in listed] == ["p1"]
-        assert {"queued", "released", "received", "accepted"} <= {stage["stage"] for stage in listed[0]["stages"]}
+        assert [entry["command"]["command_id"] for entry in listed] == ["r1", "p1"]
+        assert {"queued", "released", "received", "accepted"} <= {stage["stage"] for stage in listed[1]["stages"]}
 
         assert_ends(process, pids, signal.SIGINT, 130, "he3: interrupted")
 

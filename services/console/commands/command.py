@@ -136,7 +136,7 @@ def _issue(
         if stage is not None:
             status = _waited(client, status, stage, timeout_s)
     typer.echo(status.model_dump_json(indent=2) if json else "\n".join(command_lines([status])))
-    _fail_if_it_failed(status, stage)
+    fail_if_it_failed(status, stage)
 
 
 def _stage(word: str | None) -> CommandStage | None:
@@ -165,18 +165,13 @@ def _checked(document: dict[str, Any]) -> Any:
         raise InvalidInput(f"command: {one_line(error)}") from None
 
 
-def _ends() -> frozenset[CommandStage]:
+def has_come_to(status: CommandStatus, stage: CommandStage) -> bool:
+    """Whether the command has passed that stage, or one that only comes after it, or has ended in whatever way."""
     from schemas.commands import CommandStage as Stage
-
-    return frozenset({Stage.REJECTED, Stage.COMPLETED, Stage.FAILED, Stage.EXPIRED, Stage.LOST})
-
-
-def _has_come_to(status: CommandStatus, stage: CommandStage) -> bool:
-    """Whether the command has passed that stage, or one that only comes after it, or has ended."""
-    from schemas.commands import CommandStage as Stage
+    from services.console.issued import ENDS
 
     order = list(Stage)
-    return any(order.index(report.stage) >= order.index(stage) for report in status.stages)
+    return any(report.stage in ENDS or order.index(report.stage) >= order.index(stage) for report in status.stages)
 
 
 def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: float) -> CommandStatus:
@@ -194,7 +189,7 @@ def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: 
     listed: CommandList = client.query(LIST_COMMANDS, NoParameters())
     status = next((each for each in listed.commands if each.command.command_id == name), status)
     deadline = time.monotonic() + timeout_s
-    while not _has_come_to(status, stage):
+    while not has_come_to(status, stage):
         try:
             heard = news.get(timeout=max(0.0, deadline - time.monotonic()))
         except queue.Empty:
@@ -207,14 +202,17 @@ def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: 
     return status
 
 
-def _fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None:
+def fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None:
+    """Raise He3Error, with stage and reason, for a command that has ended otherwise than completed or as waited for."""
     from he3.errors import He3Error
     from schemas.commands import CommandStage as Stage
+    from services.console.issued import ENDS
 
     if not status.stages:
         return
     last = status.stages[-1]
-    if last.stage in _ends() - {Stage.COMPLETED} and last.stage is not stage:
+    wanted = stage if stage in ENDS else Stage.COMPLETED
+    if last.stage in ENDS and last.stage is not wanted:
         raise He3Error(f"command {status.command.command_id}: {last.stage.value}{': ' + last.why if last.why else ''}")
 
 
