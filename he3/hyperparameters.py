@@ -3,12 +3,14 @@
 Observations are standardised by their own mean and standard deviation when hyperparameters are fitted, and the kernel
 lives in those units. Bounds, and why:
 
-- length scales from 5 m, below which samples that planners keep 5 to 15 m apart say nothing about it, to 500 m, the
-  site's own width, beyond which a length scale is a trend that no sample on the site can tell from another;
-- the smooth part's from 40 m and the rough part's up to 60 m, so that each keeps to its role;
+- length scales from 5 m, below which samples that planners keep 5 to 15 m apart say nothing about it, to the site's own
+  width (500 m where it is less), beyond which it is a trend that no sample on the site can tell from another;
+- the smooth part's from 40 m and the rough part's up to 60 m, so that each keeps to its role, both in proportion to the
+  width where the site is wider than 500 m;
 - an exponential covariance's from the typical distance between neighbouring samples, up to 40 m: under a shorter one
   they are all but independent, the likelihood is flat, and what it happens to prefer draws the map to its mean for
-  nothing (2 % of RMSE on a lattice of 37 m); if the scale really is shorter, the samples cannot say so;
+  nothing (2 % of RMSE on a lattice of 37 m); if the scale really is shorter, the samples cannot say so. On a wider
+  site the 40 m grow with it, as samples lie farther apart there;
 - variances from 0.02 to 10 times that of the samples: a handful of samples close together may under-estimate the
   field's variance by a lot, but hardly over-estimate it;
 - parts of a sum may fade to 0.001, so that one part alone stays possible;
@@ -41,9 +43,10 @@ from he3.likelihood import likelihood_of_distances
 from he3.trend import OrbitalTrend
 
 DEFAULT_NOISE_STD_PPB = 0.1  # ppb, the paper's sensor
-LENGTH_SCALE_BOUNDS_M = (5.0, 500.0)  # m, see above
-SMOOTH_LENGTH_SCALE_BOUNDS_M = (40.0, 500.0)  # m, see above
-ROUGH_LENGTH_SCALE_BOUNDS_M = (5.0, 60.0)  # m, see above
+EXTENT_M = 500.0  # m, width of the site that the following length scales are for, see above
+LENGTH_SCALE_BOUNDS_M = (5.0, EXTENT_M)  # m
+SMOOTH_LENGTH_SCALE_BOUNDS_M = (40.0, EXTENT_M)  # m
+ROUGH_LENGTH_SCALE_BOUNDS_M = (5.0, 60.0)  # m
 WIDEST_SPACING_M = 40.0  # samples farther apart than this say nothing against a length scale of it, see above
 VARIANCE_BOUNDS = (0.02, 10.0)  # of the samples' variance, see above
 PART_VARIANCE_BOUNDS = (0.001, 10.0)  # of the samples' variance, see above
@@ -122,14 +125,30 @@ class Hyperparameters:
         return variance
 
 
-def parameter_bounds(kernel: Kernel, spacing_m: float = 0.0) -> Bounds:
-    """Lower and upper bound of each of the kernel's parameters, in their order, for samples of that typical spacing."""
+def parameter_bounds(kernel: Kernel, spacing_m: float = 0.0, extent_m: float = EXTENT_M) -> Bounds:
+    """Lower and upper bound of each of the kernel's parameters, in their order.
+
+    For samples of that typical spacing [m] on a site of that width [m], the larger one if its sides differ.
+    """
+    widening = _widening(extent_m)
+    shortest_m = min(spacing_m, WIDEST_SPACING_M * widening)
     if isinstance(kernel, SmoothPlusRough):
-        rough = _no_shorter(ROUGH_LENGTH_SCALE_BOUNDS_M, spacing_m)
-        return [PART_VARIANCE_BOUNDS, SMOOTH_LENGTH_SCALE_BOUNDS_M, PART_VARIANCE_BOUNDS, rough]
+        smooth_low, smooth_high = SMOOTH_LENGTH_SCALE_BOUNDS_M
+        rough_low, rough_high = ROUGH_LENGTH_SCALE_BOUNDS_M
+        smooth = (smooth_low * widening, smooth_high * widening)
+        rough = (max(rough_low, shortest_m), rough_high * widening)
+        return [PART_VARIANCE_BOUNDS, smooth, PART_VARIANCE_BOUNDS, rough]
+    low, high = LENGTH_SCALE_BOUNDS_M
     if isinstance(kernel, Matern12):
-        return [VARIANCE_BOUNDS, _no_shorter(LENGTH_SCALE_BOUNDS_M, spacing_m)]
-    return [VARIANCE_BOUNDS, LENGTH_SCALE_BOUNDS_M]
+        low = max(low, shortest_m)
+    return [VARIANCE_BOUNDS, (low, high * widening)]
+
+
+def _widening(extent_m: float) -> float:
+    """How many times wider the site is than what the length scales of this module are for, 1 if it is not."""
+    if not (math.isfinite(extent_m) and extent_m > 0):
+        raise InvalidInput(f"expected a positive width of the site, got {extent_m!r} m")
+    return max(1.0, extent_m / EXTENT_M)
 
 
 def typical_spacing_m(xy_m: FloatArray) -> float:
@@ -140,16 +159,11 @@ def typical_spacing_m(xy_m: FloatArray) -> float:
     return float(np.median(cKDTree(distinct).query(distinct, k=2)[0][:, 1]))
 
 
-def _no_shorter(bounds: tuple[float, float], spacing_m: float) -> tuple[float, float]:
-    low, high = bounds
-    return max(low, min(spacing_m, WIDEST_SPACING_M)), high
-
-
-def _including(bounds: Bounds, previous: Hyperparameters | None, kernel: Kernel) -> Bounds:
+def _including(bounds: Bounds, previous: Hyperparameters | None, kernel: Kernel, extent_m: float) -> Bounds:
     """The bounds, widened where earlier hyperparameters have a shorter length scale: no fit is worse than the last."""
     if previous is None or previous.kernel.name != kernel.name:
         return bounds
-    widest = parameter_bounds(kernel)
+    widest = parameter_bounds(kernel, extent_m=extent_m)
     return [
         (max(least, min(low, value)), high) if name.endswith("length_scale_m") else (low, high)
         for (name, value), (low, high), (least, _) in zip(
@@ -168,11 +182,13 @@ def fit_hyperparameters(
     noise_bounds_ppb: tuple[float, float] | None = None,
     previous: Hyperparameters | None = None,
     trend: OrbitalTrend | None = None,
+    extent_m: float = EXTENT_M,
 ) -> Hyperparameters:
     """The hyperparameters under which the samples are likeliest, within the bounds of this module.
 
     xy_m: places (n, 2) [m]; values_ppb: observations (n,) [ppb]; kernel_name: one of ``KERNEL_NAMES``, where "auto"
-    fits every kernel and keeps the best by the Bayesian information criterion. The search is by L-BFGS-B from several
+    fits every kernel and keeps the best by the Bayesian information criterion; extent_m: the site's width [m], up to
+    which a length scale may go. The search is by L-BFGS-B from several
     starts, of which ``previous`` is one: the result is never less likely than the previous hyperparameters on these
     samples. With fewer than FEWEST_SAMPLES the kernel stays what it was, or at its default.
     Raises InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
@@ -182,8 +198,8 @@ def fit_hyperparameters(
     if values.shape != (len(xy),) or not np.isfinite(values).all():
         raise InvalidInput(f"expected {len(xy)} finite values, one a place, got shape {values.shape}")
     if kernel_name == AUTO:
-        return _fit_best_kernel(xy, values, rng, noise_std_ppb, noise_bounds_ppb, previous, trend)
-    return _fit(xy, values, kernel_from(kernel_name), rng, noise_std_ppb, noise_bounds_ppb, previous, trend)
+        return _fit_best_kernel(xy, values, rng, noise_std_ppb, noise_bounds_ppb, previous, trend, extent_m)
+    return _fit(xy, values, kernel_from(kernel_name), rng, noise_std_ppb, noise_bounds_ppb, previous, trend, extent_m)
 
 
 def information_criterion(fitted: Hyperparameters, samples: int) -> float:
@@ -200,11 +216,12 @@ def _fit_best_kernel(
     noise_bounds_ppb: tuple[float, float] | None,
     previous: Hyperparameters | None,
     trend: OrbitalTrend | None,
+    extent_m: float,
 ) -> Hyperparameters:
     fits = []
     for name in KERNELS:
         warm = previous if previous is not None and previous.kernel.name == name else None
-        fits.append(_fit(xy, values, kernel_from(name), rng, noise_std_ppb, noise_bounds_ppb, warm, trend))
+        fits.append(_fit(xy, values, kernel_from(name), rng, noise_std_ppb, noise_bounds_ppb, warm, trend, extent_m))
     if len(xy) < FEWEST_SAMPLES:
         return next((fit for fit in fits if previous is not None and fit.kernel.name == previous.kernel.name), fits[0])
     return max(fits, key=lambda fit: information_criterion(fit, len(xy)))
@@ -219,13 +236,14 @@ def _fit(
     noise_bounds_ppb: tuple[float, float] | None,
     previous: Hyperparameters | None,
     trend: OrbitalTrend | None,
+    extent_m: float,
 ) -> Hyperparameters:
     residual = values if trend is None else values - trend.at(xy)
     mean = float(residual.mean()) if len(residual) else 0.0
     smallest = max(SMALLEST_SCALE_IN_NOISE * noise_std_ppb, 1e-3)
     scale = max(float(residual.std()) if len(residual) else 1.0, smallest)
     z = (residual - mean) / scale
-    bounds = _including(parameter_bounds(default, typical_spacing_m(xy)), previous, default)
+    bounds = _including(parameter_bounds(default, typical_spacing_m(xy), extent_m), previous, default, extent_m)
     warm = None
     if previous is not None and previous.kernel.name == default.name:
         warm = _in_scale(previous, scale, bounds)
@@ -254,7 +272,7 @@ def _fit(
     if len(xy) < FEWEST_SAMPLES:
         best = problem.start(warm or default)
     else:
-        best = problem.solve(_starts(problem, warm, default, rng))
+        best = problem.solve(_starts(problem, warm, default, rng, _widening(extent_m)))
     kernel = with_log_parameters(default, best[: len(bounds)])
     if noise_bounds is not None:
         noise_std_ppb = float(np.exp(0.5 * best[-1])) * scale
@@ -318,12 +336,28 @@ class _Problem:
         return best
 
 
-def _starts(problem: _Problem, warm: Kernel | None, default: Kernel, rng: np.random.Generator) -> list[FloatArray]:
-    """Where to start: the previous optimum if there is one, and the likeliest of the default and some random places."""
+def _starts(
+    problem: _Problem, warm: Kernel | None, default: Kernel, rng: np.random.Generator, widening: float
+) -> list[FloatArray]:
+    """Where to start: the previous optimum if there is one, and the likeliest of the default and some random places.
+
+    On a wide site the default is far shorter than samples lie apart, where the likelihood is flat; so there the default
+    in proportion to the site is another start.
+    """
     low, high = problem.bounds.T
     candidates = [problem.start(default)]
     candidates += [low + (high - low) * rng.random(len(low)) for _ in range(_CANDIDATE_STARTS - 1)]
+    if widening > 1.0:
+        candidates.append(problem.start(_widened(default, widening)))
     candidates.sort(key=lambda start: problem.cost(start)[0])
     if warm is None:
         return candidates[:_FOLLOWED_STARTS]
     return [problem.start(warm), *candidates[: _FOLLOWED_STARTS - 1]]
+
+
+def _widened(kernel: Kernel, widening: float) -> Kernel:
+    """The kernel with length scales so many times as long."""
+    parameters = {
+        key: value * widening if key.endswith("length_scale_m") else value for key, value in kernel.parameters().items()
+    }
+    return kernel_from(kernel.name, parameters)

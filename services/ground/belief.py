@@ -42,7 +42,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
-    """What a refit needs: places (n, 2) [m], values (n,) [ppb] and the hyperparameters before."""
+    """What a refit needs: places (n, 2) [m], values (n,) [ppb], hyperparameters before, and the site's width [m]."""
 
     xy_m: FloatArray
     values_ppb: FloatArray
@@ -51,6 +51,7 @@ class FitRequest:
     previous: Hyperparameters
     trend: OrbitalTrend | None
     seed: tuple[int, ...]
+    extent_m: float
 
 
 def fit(request: FitRequest) -> Hyperparameters:
@@ -64,6 +65,7 @@ def fit(request: FitRequest) -> Hyperparameters:
         noise_std_ppb=request.noise_std_ppb,
         previous=request.previous,
         trend=request.trend,
+        extent_m=request.extent_m,
     )
     return replace(fitted, trend=None)
 
@@ -146,6 +148,7 @@ class Belief:
             previous=self.hyperparameters,
             trend=self._trend,
             seed=seed,
+            extent_m=max(self.grid.width_m, self.grid.height_m),
         )
 
     def adopt(self, fitted: Hyperparameters) -> None:

@@ -106,6 +106,20 @@ def test_a_refit_sees_the_rounds_up_to_its_own_and_no_others() -> None:
     assert np.array_equal(request.xy_m, belief_of(observations(20)).places_m[:10])
 
 
+def test_the_map_of_a_wide_region_learns_a_length_scale_longer_than_500_m() -> None:
+    wide = SiteGrid(50, 60, 150.0)
+    x, y = np.meshgrid(wide.x_m, wide.y_m)
+    truth = 8.0 + np.sin(x / 2500) + np.cos(y / 2000)
+    rng = np.random.default_rng(2)
+    belief = Belief(wide, "matern52", NOISE)
+    for i, (place_x, place_y) in enumerate(rng.uniform((0, 0), (wide.width_m, wide.height_m), (40, 2))):
+        value = 8.0 + np.sin(place_x / 2500) + np.cos(place_y / 2000)
+        belief.add(f"s{i}", Observation((1 + i // 5, 1, i % 5), (float(place_x), float(place_y)), float(value)))
+    refit(belief, 8)
+    assert belief.hyperparameters.kernel.parameters()["length_scale_m"] > 1000
+    assert float(np.sqrt(np.mean((belief.map.mean_ppb - truth) ** 2))) < 0.25 * float(truth.std())
+
+
 def test_without_a_sample_there_is_nothing_to_fit() -> None:
     assert Belief(GRID, "se", NOISE).fit_request(1, (1,)) is None
 

@@ -55,6 +55,32 @@ def test_the_length_scale_of_a_long_enough_record_is_recovered() -> None:
     assert fitted.kernel.parameters()["length_scale_m"] == pytest.approx(45.0, rel=0.1)
 
 
+@pytest.mark.parametrize("name", ["se", "matern52", "smooth+rough"])
+def test_a_length_scale_of_kilometres_is_recovered_on_a_region_of_10_km(name: str) -> None:
+    rng = np.random.default_rng(17)
+    places, truth = rng.uniform(0, 10_000, (150, 2)), KERNELS["se" if name == "smooth+rough" else name](1.0, 3000.0)
+    factor = np.linalg.cholesky(truth.covariance(places, places) + 1e-8 * np.eye(150))
+    values = 8.0 + factor @ rng.normal(size=150) + 0.1 * rng.normal(size=150)
+    previous = None
+    for count in (5, 10, 30, 150):  # as in a mission, where each refit starts from the one before
+        previous = fit_hyperparameters(
+            places[:count], values[:count], name, rng=np.random.default_rng(count), previous=previous, extent_m=10_000.0
+        )
+    cold = fit_hyperparameters(places, values, name, rng=np.random.default_rng(0), extent_m=10_000.0)
+    for fitted in (previous, cold):
+        assert fitted is not None
+        found = next(scale for key, scale in fitted.kernel.parameters().items() if key.endswith("length_scale_m"))
+        assert 1500 < found < 6000
+
+
+def test_on_a_region_of_half_a_kilometre_or_less_the_bounds_are_those_of_half_a_kilometre() -> None:
+    for kernel in (Matern12(), SquaredExponential(), SmoothPlusRough()):
+        assert parameter_bounds(kernel, 30.0) == parameter_bounds(kernel, 30.0, 500.0)
+        assert parameter_bounds(kernel, 30.0) == parameter_bounds(kernel, 30.0, 40.0)
+    with pytest.raises(InvalidInput, match="positive width"):
+        parameter_bounds(Matern12(), extent_m=0.0)
+
+
 @pytest.mark.parametrize("name", KERNEL_NAMES)
 def test_a_refit_is_never_less_likely_than_the_hyperparameters_before_it(name: str) -> None:
     places, values = drawn_from(Matern12(1.0, 30.0), 60, seed=21)
