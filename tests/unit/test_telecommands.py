@@ -17,7 +17,7 @@ from schemas.link import AtEdge, LinkChange
 from schemas.telemetry import EventKind, RoverMode, RoverState
 from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, STATE, TRACK, Side, Topic
 from schemas.wire import Header, decode, encode
-from services.console.commands.command import has_come_to, command_lines
+from services.console.commands.command import command_lines, has_come_to
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
 from services.ground.planning import PlannedRound, PlanningRequest
