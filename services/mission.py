@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from he3.errors import He3Error
+from he3.reference import Region
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import LinkStatus
 from schemas.topics import GROUND_STATUS, LINK_STATUS, SAMPLE, Side, Topic
@@ -23,8 +24,11 @@ RECORDING_FLUSH_S = 3600.0
 """Mission time between flushes of an in-process recording: nobody else depends on it while it runs."""
 
 
-def build_nodes(scenario: Scenario, sink: Sink | None = None) -> tuple[Node, ...]:
-    """The nodes of that scenario, as each of their processes would build its own; with a sink, the recorder too."""
+def build_nodes(scenario: Scenario, sink: Sink | None = None, region: Region | None = None) -> tuple[Node, ...]:
+    """The nodes of that scenario, as each of their processes would build its own; with a sink, the recorder too.
+
+    region: the scenario's, where it is loaded already. Raises InvalidInput for a scenario that no mission can have.
+    """
     from services.field.node import build_node as build_field
     from services.ground.node import build_node as build_ground
     from services.link.node import build_node as build_link
@@ -32,10 +36,10 @@ def build_nodes(scenario: Scenario, sink: Sink | None = None) -> tuple[Node, ...
     from services.rover.node import build_node as build_rover
 
     nodes: tuple[Node, ...] = (
-        build_field(scenario),
-        build_rover(scenario),
+        build_field(scenario, region),
+        build_rover(scenario, None if region is None else region.grid),
         build_link(scenario),
-        build_ground(scenario),
+        build_ground(scenario, region),
     )
     return nodes if sink is None else (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
 

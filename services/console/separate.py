@@ -17,12 +17,15 @@ from services.console.outputs import Outputs, make_folder, write_outcome
 from services.console.progress import Progress
 from services.console.reporting import Outcome, Run, gather
 from services.console.runfile import RunningMission, announced
+from services.mission import build_nodes
 from services.regions import load_region
 from services.trace import merge_event_logs
 
 if TYPE_CHECKING:
+    from he3.reference import Region
     from schemas.report import MissionReport
     from services.console.scenarios import Chosen
+    from services.scenario import Scenario
 
 ACTING = tuple(name for name in SERVICES if name != "recorder")
 """The services whose events make the mission; the recorder only looks on."""
@@ -51,7 +54,7 @@ def _run_separate(
     chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool, events: Path | None
 ) -> tuple[MissionReport, list[Path]]:
     scenario = chosen.scenario
-    region = load_region(scenario.region, scenario.field.field_seed)
+    region = checked_region(scenario)
     began = time.monotonic()
     wanted = Endpoints(scenario.network.moon, scenario.network.earth)
     with (  # noqa: SIM117 - two things end apart
@@ -73,6 +76,16 @@ def _run_separate(
             finally:
                 launcher.tell_to_end()  # they end while this session closes, which takes a second if a router is gone
     return outcome.report, write_outcome(outcome, region, where)
+
+
+def checked_region(scenario: Scenario) -> Region:
+    """The region of that scenario, which a mission can have: its nodes were built here, as its services will.
+
+    Raises InvalidInput, in one line, for a scenario that one of the services would refuse.
+    """
+    region = load_region(scenario.region, scenario.field.field_seed)
+    build_nodes(scenario, region=region)
+    return region
 
 
 @contextmanager

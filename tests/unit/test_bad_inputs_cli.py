@@ -38,6 +38,18 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a region file that is not there": (
         SCENARIO, ["run", "mine.toml", "--in-process", "--set", "region=x.npz"], ("x.npz",),
     ),
+    "a start outside the region": (
+        SCENARIO, ["run", "mine.toml", "--in-process", "--set", "start_m=[-5,3]"], ("start_m", "-5"),
+    ),
+    "a start outside the region, in lockstep": (
+        SCENARIO, ["run", "mine.toml", "--lockstep", "--out", "o", "--set", "start_m=[-5,3]"], ("start_m", "-5"),
+    ),
+    "a start outside the region, on the wall clock": (
+        SCENARIO, ["run", "mine.toml", "--rate", "10", "--out", "o", "--set", "start_m=[-5,3]"], ("start_m", "-5"),
+    ),
+    "services of a start outside the region": (
+        SCENARIO, ["up", "mine.toml", "--out", "o", "--set", "start_m=[900,3]"], ("start_m", "900"),
+    ),
     "a report that is a folder": (SCENARIO, ["run", "mine.toml", "--in-process", "--report", "."], ("--report",)),
     "an output folder that is a file": (
         SCENARIO, ["run", "mine.toml", "--in-process", "--out", "mine.toml"], ("--out",),

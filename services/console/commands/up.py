@@ -42,13 +42,12 @@ def up(
     from services.console.launcher import Endpoints
     from services.console.outputs import outputs
     from services.console.scenarios import choose
-    from services.console.separate import services_of
-    from services.regions import load_region
+    from services.console.separate import checked_region, services_of
 
     chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
     mission = chosen.scenario
     where = outputs(out, None)
-    load_region(mission.region, mission.field.field_seed)
+    checked_region(mission)
     endpoints = Endpoints(mission.network.moon, mission.network.earth)
     services = services_of(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
