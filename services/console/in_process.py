@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from he3.errors import He3Error
 from schemas.ground import MissionPhase
-from services.console.outputs import Outputs, recording_file, write_outcome
+from services.console.outputs import Outputs, clear_for, write_outcome
 from services.console.progress import Moment, Progress, moment_of
 from services.console.reporting import Run, gather
-from services.mission import InProcessMission
+from services.mission import RECORDING_FLUSH_S, InProcessMission, build_nodes
 from services.trace import EventLog, merge_event_logs
 
 if TYPE_CHECKING:
@@ -28,17 +28,23 @@ def run_in_process(
     Raises InvalidInput before anything is written, He3Error when the mission fails.
     """
     from services.ground.planner_process import PlannerProcess
+    from services.recorder.files import open_recording
+    from services.recorder.node import build_node as build_recorder
     from services.recorder.writer import RecordingWriter
     from services.regions import load_region
 
     region = load_region(scenario.region, scenario.field.field_seed)
+    nodes = build_nodes(scenario, region=region)
     began = time.monotonic()
+    clear_for(where, events)
     with ExitStack() as stack:
-        stream = stack.enter_context(recording_file(where))
-        sink = None if stream is None else stack.enter_context(RecordingWriter(stream, scenario.name))
+        if where.recording is not None:
+            stream = stack.enter_context(open_recording(where.recording))
+            sink = stack.enter_context(RecordingWriter(stream, scenario.name))
+            nodes = (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
         planners = stack.enter_context(PlannerProcess())
         log = None if events is None else stack.enter_context(closing(EventLog(events)))
-        mission = InProcessMission(scenario, planners, sink, log)
+        mission = InProcessMission(scenario, planners, None, log, nodes)
         stack.enter_context(progress)
         end = mission.run(lambda: progress.show(lambda: _moment(mission)))
         if log is not None and events is not None:

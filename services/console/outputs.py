@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from he3.errors import He3Error, InvalidInput
 
@@ -34,7 +32,7 @@ class Outputs:
         return (*in_folder, *((self.report,) if self.report is not None else ()))
 
 
-def outputs(folder: Path | None, report: Path | None) -> Outputs:
+def outputs(folder: Path | None, report: Path | None, events: Path | None = None) -> Outputs:
     """Where a mission's files go, after checking that they can go there; nothing is created.
 
     Raises InvalidInput for a folder that is a file, or a place where nothing may be written.
@@ -43,10 +41,11 @@ def outputs(folder: Path | None, report: Path | None) -> Outputs:
         if folder.exists() and not folder.is_dir():
             raise InvalidInput(f"--out {folder}: expected a folder, got a file")
         _check_writable("--out", folder)
-    if report is not None:
-        if report.is_dir():
-            raise InvalidInput(f"--report {report}: expected a file, got a folder")
-        _check_writable("--report", report)
+    for flag, file in (("--report", report), ("--events", events)):
+        if file is not None:
+            if file.is_dir():
+                raise InvalidInput(f"{flag} {file}: expected a file, got a folder")
+            _check_writable(flag, file)
     return Outputs(folder, report if report is not None or folder is None else folder / "report.json")
 
 
@@ -69,19 +68,22 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
-@contextmanager
-def recording_file(where: Outputs) -> Iterator[IO[bytes] | None]:
-    """The open file of the recording, its folder made; None when no recording is wanted."""
-    if where.recording is None:
-        yield None
-        return
-    make_folder(where.recording.parent)
-    try:
-        stream = where.recording.open("wb")
-    except OSError as error:
-        raise He3Error(f"{where.recording}: cannot write the recording: {error.strerror}") from None
-    with stream:
-        yield stream
+def clear_for(where: Outputs, events: Path | None = None) -> None:
+    """Make way for a mission that begins: what an earlier one has left would otherwise pass for this one's.
+
+    Report, pictures and event log go; a recording stays, and is set aside by whoever writes the next. Raises He3Error
+    when that cannot be done.
+    """
+    stale = [*where.wanted(), *(() if events is None else (events,))]
+    if where.folder is not None:
+        make_folder(where.folder)
+        stale.append(where.folder / "report.json")
+    for path in stale:
+        if path.is_file():
+            try:
+                path.unlink()
+            except OSError as error:
+                raise He3Error(f"{path}: cannot remove what an earlier mission left: {error.strerror}") from None
 
 
 def write_outcome(outcome: Outcome, region: Region, where: Outputs) -> list[Path]:

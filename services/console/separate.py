@@ -13,7 +13,7 @@ from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase
 from services.console.joining import Watcher, join_when_up
 from services.console.launcher import SERVICES, Endpoints, Launcher, endpoints_near
-from services.console.outputs import Outputs, make_folder, write_outcome
+from services.console.outputs import Outputs, clear_for, make_folder, write_outcome
 from services.console.progress import Progress
 from services.console.reporting import Outcome, Run, gather
 from services.console.runfile import RunningMission, announced
@@ -40,21 +40,22 @@ def run_separate(
     """The report of the mission, run to its end in separate processes, and the files written.
 
     events: where the merged event logs of all services go.
-    Raises InvalidInput before anything is started, He3Error when a service dies or the mission fails.
+    Raises InvalidInput before anything is started or removed, He3Error when a service dies or the mission fails.
     """
+    region = checked_region(chosen.scenario)
+    clear_for(where, events)
     if events is None:
-        return _run_separate(chosen, where, progress, lockstep, None)
+        return _run_separate(chosen, region, where, progress, lockstep, None)
     with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
-        report, files = _run_separate(chosen, where, progress, lockstep, Path(parts))
+        report, files = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
         merge_event_logs(Path(parts).iterdir(), events)
     return report, [*files, events]
 
 
 def _run_separate(
-    chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool, events: Path | None
+    chosen: Chosen, region: Region, where: Outputs, progress: Progress, lockstep: bool, events: Path | None
 ) -> tuple[MissionReport, list[Path]]:
     scenario = chosen.scenario
-    region = checked_region(scenario)
     began = time.monotonic()
     wanted = Endpoints(scenario.network.moon, scenario.network.earth)
     with (  # noqa: SIM117 - two things end apart

@@ -3,9 +3,9 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from he3.errors import InvalidInput
 from services.node import Node
 from services.options import Options
+from services.recorder.files import open_recording
 from services.recorder.node import build_node
 from services.recorder.writer import RecordingWriter
 from services.run import Service
@@ -21,12 +21,7 @@ def main() -> int:
     with ExitStack() as stack:
 
         def build(options: Options) -> Node:
-            path = options.out or DEFAULT_FILE
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                stream = stack.enter_context(path.open("wb"))
-            except OSError as error:
-                raise InvalidInput(f"{path}: cannot write the recording: {error.strerror}") from None
+            stream = stack.enter_context(open_recording(options.out or DEFAULT_FILE))
             writer = stack.enter_context(RecordingWriter(stream, options.scenario.name, LEAST_FLUSH_S))
             return build_node(options.scenario, writer)
 

@@ -39,7 +39,7 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
         SCENARIO, ["run", "mine.toml", "--in-process", "--set", "region=x.npz"], ("x.npz",),
     ),
     "a start outside the region": (
-        SCENARIO, ["run", "mine.toml", "--in-process", "--set", "start_m=[-5,3]"], ("start_m", "-5"),
+        SCENARIO, ["run", "mine.toml", "--in-process", "--out", "o", "--set", "start_m=[-5,3]"], ("start_m", "-5"),
     ),
     "a start outside the region, in lockstep": (
         SCENARIO, ["run", "mine.toml", "--lockstep", "--out", "o", "--set", "start_m=[-5,3]"], ("start_m", "-5"),
@@ -51,6 +51,10 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
         SCENARIO, ["up", "mine.toml", "--out", "o", "--set", "start_m=[900,3]"], ("start_m", "900"),
     ),
     "a report that is a folder": (SCENARIO, ["run", "mine.toml", "--in-process", "--report", "."], ("--report",)),
+    "an event log that is a folder": (SCENARIO, ["run", "mine.toml", "--in-process", "--events", "."], ("--events",)),
+    "an event log below a file": (
+        SCENARIO, ["run", "mine.toml", "--lockstep", "--events", "mine.toml/e"], ("--events",),
+    ),
     "an output folder that is a file": (
         SCENARIO, ["run", "mine.toml", "--in-process", "--out", "mine.toml"], ("--out",),
     ),

@@ -86,7 +86,7 @@ def run_and_report(
     from services.console.summary import summary_lines
 
     mission = chosen.scenario
-    where = outputs(out, report)
+    where = outputs(out, report, events)
     how = {
         "in-process": "in this process, virtual time",
         "lockstep": "separate processes, virtual time",

@@ -40,7 +40,7 @@ def up(
 
     from services.console.joining import join_when_up, wait_for_ground
     from services.console.launcher import Endpoints
-    from services.console.outputs import outputs
+    from services.console.outputs import clear_for, outputs
     from services.console.scenarios import choose
     from services.console.separate import checked_region, services_of
 
@@ -48,6 +48,7 @@ def up(
     mission = chosen.scenario
     where = outputs(out, None)
     checked_region(mission)
+    clear_for(where)
     endpoints = Endpoints(mission.network.moon, mission.network.earth)
     services = services_of(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
