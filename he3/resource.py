@@ -75,20 +75,32 @@ def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.flo
 def share_above(
     process: GaussianProcess, grid: SiteGrid, area: BoolArray, cutoff_ppb: float, rng: np.random.Generator, draws: int
 ) -> FloatArray:
-    """Share of the area (draws,) that holds more than the cut-off, in fields drawn from the joint posterior.
+    """Share of the area (draws,) that holds more than the cut-off, in fields drawn from the joint posterior."""
+    fields, weights = drawn_fields(process, grid, area, rng, draws)
+    shares: FloatArray = (fields > cutoff_ppb) @ weights
+    return shares
 
-    The fields are drawn at blocks of cells: patches smaller than a block are not resolved, their expectation is.
+
+def drawn_fields(
+    process: GaussianProcess, grid: SiteGrid, area: BoolArray, rng: np.random.Generator, draws: int
+) -> tuple[FloatArray, FloatArray]:
+    """Fields (draws, k) [ppb] drawn from the joint posterior at k blocks of cells, and the blocks' shares (k,).
+
+    The estimated constant varies with the fields, as in ``area_mean``. Patches smaller than a block are not resolved.
     """
     block = max(1, math.ceil(math.sqrt(int(area.sum()) / MOST_DRAWN_NODES)))
     places, weights = _nodes(grid, area, block)
     mean, _ = process.predict(places)
     covariance = process.posterior_covariance(places)
+    if len(process):
+        crossing = process.hyperparameters.covariance(process.places_m, places)
+        unknown = process.hyperparameters.scale_ppb * _of_constant(process, _whitened(process, crossing))
+        covariance += np.outer(unknown, unknown)
     # Rounding may leave eigenvalues a little below zero; what is cut off there is not visible in any share.
     values, vectors = np.linalg.eigh(covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))
-    fields = mean + rng.standard_normal((draws, len(places))) @ half.T
-    shares: FloatArray = (fields > cutoff_ppb) @ weights
-    return shares
+    fields: FloatArray = mean + rng.standard_normal((draws, len(places))) @ half.T
+    return fields, weights
 
 
 def _nodes(grid: SiteGrid, area: BoolArray, block: int) -> tuple[FloatArray, FloatArray]:
@@ -124,10 +136,23 @@ def _explained(process: GaussianProcess, places: FloatArray, weights: FloatArray
     """How much of the variance the samples take away, less what not knowing the constant adds; standardised units."""
     if len(process) == 0:
         return 0.0
-    with_samples = process.hyperparameters.covariance(process.places_m, places) @ weights
-    whitened = solve_triangular(process.factor, with_samples, lower=True, check_finite=False)
-    explained = float(whitened @ whitened)
-    if process.hyperparameters.trend is None:
-        ones = solve_triangular(process.factor, np.ones(len(process)), lower=True, check_finite=False)
-        explained -= float((1.0 - ones @ whitened) ** 2 / (ones @ ones))
-    return explained
+    whitened = _whitened(process, process.hyperparameters.covariance(process.places_m, places) @ weights)
+    return float(whitened @ whitened) - float(_of_constant(process, whitened)) ** 2
+
+
+def _whitened(process: GaussianProcess, with_samples: FloatArray) -> FloatArray:
+    """L^-1 times covariances with the samples, (n,) or (n, k), in standardised units."""
+    whitened: FloatArray = solve_triangular(process.factor, with_samples, lower=True, check_finite=False)
+    return whitened
+
+
+def _of_constant(process: GaussianProcess, whitened: FloatArray) -> FloatArray:
+    """How far one standard deviation of the estimated constant moves what has these whitened (n,) or (n, k).
+
+    In standardised units, () or (k,); 0 where the trend has the constant. At least one sample.
+    """
+    if process.hyperparameters.trend is not None:
+        return np.zeros(whitened.shape[1:])
+    ones = solve_triangular(process.factor, np.ones(len(process)), lower=True, check_finite=False)
+    moved: FloatArray = (1.0 - ones @ whitened) / math.sqrt(ones @ ones)
+    return moved

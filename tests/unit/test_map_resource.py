@@ -10,7 +10,7 @@ from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
 from he3.gridposterior import GridPosterior
 from he3.kernels import kernel_from
-from he3.resource import area_mean, share_above
+from he3.resource import area_mean, drawn_fields, share_above
 from he3.trend import OrbitalTrend
 from schemas.maps import ResourceQuery
 from services.ground.resources import corners_of, estimate
@@ -92,12 +92,25 @@ def test_what_is_integrated_coarsely_says_how_far_off_it_may_be() -> None:
 def test_joint_draws_have_the_expectation_of_the_cells() -> None:
     process = belief()
     shares = share_above(process, GRID, area(), 8.0, np.random.default_rng(1), 4000)
-    mean, std = process.predict(GRID.points()[area().ravel()])
+    points = GRID.points()[area().ravel()]
+    mean, _ = process.predict(points)
     from scipy.stats import norm
 
+    std = np.array([dense_spread(process, point[None, :]) for point in points])
     expected = norm.sf(8.0, mean, std).mean()
     assert shares.mean() == pytest.approx(expected, abs=4 * shares.std() / 4000**0.5 + 0.01)
     assert 0 <= shares.min() <= shares.max() <= 1
+
+
+@pytest.mark.parametrize("trend", [False, True])
+@pytest.mark.parametrize("samples", [0, 3, 12])
+def test_the_mean_of_an_area_varies_among_the_draws_as_much_as_the_area_mean_says(trend: bool, samples: int) -> None:
+    process = belief(samples=samples, trend=trend)
+    said = area_mean(process, GRID, process.predict(GRID.points())[0].reshape(GRID.shape), area())
+    fields, weights = drawn_fields(process, GRID, area(), np.random.default_rng(1), 4000)
+    means = fields @ weights
+    assert means.mean() == pytest.approx(said.mean_ppb, abs=4 * said.std_ppb / 4000**0.5 + 1e-9)
+    assert means.std() == pytest.approx(said.std_ppb, rel=0.05)  # 4000 draws: a standard error of 1.1 %
 
 
 def shown(process: GaussianProcess, grid: SiteGrid) -> MapSnapshot:
