@@ -89,6 +89,7 @@ class Director:
         self._on_the_move: set[str] = set()
         self._met: list[Place] = []
         self._not_before: MissionTime = 0
+        self._refused: set[str] = set()
 
     # --- what the mission is made of --------------------------------------------------------------------------------
 
@@ -129,7 +130,7 @@ class Director:
 
     def sample(self, report: SampleReport, now: MissionTime) -> list[Effect]:
         """A measurement has arrived; one that is there already, or was never asked for, changes nothing."""
-        if report.sample_id in self.belief:
+        if report.sample_id in self.belief or report.sample_id in self._refused:
             return []
         known = self.ledger.of_sample(report.sample_id)
         if known is None:
@@ -142,7 +143,10 @@ class Director:
                 Observation((record.number, record.introduced, index), place, report.helium3_ppb),
             )
         except He3Error as error:
-            return [_warning(f"sample {report.sample_id} is left out of the map: {error}")]
+            self._refused.add(report.sample_id)
+            record.settled.add(report.sample_id)  # it came; nothing more will
+            refusal = _warning(f"sample {report.sample_id} is left out of the map: {error}")
+            return [refusal, *self._begun(record), *self._advance(now)]
         record.settled.add(report.sample_id)
         record.arrived += 1
         self.driven_m = max(self.driven_m, report.driven_m)

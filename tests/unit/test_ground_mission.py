@@ -601,6 +601,28 @@ def test_a_sample_that_cannot_be_is_left_out_and_changes_nothing(changes: dict[s
     assert (mission.status.samples, mission.status.map_revision) == (0, revision)
 
 
+@pytest.mark.parametrize("pipeline", [0, 1])
+def test_a_reading_that_cannot_be_is_not_waited_for_and_another_is_taken_in_its_place(pipeline: int) -> None:
+    field = smooth_field()
+    mission = Mission(scenario(ground={"pipeline": pipeline}))
+    mission.rover.twice = True
+    spoilt: list[str] = []
+
+    def measured(planned: RoundPlan, sample: PlannedSample, now: int) -> None:
+        mission.rover._field = field if spoilt else np.full_like(field, -5000.0)
+        spoilt.append(sample.sample_id)
+        Rover._measured(mission.rover, planned, sample, now)
+
+    mission.rover._measured = measured  # type: ignore[method-assign]
+    end = mission.run()
+    assert end == Finish(True, "12 of 12 samples are in the map")
+    assert spoilt[0] == "r01s1"
+    taken = [sample.sample_id for sample in mission.snapshot.samples]
+    assert sorted(taken) == sorted(spoilt[1:])
+    assert len(taken) == 12
+    assert sum("r01s1 is left out" in text for text in mission.warnings()) == 1
+
+
 def test_an_event_of_a_round_never_planned_or_from_outside_the_region_changes_nothing() -> None:
     mission = Mission(scenario())
     mission.simulation.run_for(100.0)
