@@ -175,11 +175,12 @@ def orbital_view(he3_ppb: FloatArray, grid: SiteGrid, footprint_m: float = _ORBI
     """What an orbiter with square footprints [m] would make of a field: block means, resampled by bicubic splines.
 
     (rows, columns) in, the same out. For fields that come as finished arrays, without the coarse map they were made
-    from. Past the edge of the field a footprint holds less of it; nothing is invented.
+    from. Past the edge of the field a footprint holds less of it; nothing is invented. Cells larger
+    than a footprint are all seen.
     """
     coarse, centres = he3_ppb, []
     for axis, cells in enumerate(grid.shape):
-        blocks = max(1, round(cells * grid.resolution_m / footprint_m))
+        blocks = min(cells, max(1, round(cells * grid.resolution_m / footprint_m)))
         edges = np.linspace(0, cells, blocks + 1).round().astype(int)
         coarse = np.add.reduceat(coarse, edges[:-1], axis=axis) / np.expand_dims(np.diff(edges), 1 - axis)
         centres.append((edges[:-1] + edges[1:]) / 2 * grid.resolution_m)

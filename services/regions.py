@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from he3.constants import RELIEF_WINDOW_M
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
@@ -74,6 +75,9 @@ def _region_from_file(path: Path) -> Region:
     slope = np.zeros(he3.shape) if elevation is None else slope_deg(elevation, resolution_m)
     if open_cells is None:
         assert elevation is not None  # one of the two is there, see above
+        if resolution_m >= RELIEF_WINDOW_M:
+            raise InvalidInput(f"{path}: expected key traversable, as elevation_m in cells of {RELIEF_WINDOW_M:g} m or "
+                               f"more tells no hollow or hummock, got resolution_m {resolution_m:g}")  # fmt: skip
         open_cells = traversable(slope, relief_m(elevation, resolution_m))
     return Region(
         name=path.stem,

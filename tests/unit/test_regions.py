@@ -194,6 +194,15 @@ def test_without_an_orbital_map_the_file_gets_what_an_orbiter_would_see(tmp_path
     assert (given.orbital_ppb == 7.0).all()
 
 
+def test_a_region_of_kilometres_is_taken_in_cells_that_relief_can_be_told_in_or_with_its_open_ground(
+    tmp_path: Path,
+) -> None:
+    for resolution_m, mask in ((50.0, None), (99.0, None), (100.0, np.ones((30, 40), dtype=bool))):
+        region = load_region(saved(tmp_path / "wide.npz", resolution_m=resolution_m, traversable=mask))
+        assert region.traversable.all()
+        assert np.isfinite(region.orbital_ppb).all()
+
+
 HOLE = np.full((30, 40), 5.0)
 HOLE[7, 9] = np.nan
 
@@ -221,6 +230,7 @@ HOLE[7, 9] = np.nan
         ({"resolution_m": np.nan}, "resolution_m", "expected 0.01 to 1000 m"),
         ({"resolution_m": [1.0, 2.0]}, "resolution_m", "expected one number"),
         ({"resolution_m": "1 m"}, "resolution_m", "expected one number"),
+        ({"resolution_m": 100.0}, "traversable", "got resolution_m 100"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line_with_file_key_and_expectation(
