@@ -50,8 +50,12 @@ class MissionReport(Wire):
     """in-process, zenoh or lockstep."""
     rate: float | None
     completed: bool
+    detail: Text
+    """Why it ended as it did, in the ground's words."""
     rounds: Count
     samples: Count
+    samples_wanted: Count
+    """What the scenario asks for; fewer samples are a mission that ended early."""
     rmse_ppb: float | None
     """Of the final map, over all cells; None, as the coverages are, where nobody knows the truth."""
     rmse_history: tuple[MapScore, ...]

@@ -18,8 +18,8 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
     rows = [
         ("mission", f"{report.scenario}, region {report.region}, planner {report.planner}, kernel {report.kernel}, "
                     f"seed {report.seed}, {report.driver}"),
-        ("ended", "completed" if report.completed else "NOT COMPLETED"),
-        ("samples", f"{report.samples} in {report.rounds} rounds"),
+        _end(report),
+        ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
         *_accuracy(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
         ("mission time", f"{duration(report.mission_time_s)} ({report.mission_time_s:,.0f} s), "
@@ -31,6 +31,13 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
     ]  # fmt: skip
     rows += [("written" if index == 0 else "", str(path)) for index, path in enumerate(files)]
     return [f"{name:<13} {value}" for name, value in rows]
+
+
+def _end(report: MissionReport) -> tuple[str, str]:
+    why = report.detail or "the ground gives no reason"
+    if not report.completed:
+        return "ended", f"NOT COMPLETED: {why}"
+    return ("ended early:", why) if report.samples < report.samples_wanted else ("ended", "completed")
 
 
 def _accuracy(report: MissionReport) -> list[tuple[str, str]]:

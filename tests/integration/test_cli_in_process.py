@@ -12,6 +12,7 @@ from services.console.__main__ import main
 from services.recorder.reader import Recording
 
 MISSION = ["run", "short", "--in-process", "--set", "rounds=2", "--set", "samples_per_round=2", "--quiet"]
+NO_TIME = ["--set", "ground.budget_h=0.01"]
 NOT_REPEATABLE = {"wall_time_s", "host"}
 
 
@@ -107,3 +108,16 @@ def test_a_region_that_was_built_as_a_file_gives_the_mission_of_its_name(
     again = MissionReport.model_validate_json((tmp_path / "r.json").read_bytes())
     assert again.path_m == report(first).path_m
     assert again.rmse_ppb == pytest.approx(report(first).rmse_ppb, abs=1e-9)
+
+
+def test_a_mission_that_takes_no_sample_says_so_and_why_and_is_a_failure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*MISSION, *NO_TIME, "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    made = report(tmp_path)
+    assert (made.samples, made.samples_wanted) == (0, 4)
+    assert f"ended early:  {made.detail}" in said.out.splitlines()
+    assert "samples       0 of 4 in 0 rounds" in said.out.splitlines()
+    assert said.err == f"he3: the mission took no sample: {made.detail}\n"
+    assert made.detail == "0 of 4 samples are in the map; the budget of 0.01 h is spent or promised"

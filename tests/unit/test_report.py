@@ -36,11 +36,11 @@ def score(samples: int) -> MapScore:
     )  # fmt: skip
 
 
-def status(phase: MissionPhase) -> GroundStatus:
+def status(phase: MissionPhase, samples: int = 2) -> GroundStatus:
     return GroundStatus(
-        phase=phase, planner="rrtstar", round=1, rounds=1, samples=2, samples_total=2, driven_m=42.5, budget_m=None,
-        plan_revision=1, plans_in_work=0, map_revision=2, mean_std_ppb=0.9, kernel=None, score=score(2), rover=None,
-        rover_made_at=None,
+        phase=phase, planner="rrtstar", round=1, rounds=1, samples=samples, samples_total=2, driven_m=42.5,
+        budget_m=None, plan_revision=1, plans_in_work=0, map_revision=2, mean_std_ppb=0.9, kernel=None, score=score(2), rover=None,
+        rover_made_at=None, detail=f"{samples} of 2 samples are in the map",
     )  # fmt: skip
 
 
@@ -56,7 +56,7 @@ def link() -> LinkStatus:
     )
 
 
-def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True) -> MissionReport:
+def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True, samples: int = 2) -> MissionReport:
     track = MissionTrack(
         samples=(sample(1), sample(2)),
         driven_path_m=((25.0, 25.0), (10.0, 5.0), (20.0, 5.0)),
@@ -64,7 +64,7 @@ def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True) ->
         score_history=(score(2),),
     )
     run = Run("in-process", None, "made up", 123.5, 0.25)
-    return build_report(SCENARIO, run, status(phase), track, link(), score(2) if scored else None)
+    return build_report(SCENARIO, run, status(phase, samples), track, link(), score(2) if scored else None)
 
 
 def test_the_report_says_what_the_mission_did() -> None:
@@ -88,6 +88,22 @@ def test_a_mission_that_failed_is_not_reported_as_completed() -> None:
     made = report(MissionPhase.FAILED)
     assert not made.completed
     assert any("NOT COMPLETED" in line for line in summary_lines(made))
+
+
+def test_a_mission_with_every_sample_that_was_wanted_is_completed() -> None:
+    made = report()
+    assert (made.samples, made.samples_wanted, made.detail) == (2, 2, "2 of 2 samples are in the map")
+    lines = summary_lines(made)
+    assert "ended         completed" in lines
+    assert "samples       2 of 2 in 1 rounds" in lines
+
+
+def test_a_mission_with_fewer_samples_than_wanted_ended_early_and_says_why() -> None:
+    made = report(samples=1)
+    assert (made.completed, made.samples, made.samples_wanted) == (True, 1, 2)
+    lines = summary_lines(made)
+    assert "ended early:  1 of 2 samples are in the map" in lines
+    assert "samples       1 of 2 in 1 rounds" in lines
 
 
 def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from services.console.commands.options import (
     AsJson,
     Lockstep,
@@ -80,7 +80,10 @@ def run_and_report(
     quiet: bool,
     events: Path | None = None,
 ) -> None:
-    """Run the chosen scenario over that driver, show its progress, write its files, print what came of it."""
+    """Run the chosen scenario over that driver, show its progress, write its files, print what came of it.
+
+    Raises He3Error, when all of that is done, for a mission that took no sample: it has nothing to tell of the site.
+    """
     from services.console.outputs import outputs
     from services.console.progress import progress_for
     from services.console.summary import summary_lines
@@ -103,3 +106,5 @@ def run_and_report(
 
         done, files = run_separate(chosen, where, progress, driver == "lockstep", events)
     typer.echo(done.model_dump_json(indent=2) if json else "\n".join(summary_lines(done, files)))
+    if done.samples == 0:
+        raise He3Error(f"the mission took no sample: {done.detail or 'the ground gives no reason'}")
