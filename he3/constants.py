@@ -32,6 +32,7 @@ TITANIUM_SLOPE: Final = 0.06  # dex per wt % of FeO, PAPER; a fit to Apollo 17 s
 TITANIUM_INTERCEPT: Final = -0.54  # dex of wt %, PAPER; a fit to Apollo 17 soils alone gives -0.441
 HELIUM3_GAIN_PPB: Final = 0.56  # ppb per (wt % of TiO2 x flux / OMAT), FA-JIN
 HELIUM3_OFFSET_PPB: Final = 1.62  # ppb, FA-JIN
+HELIUM3_MAX_PPB: Final = 1e6  # ppb, a thousandth of the soil's mass; anything above is a mistake, ASSUMED
 OMAT_MIN: Final = 0.05  # 1, below it the helium-3 relation blows up; valid data lie at about 0.1 to 0.3, FA-JIN
 
 MAGNETOTAIL_HALF_ANGLE_DEG: Final = 27.0  # deg of orbit, half the magnetotail's passage; 25 to 30 in use, ASSUMED

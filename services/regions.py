@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.constants import RELIEF_WINDOW_M
+from he3.constants import HELIUM3_MAX_PPB, RELIEF_WINDOW_M
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
@@ -27,7 +27,10 @@ EMBEDDED: Final[Mapping[str, str]] = {
 }
 MAX_CELLS: Final = 4_000_000  # a region of 2 km at 1 m; more would not be a region but a mistake
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
+MAX_LATITUDE_DEG: Final = 89.0  # beyond it a region is no plane of east and north
+MAX_PROVENANCE: Final = 500  # characters
 _LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable")
+_FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_deg")
 
 
 def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
@@ -35,7 +38,8 @@ def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
 
     A seed makes another variation of an embedded region; without one it is the region's own, under which its published
     figures hold. A file is finished already, and a seed changes nothing in it: it holds he3_ppb (rows, columns) with
-    row 0 in the south, resolution_m, and elevation_m [m] or traversable (bool) or both, and may hold orbital_ppb.
+    row 0 in the south, resolution_m, and elevation_m [m] or traversable (bool) or both, and may hold orbital_ppb,
+    provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner.
     Raises InvalidInput, in one line that names file, key and expectation.
     """
     if str(name_or_path) in EMBEDDED:
@@ -63,13 +67,15 @@ def _region_from_file(path: Path) -> Region:
     he3 = _layer(path, arrays, "he3_ppb", None)
     if he3 is None:
         raise InvalidInput(f"{path}: expected key he3_ppb, got {', '.join(sorted(arrays)) or 'no keys'}")
-    if float(he3.min()) < 0:
-        raise InvalidInput(f"{path}: key he3_ppb: expected ppb of at least 0, got {he3.min():g}")
+    low, high = float(he3.min()), float(he3.max())
+    if not 0 <= low <= high <= HELIUM3_MAX_PPB:
+        raise InvalidInput(f"{path}: key he3_ppb: expected 0 to {HELIUM3_MAX_PPB:g} ppb, got {low:g} to {high:g}")
     resolution_m = _resolution_m(path, arrays)
     grid = SiteGrid(he3.shape[0], he3.shape[1], resolution_m)
     elevation = _layer(path, arrays, "elevation_m", he3.shape)
     open_cells = _open_cells(path, arrays, he3.shape)
     orbital = _layer(path, arrays, "orbital_ppb", he3.shape)
+    latitude, longitude = _origin_deg(path, arrays)
     if elevation is None and open_cells is None:
         raise InvalidInput(f"{path}: expected key elevation_m or traversable, got {', '.join(sorted(arrays))}")
     slope = np.zeros(he3.shape) if elevation is None else slope_deg(elevation, resolution_m)
@@ -82,13 +88,15 @@ def _region_from_file(path: Path) -> Region:
     return Region(
         name=path.stem,
         title=path.stem,
-        provenance=f"given as {path.name}",
+        provenance=_provenance(path, arrays),
         grid=grid,
         he3_ppb=he3,
         orbital_ppb=orbital_view(he3, grid) if orbital is None else orbital,
         elevation_m=np.zeros(he3.shape) if elevation is None else elevation,
         slope_deg=slope,
         traversable=open_cells,
+        origin_lat_deg=latitude,
+        origin_lon_deg=longitude,
     )
 
 
@@ -100,7 +108,7 @@ def _read_layers(path: Path) -> dict[str, NDArray[Any]]:
         if size > MAX_FILE_BYTES:
             raise InvalidInput(f"{path}: expected at most {MAX_FILE_BYTES} bytes of arrays, got {size}")
         with np.load(path, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files if key in (*_LAYERS, "resolution_m")}
+            return {key: arrays[key] for key in arrays.files if key in (*_LAYERS, *_FURTHER)}
     except FileNotFoundError:
         raise InvalidInput(f"{path}: expected a region file, got no such file") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
@@ -148,15 +156,48 @@ def _expect_shape(path: Path, key: str, got: tuple[int, ...], wanted: tuple[int,
         raise InvalidInput(f"{path}: key {key}: expected at most {MAX_CELLS} cells, got {got[0] * got[1]}")
 
 
-def _resolution_m(path: Path, arrays: Mapping[str, NDArray[Any]]) -> float:
-    values = arrays.get("resolution_m")
+def _provenance(path: Path, arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Where the data come from, as the file says, and which file that is."""
+    values = arrays.get("provenance")
     if values is None:
+        return f"given as {path.name}"
+    text = str(values.reshape(())) if values.dtype.kind == "U" and values.size == 1 else None
+    if text is None or not text.isprintable() or len(text) > MAX_PROVENANCE:
+        got = f"dtype {values.dtype} of shape {values.shape}" if text is None else f"{len(text)}: {text[:40]!r}"
+        raise InvalidInput(f"{path}: key provenance: expected up to {MAX_PROVENANCE} printable characters, got {got}")
+    return f"{text} (from {path.name})" if text else f"given as {path.name}"
+
+
+def _origin_deg(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[float, float] | tuple[None, None]:
+    """Latitude and longitude [deg] of the south-west corner, if the file says them."""
+    latitude = _number(path, arrays, "origin_lat_deg", -MAX_LATITUDE_DEG, MAX_LATITUDE_DEG, "deg")
+    longitude = _number(path, arrays, "origin_lon_deg", -360.0, 360.0, "deg")
+    if latitude is None and longitude is None:
+        return None, None
+    if latitude is None or longitude is None:
+        raise InvalidInput(f"{path}: expected both of origin_lat_deg and origin_lon_deg or none, got one")
+    return latitude, longitude
+
+
+def _resolution_m(path: Path, arrays: Mapping[str, NDArray[Any]]) -> float:
+    resolution = _number(path, arrays, "resolution_m", 0.01, 1000.0, "m")
+    if resolution is None:
         raise InvalidInput(f"{path}: expected key resolution_m, got {', '.join(sorted(arrays))}")
+    return resolution
+
+
+def _number(
+    path: Path, arrays: Mapping[str, NDArray[Any]], key: str, low: float, high: float, unit: str
+) -> float | None:
+    """One number within bounds; None if the file does not hold it."""
+    values = arrays.get(key)
+    if values is None:
+        return None
     if values.dtype.kind not in "fiu" or values.size != 1:
         raise InvalidInput(
-            f"{path}: key resolution_m: expected one number [m], got dtype {values.dtype} of shape {values.shape}"
+            f"{path}: key {key}: expected one number [{unit}], got dtype {values.dtype} of shape {values.shape}"
         )
-    resolution = float(values.reshape(()))
-    if not 0.01 <= resolution <= 1000:
-        raise InvalidInput(f"{path}: key resolution_m: expected 0.01 to 1000 m, got {resolution}")
-    return resolution
+    number = float(values.reshape(()))
+    if not low <= number <= high:
+        raise InvalidInput(f"{path}: key {key}: expected {low:g} to {high:g} {unit}, got {number}")
+    return number

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
@@ -28,7 +29,7 @@ Place = tuple[float, float]
 PRIOR_MEAN_PPB = 7.5
 PRIOR_SCALE_PPB = 4.0
 PRIOR_KERNEL = "matern52"  # where the kernel is left to the evidence, and there is none yet
-SANE_PPB = (-1e3, 1e6)  # no instrument says less, no soil holds more
+SANE_PPB = (-1e3, HELIUM3_MAX_PPB)  # no instrument says less, no soil holds more
 
 
 @dataclass(frozen=True, slots=True)

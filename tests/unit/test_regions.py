@@ -19,6 +19,7 @@ from scipy.spatial.distance import cdist
 from he3.errors import InvalidInput
 from he3.terrain import reachable
 from services import regions
+from services.console.commands.reference import build
 from services.regions import EMBEDDED, load_region, load_window
 
 # Minimum, maximum, mean [ppb] and the share that is not traversable, as published.
@@ -160,6 +161,25 @@ def test_a_file_of_ones_own_becomes_a_region_with_row_0_in_the_south(tmp_path: P
     assert "mine.npz" in region.provenance
 
 
+def test_a_region_written_to_a_file_keeps_its_provenance_and_its_place_on_the_moon(tmp_path: Path) -> None:
+    region = load_region("t1")
+    for source, name in (("t1", "a.npz"), (str(tmp_path / "a.npz"), "b.npz")):
+        build(source, tmp_path / name)
+    again, once_more = load_region(tmp_path / "a.npz"), load_region(tmp_path / "b.npz")
+    assert "SYNTHETIC STAND-IN" in again.provenance
+    assert again.provenance == f"{region.provenance} (from a.npz)"
+    assert once_more.provenance == f"{region.provenance} (from a.npz) (from b.npz)"
+    assert (once_more.origin_lat_deg, once_more.origin_lon_deg) == (region.origin_lat_deg, region.origin_lon_deg)
+    assert np.array_equal(once_more.he3_ppb, region.he3_ppb)
+
+
+def test_a_file_that_says_nothing_of_its_origin_has_none_and_builds_on(tmp_path: Path) -> None:
+    build(str(saved(tmp_path / "mine.npz", provenance="p" * 500)), tmp_path / "again.npz")
+    region = load_region(tmp_path / "again.npz")
+    assert (region.origin_lat_deg, region.origin_lon_deg) == (None, None)
+    assert region.provenance == "p" * 500 + " (from again.npz)"
+
+
 def test_a_path_may_be_text_and_numbers_may_be_of_any_real_kind(tmp_path: Path) -> None:
     path = saved(tmp_path / "mine.npz", he3_ppb=np.full((30, 40), 6, dtype=np.int16), resolution_m=np.array([1]))
     assert load_region(str(path)).he3_ppb.dtype == np.float64
@@ -215,7 +235,15 @@ HOLE[7, 9] = np.nan
         ({"elevation_m": None}, "elevation_m or traversable", "expected key"),
         ({"he3_ppb": HOLE}, "he3_ppb", "NaN or infinity in 1 cells"),
         ({"elevation_m": HOLE}, "elevation_m", "NaN or infinity in 1 cells"),
-        ({"he3_ppb": -np.ones((30, 40))}, "he3_ppb", "at least 0"),
+        ({"he3_ppb": -np.ones((30, 40))}, "he3_ppb", "expected 0 to 1e+06 ppb, got -1 to -1"),
+        ({"he3_ppb": np.full((30, 40), 1e9)}, "he3_ppb", "expected 0 to 1e+06 ppb, got 1e+09 to 1e+09"),
+        ({"provenance": "x" * 501}, "provenance", "expected up to 500 printable characters, got 501: 'xxx"),
+        ({"provenance": "two\nlines"}, "provenance", "expected up to 500 printable characters, got 9"),
+        ({"provenance": 7.0}, "provenance", "got dtype float64"),
+        ({"provenance": ["a", "b"]}, "provenance", "of shape (2,)"),
+        ({"origin_lat_deg": 20.0}, "origin_lon_deg", "both of"),
+        ({"origin_lat_deg": 91.0, "origin_lon_deg": 3.0}, "origin_lat_deg", "expected -89 to 89 deg, got 91"),
+        ({"origin_lat_deg": 9.0, "origin_lon_deg": np.nan}, "origin_lon_deg", "expected -360 to 360 deg, got nan"),
         ({"he3_ppb": np.ones(30)}, "he3_ppb", "(rows, columns)"),
         ({"he3_ppb": np.ones((2, 40))}, "he3_ppb", "at least 4 x 4"),
         ({"he3_ppb": np.ones((30, 40), dtype=complex)}, "he3_ppb", "got dtype complex128"),

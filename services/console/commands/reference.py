@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -95,13 +95,14 @@ def build(
     import numpy as np
 
     from he3.errors import He3Error, InvalidInput
-    from services.regions import load_region
+    from services.regions import MAX_PROVENANCE, load_region
 
     if out.suffix != ".npz":
         raise InvalidInput(f"--out {out}: expected a file name that ends in .npz")
     if not out.parent.is_dir():
         raise InvalidInput(f"--out {out}: expected a folder at {out.parent}, got none")
     loaded = load_region(region, field_seed)
+    origin: dict[str, Any] = {"origin_lat_deg": loaded.origin_lat_deg, "origin_lon_deg": loaded.origin_lon_deg}
     try:
         with out.open("wb") as stream:
             np.savez_compressed(
@@ -111,7 +112,8 @@ def build(
                 elevation_m=loaded.elevation_m,
                 traversable=loaded.traversable,
                 resolution_m=np.float64(loaded.grid.resolution_m),
-                provenance=np.str_(loaded.provenance),
+                provenance=np.str_(loaded.provenance[:MAX_PROVENANCE]),
+                **{key: np.float64(degrees) for key, degrees in origin.items() if degrees is not None},
             )
     except OSError as error:
         raise He3Error(f"{out}: cannot write the region: {error.strerror}") from None
