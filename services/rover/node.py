@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
@@ -27,6 +28,7 @@ from services.regions import EMBEDDED, load_region
 from services.rover import orders
 from services.rover.executive import CHARGED, STEP, WATCHDOG, Executive
 from services.rover.instruments import RETRY
+from services.rover.segments import Area, Point
 from services.scenario import RoverConfig, Scenario
 
 TELL_STATE: Final = "state"
@@ -35,11 +37,22 @@ TELL_STATE: Final = "state"
 class RoverNode:
     """Executes plans on the Moon, on its own as long as it has rounds on board."""
 
-    def __init__(self, config: RoverConfig, site: SiteGrid, start_m: tuple[float, float], start: MissionTime) -> None:
+    def __init__(
+        self,
+        config: RoverConfig,
+        site: SiteGrid,
+        start_m: Point,
+        start: MissionTime,
+        keep_outs_m: Sequence[Sequence[Point]] = (),
+    ) -> None:
+        """keep_outs_m: corners of the areas closed from the beginning; they have the ids that the ground gives them."""
         self.queue_depth = 0
         """Messages that wait for the ground's acknowledgement: whoever keeps them says how many."""
         self._config = config
         self._executive = Executive(config, site, start_m, start)
+        self._executive.areas = {
+            f"scenario-{number}": Area.within(polygon) for number, polygon in enumerate(keep_outs_m, start=1)
+        }
         self._executive.at_safe_point = partial(orders.carry_out_waiting, self._executive)
         self._told: RoverMode | None = None
         self._awake = False
@@ -107,7 +120,7 @@ def build_node(scenario: Scenario, site: SiteGrid | None = None) -> RoverNode:
     """The rover of that scenario; the extent of its site may be handed in, else it is the region's."""
     if site is None:
         site = _site_of(scenario)
-    return RoverNode(scenario.rover, site, scenario.start_m, scenario.start_ns)
+    return RoverNode(scenario.rover, site, scenario.start_m, scenario.start_ns, scenario.ground.keep_outs_m)
 
 
 def _site_of(scenario: Scenario) -> SiteGrid:

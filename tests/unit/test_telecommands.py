@@ -248,6 +248,38 @@ def test_a_command_that_makes_no_sense_on_the_moon_is_rejected_and_says_why(
     flown.completes()
 
 
+def test_the_rover_knows_the_scenarios_keep_outs_under_the_ids_that_the_ground_gives_them() -> None:
+    far_off = ((70.0, 2.0), (76.0, 2.0), (76.0, 8.0))
+    flown = Flown(ground={"keep_outs_m": [far_off, SQUARE]})
+    flown.until(RoverMode.DRIVING)
+    flown.command("go_to", target_m=(7.0, 62.0))
+    flown.command("set_keep_out", "open", area_id="scenario-2")
+    flown.simulation.run_for(10.0)
+    flown.command("go_to", "again", target_m=(7.0, 62.0))
+    flown.simulation.run_for(10.0)
+
+    assert flown.stages()[-1] == "rejected"
+    assert "within a keep-out" in flown.told()
+    assert flown.stages("open")[-1] == "completed"
+    assert "rejected" not in flown.stages("again")
+    flown.completes()
+
+
+def test_a_restarted_rover_keeps_what_became_of_the_scenarios_keep_outs() -> None:
+    flown = Flown(ground={"keep_outs_m": [((70.0, 2.0), (76.0, 2.0), (76.0, 8.0)), SQUARE]})
+    flown.until(RoverMode.DRIVING)
+    flown.command("set_keep_out", "open", area_id="scenario-1")
+    flown.simulation.run_for(10.0)
+    flown.restart("rover")
+    flown.command("set_keep_out", "twice", area_id="scenario-1")
+    flown.command("go_to", target_m=(7.0, 62.0))
+    flown.simulation.run_for(10.0)
+
+    assert "no keep-out scenario-1" in flown.told("twice")
+    assert "within a keep-out" in flown.told()
+    flown.completes()
+
+
 def test_no_round_can_be_aborted_before_the_first() -> None:
     flown = Flown()
     flown.simulation.run_for(1.0)
