@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -18,13 +19,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        from services.console.interruption import Terminated, ending_on_signals
+        from services.console.interruption import Terminated, ending_on_signals, told_to_end
 
         with ending_on_signals():
             try:
                 return _run(words)
             except Terminated:
                 return _say("terminated", TERMINATED)
+            except Exception as error:
+                # What foreign code makes of a signal that finds it in a callback is no defect.
+                told = told_to_end()
+                if told is None and os.environ.get(TRACEBACK):
+                    raise
+                if told is None:
+                    return _say(f"defect: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)", FAILED)
+                return _say("interrupted", INTERRUPTED) if told == signal.SIGINT else _say("terminated", TERMINATED)
     except KeyboardInterrupt:
         return _say("interrupted", INTERRUPTED)
 
@@ -34,6 +43,7 @@ def _run(words: list[str]) -> int:
 
     from he3.errors import He3Error, InvalidInput
     from services.console.app import build
+    from services.console.interruption import told_to_end
 
     # typer carries its own copy of click and exports only the leaves of its exception tree.
     usage_error: Any = typer.BadParameter.__bases__[0]
@@ -41,20 +51,16 @@ def _run(words: list[str]) -> int:
         result = build()(words, prog_name="he3", standalone_mode=False)
     except usage_error as error:
         return _usage(error)
-    except InvalidInput as error:
-        return _say(str(error), BAD_INPUT)
     except He3Error as error:
-        return _say(str(error), FAILED)
+        if told_to_end() is not None:
+            raise
+        return _say(str(error), BAD_INPUT if isinstance(error, InvalidInput) else FAILED)
     except typer.Abort:
         return _say("interrupted", INTERRUPTED)
     except BrokenPipeError:
         # So that the interpreter's last flush has a place to go.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
-    except Exception as error:
-        if os.environ.get(TRACEBACK):
-            raise
-        return _say(f"defect: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)", FAILED)
     if result == INTERRUPTED:  # typer has seen it first
         return _say("interrupted", INTERRUPTED)
     return result if isinstance(result, int) else 0

@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 
@@ -13,11 +14,25 @@ class Terminated(BaseException):
     """SIGTERM came: like KeyboardInterrupt, not to be caught on the way to the process's edge."""
 
 
+_came: list[int] = []
+"""The signals that came within the present `ending_on_signals`, in order."""
+
+
 @contextmanager
 def ending_on_signals() -> Iterator[None]:
     """Within, SIGTERM unwinds the main thread as Ctrl-C does, and Ctrl-C itself even where a shell had it ignored."""
-    with _handlers({signal.SIGINT: signal.default_int_handler, signal.SIGTERM: _raise_terminated}):
+    _came.clear()
+    with _handlers({signal.SIGINT: _interrupt, signal.SIGTERM: _terminate}):
         yield
+
+
+def told_to_end() -> int | None:
+    """The signal that this process was told to end with, SIGINT or SIGTERM; None while there was none.
+
+    It is remembered because the exception may not arrive: foreign code that a signal finds in one of its callbacks
+    makes an exception of its own out of it.
+    """
+    return _came[0] if _came else None
 
 
 @contextmanager
@@ -40,5 +55,11 @@ def _handlers(wanted: dict[signal.Signals, Any]) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _raise_terminated(*_: Any) -> None:
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _came.append(number)
+    signal.default_int_handler(number, frame)
+
+
+def _terminate(number: int, _: FrameType | None) -> None:
+    _came.append(number)
     raise Terminated

@@ -39,8 +39,8 @@ def score(samples: int) -> MapScore:
 def status(phase: MissionPhase, samples: int = 2) -> GroundStatus:
     return GroundStatus(
         phase=phase, planner="rrtstar", round=1, rounds=1, samples=samples, samples_total=2, driven_m=42.5,
-        budget_m=None, plan_revision=1, plans_in_work=0, map_revision=2, mean_std_ppb=0.9, kernel=None, score=score(2), rover=None,
-        rover_made_at=None, detail=f"{samples} of 2 samples are in the map",
+        budget_m=None, plan_revision=1, plans_in_work=0, map_revision=2, mean_std_ppb=0.9, kernel=None, score=score(2),
+        rover=None, rover_made_at=None, detail=f"{samples} of 2 samples are in the map",
     )  # fmt: skip
 
 
