@@ -102,7 +102,8 @@ def build(
     if not out.parent.is_dir():
         raise InvalidInput(f"--out {out}: expected a folder at {out.parent}, got none")
     loaded = load_region(region, field_seed)
-    origin: dict[str, Any] = {"origin_lat_deg": loaded.origin_lat_deg, "origin_lon_deg": loaded.origin_lon_deg}
+    degrees = {"origin_lat_deg": loaded.origin_lat_deg, "origin_lon_deg": loaded.origin_lon_deg}
+    origin: dict[str, Any] = {key: np.float64(value) for key, value in degrees.items() if value is not None}
     try:
         with out.open("wb") as stream:
             np.savez_compressed(
@@ -113,7 +114,7 @@ def build(
                 traversable=loaded.traversable,
                 resolution_m=np.float64(loaded.grid.resolution_m),
                 provenance=np.str_(loaded.provenance[:MAX_PROVENANCE]),
-                **{key: np.float64(degrees) for key, degrees in origin.items() if degrees is not None},
+                **origin,
             )
     except OSError as error:
         raise He3Error(f"{out}: cannot write the region: {error.strerror}") from None
