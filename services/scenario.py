@@ -203,7 +203,10 @@ class Scenario(Section):
 
 
 def load_scenario(path: Path) -> Scenario:
-    """The scenario in that TOML file; raises InvalidInput with one line that names file, key and expectation."""
+    """The scenario in that TOML file; raises InvalidInput with one line that names file, key and expectation.
+
+    A region's file that is not found from the working directory is looked for beside the scenario.
+    """
     try:
         size = path.stat().st_size
         if size > MAX_SCENARIO_BYTES:
@@ -215,7 +218,19 @@ def load_scenario(path: Path) -> Scenario:
         raise InvalidInput(f"{path}: expected UTF-8 text, got other bytes") from None
     except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"{path}: expected TOML, got a syntax error: {error}") from None
+    if isinstance(region := document.get("region"), str):
+        document["region"] = _found_region(region, path.parent)
     return checked_scenario(document, str(path))
+
+
+def _found_region(region: str, folder: Path) -> str:
+    """The region, or the path of its file in the scenario's folder where only that exists."""
+    try:
+        if region.endswith(".npz") and not Path(region).exists() and (folder / region).is_file():
+            return str((folder / region).resolve())
+    except (OSError, ValueError):  # no name that a file can have: for who loads it to say
+        pass
+    return region
 
 
 def checked_scenario(document: dict[str, Any], where: str) -> Scenario:

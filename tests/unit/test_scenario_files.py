@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from he3.errors import InvalidInput
@@ -102,6 +104,30 @@ def test_the_good_one_among_them_loads(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     assert load_scenario(path).name == "mine"
+
+
+def test_a_region_file_is_found_in_the_working_directory_or_else_beside_the_scenario(tmp_path, monkeypatch):
+    folder, elsewhere = tmp_path / "scenarios", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    path = folder / "mine.toml"
+    path.write_text(GOOD.replace('"t1"', '"my.npz"'))
+    monkeypatch.chdir(elsewhere)
+    assert load_scenario(path).region == "my.npz"  # nowhere; who loads the region says so
+    (folder / "my.npz").write_bytes(b"")
+    assert load_scenario(path).region == str((folder / "my.npz").resolve())
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario(Path("scenarios/mine.toml")).region == str((folder / "my.npz").resolve())
+    monkeypatch.chdir(elsewhere)
+    (elsewhere / "my.npz").write_bytes(b"")
+    assert load_scenario(path).region == "my.npz"
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a\\u0000b"], ids=["too long", "not text"])
+def test_a_region_name_that_no_file_can_have_is_left_to_who_loads_it(tmp_path, name):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD.replace('"t1"', f'"{name}.npz"'))
+    assert load_scenario(path).region.endswith(".npz")
 
 
 def test_an_unknown_name_is_answered_with_those_that_ship():
