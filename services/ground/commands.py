@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +24,9 @@ ENDS = frozenset(
     {CommandStage.REJECTED, CommandStage.COMPLETED, CommandStage.FAILED, CommandStage.EXPIRED, CommandStage.LOST}
 )
 """Stages after which nothing more comes, except that word of a command given up for lost may still come."""
+
+_NEVER_CARRIED_OUT = frozenset({CommandStage.REJECTED, CommandStage.FAILED, CommandStage.EXPIRED})
+Polygon = tuple[tuple[float, float], ...]
 
 
 @dataclass(slots=True)
@@ -137,6 +141,23 @@ class CommandBook:
             return None
         why = "its time has passed without word from the rover"
         return self.report(CommandReport(command_id=command_id, stage=CommandStage.LOST, at=now, why=why))
+
+    def closed_by(self, area_id: str, at_first: Sequence[Polygon] = ()) -> list[Polygon]:
+        """The polygons that the rover keeps out of under that id, or may yet, and the one that the operator last set.
+
+        at_first: what it kept out of before any command. A polygon is given up only when the rover has carried out a
+        later command on the area; one that a refused or expired command brought, as soon as another is issued.
+        """
+        spoken = [status for status in self._book.values() if status.command.area_id == area_id]
+        closed = list(at_first)
+        for status in spoken:
+            passed = {report.stage for report in status.stages}
+            if CommandStage.COMPLETED in passed:
+                closed = []
+            polygon = status.command.polygon_m
+            if polygon is not None and (status is spoken[-1] or not passed & _NEVER_CARRIED_OUT):
+                closed.append(polygon)
+        return closed
 
     def find(self, command_id: str) -> CommandStatus | None:
         """The status of that command; None for one that was not issued here."""

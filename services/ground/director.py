@@ -211,12 +211,11 @@ class Director:
                 error = invalid
         return self._planning_failed(work, error, now)
 
-    def keep_out(self, area_id: str, polygon_m: Sequence[Place] | None, now: MissionTime) -> list[Effect]:
-        """An area is closed or opened; rounds that lead through it and have not begun are planned anew."""
-        self.terrain.set_keep_out(area_id, polygon_m)
-        area = self.terrain.areas.get(area_id)
-        if area is None:
+    def keep_out(self, area_id: str, polygons_m: Iterable[Sequence[Place]], now: MissionTime) -> list[Effect]:
+        """An area is what those polygons cover; rounds that lead through it and have not begun are planned anew."""
+        if not self.terrain.set_keep_out(area_id, polygons_m):
             return self._advance(now)
+        area = self.terrain.areas[area_id]
         refuted = next((r for r in self.ledger.not_begun if self._leads_through(r, area)), None)
         if refuted is not None:
             self._drop([r for r in self.ledger.not_begun if r.number >= refuted.number])

@@ -95,6 +95,9 @@ class GroundNode:
         self._scorer = scorer
         light = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
         self._commands = CommandBook(director.grid, light)
+        self._keep_outs = {
+            f"scenario-{number}": polygon for number, polygon in enumerate(scenario.ground.keep_outs_m, start=1)
+        }
         self._samples: list[SampleReport] = []
         self._rover: RoverState | None = None
         self._rover_made_at: MissionTime | None = None
@@ -228,8 +231,7 @@ class GroundNode:
         if overdue is not None:
             yield WakeAt(LOST_TIMER + command.command_id, overdue)
         yield from self._publish(status)
-        if command.kind is CommandKind.SET_KEEP_OUT and command.area_id is not None:
-            yield from self._director.keep_out(command.area_id, command.polygon_m, now)
+        yield from self._keep_out(command, now)
 
     def _set_interest(self, change: InterestChange, token: int, now: MissionTime) -> Iterable[Effect]:
         director = self._director
@@ -253,6 +255,13 @@ class GroundNode:
         yield Answer(token, InterestList(areas=tuple(areas)))
         yield from effects
 
+    def _keep_out(self, command: Telecommand, now: MissionTime) -> Iterable[Effect]:
+        """Closes at once what the command closes; what it opens is open when the rover has carried it out."""
+        if command.kind is CommandKind.SET_KEEP_OUT and command.area_id is not None:
+            at_first = self._keep_outs.get(command.area_id)
+            polygons = self._commands.closed_by(command.area_id, () if at_first is None else (at_first,))
+            yield from self._director.keep_out(command.area_id, polygons, now)
+
     def _command_passed(self, report: CommandReport, now: MissionTime) -> Iterable[Effect]:
         status = self._commands.report(report)
         if status is None:
@@ -263,6 +272,8 @@ class GroundNode:
         ):
             yield Ask(LINK_SET, LinkChange(), LOOK)  # it left between two looks
         command = status.command
+        if report.stage in ENDS:
+            yield from self._keep_out(command, now)
         if command.kind not in _AWAY:
             return
         if report.stage is CommandStage.STARTED and not any(passed.stage in ENDS for passed in status.stages):

@@ -55,13 +55,20 @@ class GroundTerrain:
         """The cells of each keep-out area in force, by its id."""
         return self._areas
 
-    def set_keep_out(self, area_id: str, polygon_m: Sequence[Place] | None) -> None:
-        """Close an area to the rover, in place of what that id meant before, or with None open it again."""
-        if polygon_m is None:
-            self._areas.pop(area_id, None)
-        else:
-            self._areas[area_id] = touched_by(self.grid, polygon_m)
-        self._recompute()
+    def set_keep_out(self, area_id: str, polygons_m: Iterable[Sequence[Place]]) -> bool:
+        """Whether cells were closed: those that any of the polygons covers are, in place of what that id closed before.
+
+        With no polygon the area is open again.
+        """
+        before = self._areas.pop(area_id, np.zeros_like(self._orbital))
+        area = np.zeros_like(self._orbital)
+        for polygon in polygons_m:
+            area |= touched_by(self.grid, polygon)
+        if area.any():
+            self._areas[area_id] = area
+        if not np.array_equal(area, before):
+            self._recompute()
+        return bool((area & ~before).any())
 
     def block(self, met_m: Place, radius_m: float, seen_from_m: Place | None = None) -> None:
         """Close a disc at an obstacle that was met: it begins at the place met and lies behind it, as it was seen.

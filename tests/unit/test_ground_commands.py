@@ -141,3 +141,73 @@ def test_the_list_holds_the_newest() -> None:
     listed = commands.listed()
     assert len(listed) == MOST_LISTED
     assert listed[-1].command.command_id == f"c{MOST_LISTED + 4}"
+
+
+# --- keep-outs --------------------------------------------------------------------------------------------------
+
+HERE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0))
+THERE = ((50.0, 10.0), (60.0, 10.0), (60.0, 20.0))
+REFUSALS = (CommandStage.REJECTED, CommandStage.FAILED, CommandStage.EXPIRED)
+
+
+def keep_out(name: str, polygon: tuple[tuple[float, float], ...] | None = None, area: str = "pit") -> Telecommand:
+    return Telecommand(command_id=name, kind=CommandKind.SET_KEEP_OUT, area_id=area, polygon_m=polygon)
+
+
+def after(*happened: Telecommand | tuple[str, CommandStage]) -> CommandBook:
+    commands = book()
+    for number, item in enumerate(happened):
+        if isinstance(item, Telecommand):
+            commands.issue(item, NOW + number)
+        else:
+            commands.report(report(item[1], NOW + number, item[0]))
+    return commands
+
+
+def test_an_area_is_closed_as_soon_as_its_command_is_issued_and_other_areas_are_not() -> None:
+    commands = after(keep_out("a", HERE), keep_out("b", THERE, "hole"))
+    assert commands.closed_by("pit") == [HERE]
+    assert commands.closed_by("hole") == [THERE]
+    assert commands.closed_by("dune") == []
+
+
+@pytest.mark.parametrize("end", [*REFUSALS, CommandStage.LOST, CommandStage.STARTED])
+def test_an_area_is_open_when_its_removal_is_completed_and_not_by_any_other_end(end: CommandStage) -> None:
+    closed = ("a", CommandStage.COMPLETED)
+    commands = after(keep_out("a", HERE), closed, keep_out("b"), ("b", end))
+    assert commands.closed_by("pit") == [HERE]
+    assert after(keep_out("a", HERE), closed, keep_out("b"), ("b", CommandStage.COMPLETED)).closed_by("pit") == []
+
+
+@pytest.mark.parametrize("end", REFUSALS)
+def test_an_area_of_the_scenario_is_open_when_its_removal_is_completed(end: CommandStage) -> None:
+    assert after().closed_by("pit", [HERE]) == [HERE]
+    assert after(keep_out("a"), ("a", end)).closed_by("pit", [HERE]) == [HERE]
+    assert after(keep_out("a"), ("a", CommandStage.COMPLETED)).closed_by("pit", [HERE]) == []
+
+
+def test_an_area_that_is_moved_is_closed_at_both_places_until_the_rover_has_moved_it() -> None:
+    moved = (keep_out("a", HERE), ("a", CommandStage.COMPLETED), keep_out("b", THERE))
+    assert after(*moved).closed_by("pit") == [HERE, THERE]
+    assert after(*moved, ("b", CommandStage.REJECTED)).closed_by("pit") == [HERE, THERE]
+    assert after(*moved, ("b", CommandStage.COMPLETED)).closed_by("pit") == [THERE]
+
+
+def test_a_removal_that_is_completed_late_does_not_open_what_was_closed_again_meanwhile() -> None:
+    commands = after(keep_out("a", HERE), keep_out("b"), keep_out("c", THERE), ("b", CommandStage.COMPLETED))
+    assert commands.closed_by("pit") == [THERE]
+
+
+def test_of_two_removals_the_second_may_be_rejected_because_the_first_was_completed() -> None:
+    commands = after(
+        keep_out("a", HERE), keep_out("b"), keep_out("c"), ("b", CommandStage.COMPLETED), ("c", CommandStage.REJECTED)
+    )
+    assert commands.closed_by("pit") == []
+
+
+@pytest.mark.parametrize("end", REFUSALS)
+def test_what_the_rover_did_not_close_stays_closed_on_the_ground_until_the_operator_removes_it(
+    end: CommandStage,
+) -> None:
+    assert after(keep_out("a", HERE), ("a", end)).closed_by("pit") == [HERE]
+    assert after(keep_out("a", HERE), ("a", end), keep_out("b")).closed_by("pit") == []

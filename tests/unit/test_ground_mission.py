@@ -734,8 +734,25 @@ def test_a_keep_out_closes_ground_and_rounds_that_lead_through_it_are_planned_an
     assert mission.rover.on_board[0].samples[0].sample_id.startswith("r02v")
     mission.simulation.ask(ISSUE_COMMAND, command(CommandKind.SET_KEEP_OUT, "c2", area_id="a"))
     mission.simulation.step()
+    assert not mission.snapshot.traversable[int(y), int(x)]
+    done = CommandReport(command_id="c2", stage=CommandStage.COMPLETED, at=mission.simulation.now)
+    mission.tell_ground(COMMAND_REPORT, done)
     assert mission.snapshot.traversable.all()
     assert mission.run().ok
+
+
+def test_word_that_a_keep_out_was_set_changes_no_plan() -> None:
+    mission = Mission(scenario(ground={"planning_s": 500.0}))
+    corner = ((50.0, 50.0), (55.0, 50.0), (55.0, 55.0))
+    mission.simulation.run_for(10.0)
+    mission.simulation.ask(ISSUE_COMMAND, command(CommandKind.SET_KEEP_OUT, area_id="a", polygon_m=corner))
+    mission.simulation.run_for(300.0)
+    before = mission.snapshot
+    done = CommandReport(command_id="c1", stage=CommandStage.COMPLETED, at=mission.simulation.now)
+    mission.tell_ground(COMMAND_REPORT, done)
+    assert mission.snapshot is before
+    mission.simulation.run_for(250.0)
+    assert len(mission.rover.plans) == 1
 
 
 def test_while_the_rover_is_sent_elsewhere_nothing_is_planned_and_then_from_there() -> None:

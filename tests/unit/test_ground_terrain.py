@@ -73,13 +73,25 @@ def test_a_rover_without_extent_may_be_wherever_the_ground_is_open() -> None:
 
 def test_a_keep_out_is_replaced_under_its_id_and_removed_without_a_polygon() -> None:
     terrain = GroundTerrain(GRID, ALL_OPEN, 0.0)
-    terrain.set_keep_out("a", TRIANGLE)
+    corner = ((40.0, 2.0), (45.0, 2.0), (45.0, 6.0))
+    assert terrain.set_keep_out("a", [TRIANGLE])
     assert not terrain.traversable[15, 20]
-    terrain.set_keep_out("a", ((40.0, 2.0), (45.0, 2.0), (45.0, 6.0)))
+    assert terrain.set_keep_out("a", [TRIANGLE, corner])
+    assert not terrain.traversable[15, 20]
+    assert not terrain.traversable[3, 44]
+    assert not terrain.set_keep_out("a", [corner])
     assert terrain.traversable[15, 20]
     assert not terrain.traversable[3, 44]
-    terrain.set_keep_out("a", None)
+    assert not terrain.set_keep_out("a", [])
     assert terrain.traversable.all()
+    assert not terrain.areas
+
+
+def test_a_keep_out_that_is_what_it_was_leaves_the_map_the_very_same() -> None:
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.0, [TRIANGLE])
+    before = terrain.traversable
+    assert not terrain.set_keep_out("scenario-1", [TRIANGLE])
+    assert terrain.traversable is before
 
 
 def test_keep_outs_of_the_scenario_are_closed_from_the_beginning() -> None:

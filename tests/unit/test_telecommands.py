@@ -21,6 +21,7 @@ from services.console.commands.command import command_lines, has_come_to
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
 from services.ground.planning import PlannedRound, PlanningRequest
+from services.ground.snapshot import MapSnapshot
 from services.journal import identity_of
 from services.link.node import build_node as build_link
 from services.mission import InProcessMission
@@ -263,6 +264,50 @@ def test_the_rover_knows_the_scenarios_keep_outs_under_the_ids_that_the_ground_g
     assert flown.stages("open")[-1] == "completed"
     assert "rejected" not in flown.stages("again")
     flown.completes()
+
+
+def closed_on_the_ground(flown: Flown) -> bool:
+    shown = flown.simulation.snapshots["ground"]
+    assert isinstance(shown, MapSnapshot)
+    return not shown.traversable[62, 7]
+
+
+def test_a_keep_out_is_open_on_the_ground_when_the_rover_has_removed_it_and_not_before() -> None:
+    flown = Flown(ground={"keep_outs_m": [SQUARE]})
+    flown.until(RoverMode.DRIVING)
+    assert closed_on_the_ground(flown)
+    flown.command("set_keep_out", area_id="scenario-1")
+    flown.simulation.run_for(LIGHT_TIME_S)
+    assert closed_on_the_ground(flown)
+    flown.simulation.run_for(10.0)
+    assert flown.stages() == ALL_GOES_WELL
+    assert not closed_on_the_ground(flown)
+    flown.completes()
+
+
+def test_a_removal_that_comes_after_its_time_leaves_the_area_closed_on_the_ground() -> None:
+    flown = Flown(ground={"keep_outs_m": [SQUARE]})
+    flown.until(RoverMode.DRIVING)
+    flown.link(one_way_light_time_s=20.0)
+    flown.command("set_keep_out", expires_in_s=10.0, area_id="scenario-1")
+    flown.simulation.run_for(100.0)
+    assert flown.stages()[-1] == "expired"
+    assert closed_on_the_ground(flown)
+
+
+def test_a_removal_that_the_rover_rejects_leaves_the_area_closed_on_the_ground() -> None:
+    flown = Flown(ground={"keep_outs_m": [SQUARE]})
+    flown.until(RoverMode.DRIVING)
+    flown.command("safe")
+    flown.simulation.run_for(10.0)
+    header, _ = decode(COMMAND, flown.sent_up[0], "commanded")
+    newer = header.model_copy(update={"incarnation": 0, "made_at": flown.simulation.now + 60 * SECOND})
+    word = Telecommand(command_id="w", kind=CommandKind.SET_KEEP_OUT, area_id="scenario-1", polygon_m=SQUARE)
+    flown.simulation.inject(COMMAND, Side.MOON, encode(newer, word))
+    flown.command("set_keep_out", "removed", area_id="scenario-1")
+    flown.simulation.run_for(100.0)
+    assert flown.stages("removed")[-1] == "rejected"
+    assert closed_on_the_ground(flown)
 
 
 def test_a_restarted_rover_keeps_what_became_of_the_scenarios_keep_outs() -> None:
