@@ -6,6 +6,7 @@ Callbacks only hand over; nothing in here waits inside one. A session that loses
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -285,7 +286,7 @@ class Client:
         self._bus.close()
 
     def query(self, topic: Topic, request: Wire, timeout_s: float = 10.0) -> Any:
-        """The body of the answer; raises PeerUnreachable when nobody answers, He3Error with a refusal's text."""
+        """The body of the answer; raises PeerUnreachable when nobody answers, or `refusal`."""
         return decode_reply(topic, self._ask(topic, encode(self._header(0), request), timeout_s), self._mission)[1]
 
     def fetch(self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = 10.0) -> tuple[bytes, bytes]:
@@ -321,7 +322,7 @@ class Client:
         if isinstance(answer, bytes):
             return answer, attachment
         if answer is Silence.REFUSED:
-            raise He3Error(detail)
+            raise refusal(detail)
         raise PeerUnreachable(f"{topic.key(self._mission)}: {answer.value}{' ' + detail if detail else ''}")
 
     def subscribe(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> Callable[[], None]:
@@ -363,6 +364,14 @@ def error_body(why: str, attachment: bytes | None = None) -> bytes:
     """How a refusal looks on the wire; error replies have no attachment of their own, so it goes inside."""
     stamp = {} if attachment is None else {"stamp": attachment.decode()}
     return json.dumps({"error": why, **stamp}).encode()
+
+
+def refusal(why: str) -> He3Error:
+    """What a refused question raises: InvalidInput where the text says what was expected of the asker and what came."""
+    return InvalidInput(why) if _OF_WHAT_WAS_ASKED.search(why) else He3Error(why)
+
+
+_OF_WHAT_WAS_ASKED = re.compile(r"\bexpected .+[,;:] got ")
 
 
 def _is_put(sample: Any) -> bool:

@@ -49,6 +49,7 @@ def _run(words: list[str]) -> int:
     usage_error: Any = typer.BadParameter.__bases__[0]
     try:
         result = build()(words, prog_name="he3", standalone_mode=False)
+        sys.stdout.flush()
     except usage_error as error:
         return _usage(error)
     except He3Error as error:
@@ -58,12 +59,21 @@ def _run(words: list[str]) -> int:
     except typer.Abort:
         return _say("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        # So that the interpreter's last flush has a place to go.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
+        return _enough_read()
+    except SystemExit as end:  # typer has seen it first
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+        return _enough_read()
     if result == INTERRUPTED:  # typer has seen it first
         return _say("interrupted", INTERRUPTED)
     return result if isinstance(result, int) else 0
+
+
+def _enough_read() -> int:
+    """Exit code when whoever reads the output, as `head` does, wants no more of it: that is no failure."""
+    # So that the interpreter's last flush has a place to go.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _usage(error: Any) -> int:
@@ -71,7 +81,8 @@ def _usage(error: Any) -> int:
     if "\n" in message:  # the help itself, for a command that was given nothing
         sys.stdout.write(message + "\n")
         return BAD_INPUT
-    return _say(f"{message} (see he3 --help)", BAD_INPUT)
+    command = "he3" if error.ctx is None else error.ctx.command_path
+    return _say(f"{message} (see {command} --help)", BAD_INPUT)
 
 
 def _say(message: str, code: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -10,6 +11,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
+
+_ENDPOINT = re.compile(r"(?:tcp|tls|quic)/[^\s/]+:\d{1,5}(?:[?#]\S*)?|unixsock-stream/\S+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +79,21 @@ def running_missions() -> list[RunningMission]:
 def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str]:
     """Earth endpoint and name of the mission that is meant: as given, else as announced on this machine.
 
-    Raises InvalidInput when several run and none was named, PeerUnreachable when none runs.
+    Raises InvalidInput for an endpoint that is none, or when several run and none was named; PeerUnreachable when none
+    runs.
     """
+    if earth is not None and not _ENDPOINT.fullmatch(earth):
+        raise InvalidInput(
+            f"--earth: expected an endpoint as PROTO/HOST:PORT, such as tcp/10.0.0.2:7448, got '{earth}'"
+        )
     if mission is not None and earth is not None:
         return earth, mission
     running = [each for each in running_missions() if mission in (None, each.mission) and earth in (None, each.earth)]
+    if not running and earth is not None:
+        raise PeerUnreachable(
+            f"nobody answers at {earth}: no mission of this machine is there, and another machine's needs its name, "
+            f"with --mission"
+        )
     if not running:
         wanted = f"mission '{mission}'" if mission else "mission"
         raise PeerUnreachable(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from schemas.report import MissionReport
 from services.console.__main__ import main
 from services.recorder.reader import Recording
+from services.recorder.writer import RecordingWriter
 
 MISSION = ["run", "short", "--in-process", "--set", "rounds=2", "--set", "samples_per_round=2", "--quiet"]
 NO_TIME = ["--set", "ground.budget_h=0.01"]
@@ -97,6 +101,33 @@ def test_a_recording_replays_on_the_command_line(first: Path, capsys: pytest.Cap
     assert main(["replay", str(first / "mission.mcap"), "--topic", "tm/sample"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {line["body"]["sample_id"] for line in lines} == {row.sample_id for row in report(first).sample_table}
+
+
+def test_a_reader_that_has_had_enough_of_a_recording_is_no_failure(first: Path) -> None:
+    replay = [sys.executable, "-m", "services.console", "replay", str(first / "mission.mcap")]
+    for words in (["--topic", "tm/state"], ["--topic", "tm/sample"], ["--json"]):
+        reading, writing = os.pipe()
+        os.close(reading)
+        with open(writing, "wb") as nobody:  # noqa: PTH123 - a descriptor, not a path
+            done = subprocess.run([*replay, *words], stdout=nobody, stderr=subprocess.PIPE, text=True, timeout=60)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_recording_of_a_mission_that_was_ended_says_that_it_was_not_over(
+    first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended = tmp_path / "ended.mcap"
+    with ended.open("wb") as stream, RecordingWriter(stream, "short") as writer:
+        for message in Recording(first / "mission.mcap").messages():
+            if message.topic.name == "earth/ground/status" and message.body.phase.value == "completed":
+                break
+            writer.write(
+                message.topic, message.payload, message.received_at, message.header.made_at, message.header.sequence
+            )
+    assert main(["replay", str(ended)]) == 0
+    assert "state      the file is complete; the mission was not over" in capsys.readouterr().out.splitlines()
+    assert main(["replay", str(first / "mission.mcap")]) == 0
+    assert "state      complete" in capsys.readouterr().out.splitlines()
 
 
 def test_a_region_that_was_built_as_a_file_gives_the_mission_of_its_name(

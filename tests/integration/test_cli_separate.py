@@ -113,8 +113,11 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
         assert (point["x_m"], point["y_m"]) == (120.0, 340.0)
         assert point["std_ppb"] > 0
         outside = he3("map", "at", "900", "1", environment=environment)
-        assert outside.returncode == 1
+        assert outside.returncode == 2
         assert outside.stderr.startswith("he3: map: expected a place within")
+        astray = he3("command", "go-to", "9999", "1", environment=environment)
+        assert astray.returncode == 2
+        assert "expected a target within" in astray.stderr
 
         changed = he3("link", "set", "--direction", "down", "--light-time", "2.5", "--json", environment=environment)
         conditions = json.loads(changed.stdout)["conditions"]

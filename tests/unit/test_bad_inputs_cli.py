@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from he3.errors import InvalidInput
+from services.bus import refusal
 from services.console.__main__ import main
 
 SCENARIO = """
@@ -19,8 +21,8 @@ loss = 0.0
 
 # What stands in mine.toml, the command line, and what the complaint must name.
 CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
-    "no such command": (SCENARIO, ["fly"], ("fly",)),
-    "no scenario": (SCENARIO, ["run"], ("SCENARIO",)),
+    "no such command": (SCENARIO, ["fly"], ("fly", "see he3 --help")),
+    "no scenario": (SCENARIO, ["run"], ("SCENARIO", "see he3 run --help")),
     "no such flag": (SCENARIO, ["run", "mine.toml", "--fast"], ("--fast",)),
     "no such shipped scenario": (SCENARIO, ["run", "t3-nominal"], ("t3-nominal", "t1-nominal")),
     "no such file": (SCENARIO, ["run", "other.toml", "--in-process"], ("other.toml",)),
@@ -87,6 +89,12 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "an export of unknown kind": (SCENARIO, ["map", "export", "map.xyz"], (".xyz", ".npz")),
     "a keep-out of two corners": (SCENARIO, ["command", "keep-out", "a", "1,1", "2,2"], ("polygon", "3")),
     "a corner that is none": (SCENARIO, ["command", "keep-out", "a", "1;1"], ("1;1",)),
+    "an expiry that is past": (SCENARIO, ["command", "pause", "--expires-in", "-5"], ("--expires-in", "-5")),
+    "an area of one corner": (SCENARIO, ["map", "resource", "100,100"], ("three corners", "1")),
+    "an endpoint that is none": (SCENARIO, ["status", "--earth", "foo"], ("--earth", "PROTO/HOST:PORT", "foo")),
+    "an endpoint without a port": (
+        SCENARIO, ["status", "--mission", "m", "--earth", "tcp/moon"], ("--earth", "PROTO/HOST:PORT", "tcp/moon"),
+    ),
     "no such stage": (SCENARIO, ["command", "pause", "--wait", "soon"], ("soon", "completed")),
 }  # fmt: skip
 
@@ -119,3 +127,29 @@ def test_a_mission_that_does_not_run_is_a_failure_and_not_bad_input(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert main(["map", "at", "1", "2"]) == 1
     assert capfd.readouterr().err.startswith("he3: no running mission found")
+
+
+def test_an_endpoint_without_a_mission_is_a_failure_that_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert main(["status", "--earth", "tcp/127.0.0.1:9"]) == 1
+    assert capfd.readouterr().err.startswith("he3: nobody answers at tcp/127.0.0.1:9: ")
+
+
+@pytest.mark.parametrize(
+    ("why", "of_the_asker"),
+    [
+        ("map: expected a place within 0..500 m east and 0..500 m north, got (9999, 1)", True),
+        ("command op-1: expected a target within 0..500 m east and 0..500 m north, got (9999, 1)", True),
+        ("expected a planner among tour, rrtstar; got 'x'", True),
+        ("earth/map/point: there is no map yet; ask again in a moment", False),
+        ("earth/map/point: more than 10000 questions wait; ask later", False),
+    ],
+)
+def test_a_refusal_that_says_what_was_expected_and_what_came_is_of_the_asker_s_input(
+    why: str, of_the_asker: bool
+) -> None:
+    error = refusal(why)
+    assert str(error) == why
+    assert isinstance(error, InvalidInput) is of_the_asker

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import uuid
 from typing import TYPE_CHECKING, Annotated, Any
@@ -119,6 +120,7 @@ def _issue(
     timeout_s: float,
     json: bool,
 ) -> None:
+    from he3.errors import InvalidInput
     from schemas.link import ClockState
     from schemas.topics import EARTH_CLOCK, ISSUE_COMMAND
     from services.clock import mission_time
@@ -126,6 +128,8 @@ def _issue(
     from services.node import seconds
 
     stage = _stage(wait)
+    if expires_in is not None and not 0 < expires_in < math.inf:
+        raise InvalidInput(f"--expires-in: expected a time ahead [s], got {expires_in:g}")
     document = {"command_id": command_id or f"op-{uuid.uuid4().hex[:10]}", **what}
     _checked(document)
     with join(mission, earth) as client:

@@ -94,7 +94,11 @@ def resource(
     json: AsJson = False,
 ) -> None:
     """How much helium-3 there is in an area, with intervals from the joint posterior."""
+    from he3.errors import InvalidInput
+
     corners = None if not polygon else [_corner(text) for text in polygon]
+    if corners is not None and len(corners) < 3:
+        raise InvalidInput(f"map resource: expected three corners or more, or none, got {len(corners)}")
     with _joined(mission, earth) as client:
         found = client.resource(corners, cutoff_ppb=cutoff, probability=probability, as_of=as_of)
     if json:

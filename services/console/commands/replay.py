@@ -77,6 +77,7 @@ def _document(recording: Recording, seen: _Seen) -> dict[str, Any]:
         "mission": recording.mission,
         "complete": recording.torn is None,
         "torn": recording.torn,
+        "mission_over": seen.status is not None and seen.status.phase.value in ("completed", "failed"),
         "messages": seen.counts.total(),
         "samples": len(seen.samples),
         "span_s": span_s,
@@ -93,10 +94,16 @@ def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
     lines = [
         f"recording  {document['file']}: mission '{document['mission']}', {document['messages']} messages in "
         f"{duration(document['span_s'])} of mission time",
-        f"state      {'complete' if document['complete'] else document['torn']}",
+        f"state      {_state(document)}",
     ]
     if seen.status is not None:
         lines.append(f"last word  {plain_line(moment_of(seen.status, document['span_s'], 0), 0.0)}")
     lines.append(f"{'topic':<28} {'messages':>9} {'bytes':>12}")
     lines += [f"{name:<28} {row['messages']:>9} {row['bytes']:>12}" for name, row in document["topics"].items()]
     return lines
+
+
+def _state(document: dict[str, Any]) -> str:
+    if not document["complete"]:
+        return str(document["torn"])
+    return "complete" if document["mission_over"] else "the file is complete; the mission was not over"
