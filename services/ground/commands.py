@@ -12,6 +12,7 @@ from he3.frames import SiteGrid
 from schemas.commands import CommandReport, CommandStage, CommandStatus, Telecommand
 from schemas.link import LinkStatus
 from schemas.topics import COMMAND
+from services.ground.terrain import closes_nothing
 from services.node import SECOND, MissionTime, seconds
 
 MOST_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
@@ -56,12 +57,14 @@ class CommandBook:
         if command.expires_at is not None and command.expires_at <= now:
             late = (now - command.expires_at) / SECOND
             raise InvalidInput(f"command {command.command_id}: expected an expiry ahead, got one {late:g} s ago")
-        places = [command.target_m] if command.target_m is not None else list(command.polygon_m or ())
-        if command.target_m is not None and not self.grid.contains(np.array(places))[0]:
+        target = command.target_m
+        if target is not None and not self.grid.contains(np.array([target]))[0]:
             raise InvalidInput(
                 f"command {command.command_id}: expected a target within 0..{self.grid.width_m:g} m east and "
-                f"0..{self.grid.height_m:g} m north, got ({places[0][0]:g}, {places[0][1]:g})"
+                f"0..{self.grid.height_m:g} m north, got ({target[0]:g}, {target[1]:g})"
             )
+        if command.polygon_m is not None and (why := closes_nothing(self.grid, command.polygon_m)) is not None:
+            raise InvalidInput(f"command {command.command_id}: polygon_m: {why}")
         under_way = sum(not is_over(status) for status in self._book.values())
         if under_way >= MOST_UNDER_WAY:
             raise InvalidInput(f"expected at most {MOST_UNDER_WAY} commands under way, got one more")

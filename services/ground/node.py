@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from he3.errors import He3Error, InvalidInput
+from he3.frames import SiteGrid
 from he3.reference import Region
 from he3.trend import OrbitalTrend
 from schemas.commands import CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
@@ -44,7 +45,7 @@ from services.ground.map_service import MAP_TOPICS, answer
 from services.ground.planning import Planner
 from services.ground.scoring import Scorer
 from services.ground.snapshot import MapSnapshot
-from services.ground.terrain import GroundTerrain
+from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing
 from services.node import (
     SECOND,
     Answer,
@@ -242,6 +243,9 @@ class GroundNode:
                 f"0..{director.grid.height_m:g} m north, got one outside",
             )
             return
+        if change.polygon_m is not None and (why := holds_nothing(director.grid, change.polygon_m)) is not None:
+            yield Refuse(token, f"interest: polygon_m: {why}")
+            return
         effects: list[Effect] = []
         if change.area_id is not None:
             if change.area_id not in director.interests and len(director.interests) >= MOST_INTERESTS:
@@ -408,6 +412,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
             f"scenario '{scenario.name}': start_m: expected a place within 0..{region.grid.width_m:g} m east and "
             f"0..{region.grid.height_m:g} m north, got ({scenario.start_m[0]:g}, {scenario.start_m[1]:g})"
         )
+    _check_areas(scenario, region.grid)
     steepest = scenario.rover.slope_limit_deg
     if ground.max_slope_deg is not None:
         steepest = min(steepest, ground.max_slope_deg)
@@ -423,3 +428,14 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
     return GroundNode(scenario, director, Scorer(region.he3_ppb) if ground.score else None, origin)
+
+
+def _check_areas(scenario: Scenario, grid: SiteGrid) -> None:
+    """Raises InvalidInput, in one line that names the key, for an area that would have no effect on this site."""
+    ground = scenario.ground
+    objections = {
+        f"keep_outs_m.{index}": closes_nothing(grid, polygon) for index, polygon in enumerate(ground.keep_outs_m)
+    } | {f"interest.{index}": holds_nothing(grid, area.polygon_m) for index, area in enumerate(ground.interest)}
+    for key, why in objections.items():
+        if why is not None:
+            raise InvalidInput(f"scenario '{scenario.name}': ground.{key}: {why}")

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
+from he3.frames import FloatArray, SiteGrid
 
 BoolArray = NDArray[np.bool_]
 Place = tuple[float, float]
 
 _BOUNDARY_STEP_CELLS = 0.25  # a polygon's edge is followed in such steps, so that it misses corners of cells at most
 BESIDE_TRACK_M = 2.5  # no further from the end of its known track, a rover is taken to stand on it
+_FLAT_M = 1e-6  # corners that lie no further off one line are on it
 _SQUARE = np.ones((3, 3), dtype=np.bool_)
 
 
@@ -183,6 +184,33 @@ def inside(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
             covered ^= spans & (x < ax + (y - ay) / (by - ay) * (bx - ax))
         ax, ay = bx, by
     return covered
+
+
+def closes_nothing(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
+    """One line on why the polygon closes no ground of the site, as one in another frame does; None if it does."""
+    corners = np.asarray(polygon_m, dtype=np.float64)
+    if np.linalg.matrix_rank(corners - corners[0], tol=_FLAT_M) < 2:
+        return "expected corners around some ground, got all of them in one line"
+    return None if touched_by(grid, polygon_m).any() else _off_site(grid, corners)
+
+
+def holds_nothing(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
+    """One line on why the polygon holds no cell of the site by its centre; None if it does."""
+    if inside(grid, polygon_m).any():
+        return None
+    if touched_by(grid, polygon_m).any():
+        return (
+            f"expected an area that holds the centre of a cell of {grid.resolution_m:g} m, got one too small for that"
+        )
+    return _off_site(grid, np.asarray(polygon_m, dtype=np.float64))
+
+
+def _off_site(grid: SiteGrid, corners: FloatArray) -> str:
+    (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+    return (
+        f"expected an area of the site, which is 0..{grid.width_m:g} m east and 0..{grid.height_m:g} m north, "
+        f"got one at {west:g}..{east:g} m east and {south:g}..{north:g} m north"
+    )
 
 
 def interest_weights(grid: SiteGrid, regions: Sequence[tuple[Sequence[Place], float]]) -> NDArray[np.float32] | None:

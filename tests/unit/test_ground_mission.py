@@ -572,6 +572,36 @@ def test_a_start_outside_the_region_is_refused_before_anything_begins() -> None:
         build_node(scenario(top={"start_m": [80.0, 5.0]}), region())
 
 
+IN_DEGREES = ((-30.76, 20.19), (-30.72, 20.19), (-30.72, 20.21))
+IN_ONE_LINE = ((10.0, 10.0), (20.0, 20.0), (40.0, 40.0))
+SPECK = ((10.1, 10.1), (10.3, 10.1), (10.3, 10.3))
+ELSEWHERE = (
+    r"expected an area of the site, which is 0\.\.60 m east and 0\.\.60 m north, "
+    r"got one at -30\.76\.\.-30\.72 m east and 20\.19\.\.20\.21 m north"
+)
+GOOD_AREA = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("polygon", "complaint"), [(IN_DEGREES, ELSEWHERE), (IN_ONE_LINE, "expected corners around some ground")]
+)
+def test_a_keep_out_of_the_scenario_that_closes_nothing_is_refused_with_its_key(
+    polygon: tuple[tuple[float, float], ...], complaint: str
+) -> None:
+    with pytest.raises(InvalidInput, match=rf"^scenario 'test': ground\.keep_outs_m\.1: {complaint}"):
+        build_node(scenario(ground={"keep_outs_m": [GOOD_AREA, polygon]}), region())
+    build_node(scenario(ground={"keep_outs_m": [GOOD_AREA, SPECK]}), region())
+
+
+@pytest.mark.parametrize(("polygon", "complaint"), [(IN_DEGREES, ELSEWHERE), (SPECK, "expected an area that holds")])
+def test_an_interest_of_the_scenario_that_holds_nothing_is_refused_with_its_key(
+    polygon: tuple[tuple[float, float], ...], complaint: str
+) -> None:
+    interest = [{"polygon_m": GOOD_AREA, "weight": 2.0}, {"polygon_m": polygon, "weight": 2.0}]
+    with pytest.raises(InvalidInput, match=rf"^scenario 'test': ground\.interest\.1: {complaint}"):
+        build_node(scenario(ground={"interest": interest}), region())
+
+
 # --- telemetry that cannot be ------------------------------------------------------------------------------------
 
 
@@ -698,6 +728,11 @@ def test_a_command_that_cannot_be_carried_out_is_refused_and_does_not_go_up() ->
         (command(CommandKind.SAFE), "expected a new id"),
         (command(name="c2", expires_at=past), "expected an expiry ahead, got one 2 s ago"),
         (command(CommandKind.GO_TO, "c3", target_m=(70.0, 3.0)), "expected a target within"),
+        (command(CommandKind.SET_KEEP_OUT, "c4", area_id="a", polygon_m=IN_DEGREES), f"c4: polygon_m: {ELSEWHERE}"),
+        (
+            command(CommandKind.SET_KEEP_OUT, "c5", area_id="a", polygon_m=IN_ONE_LINE),
+            "c5: polygon_m: expected corners",
+        ),
     ):
         with pytest.raises(He3Error, match=complaint):
             mission.simulation.ask(ISSUE_COMMAND, bad)
