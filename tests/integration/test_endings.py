@@ -46,6 +46,23 @@ def test_a_running_mission_ends_within_two_seconds_and_leaves_a_recording(missio
     assert read.torn is None, "a recorder that is asked to end finishes its file"
 
 
+def test_a_recorder_that_is_started_again_keeps_what_it_had_recorded(missions, listen, tmp_path):
+    recording = tmp_path / "mission.mcap"
+    mission = missions("short", "--rate", RATE)
+    mission.start("recorder", flags=["--out", str(recording)])
+    mission.start(*ALL[1:])
+    mission.ready()
+    heard = listen(mission.client(), GROUND_STATUS)
+    first = heard.wait(lambda _, status: status.samples > 0, 60).body
+    mission["recorder"].kill()
+    mission.start("recorder", flags=["--out", str(recording)])
+    mission.ready("recorder")
+    heard.wait(lambda _, status: status.samples > first.samples + 1, 60)
+    mission.stop()
+    for path in (tmp_path / "mission-1.mcap", recording):
+        assert any(message.topic is GROUND_STATUS for message in Recording(path).messages()), path
+
+
 def test_services_end_when_told_twice_in_a_row(missions):
     mission = missions("short", "--rate", RATE)
     mission.start("link", "rover")
