@@ -102,7 +102,8 @@ class InterestRegion(Section):
     """A part of the site that is worth more (weight above 1) or less (below 1) than the rest."""
 
     polygon_m: Polygon
-    weight: NonNegative
+    weight: Annotated[float, Field(ge=0, le=1000)]
+    """How many times as much the uncertainty there counts as where no area says anything."""
 
 
 KernelName = Literal["se", "matern12", "matern32", "matern52", "smooth+rough", "auto"]

@@ -45,7 +45,7 @@ from services.ground.map_service import MAP_TOPICS, answer
 from services.ground.planning import Planner
 from services.ground.scoring import Scorer
 from services.ground.snapshot import MapSnapshot
-from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing
+from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing, interest_weights, worth_nothing
 from services.node import (
     SECOND,
     Answer,
@@ -251,6 +251,15 @@ class GroundNode:
             if change.area_id not in director.interests and len(director.interests) >= MOST_INTERESTS:
                 yield Refuse(token, f"interest: expected at most {MOST_INTERESTS} areas, got one more")
                 return
+            changed = dict(director.interests)
+            if change.polygon_m is None:
+                changed.pop(change.area_id, None)
+            else:
+                changed[change.area_id] = (change.polygon_m, change.weight)
+            weights = interest_weights(director.grid, list(changed.values()))
+            if (why := worth_nothing(weights, director.terrain.traversable)) is not None:
+                yield Refuse(token, f"interest: weight: {why}")
+                return
             effects = director.set_interest(change.area_id, change.polygon_m, change.weight, now)
         areas = (
             InterestArea(area_id=name, polygon_m=tuple(polygon), weight=weight)
@@ -422,6 +431,9 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     belief = Belief(region.grid, ground.kernel, scenario.field.noise_std_ppb, trend)
     if not terrain.traversable.any():
         raise InvalidInput(f"scenario '{scenario.name}': expected open ground, got none: every cell is closed")
+    weights = interest_weights(region.grid, [(area.polygon_m, area.weight) for area in ground.interest])
+    if (why := worth_nothing(weights, terrain.traversable)) is not None:
+        raise InvalidInput(f"scenario '{scenario.name}': ground.interest: {why}")
     mean_slope = float(region.slope_deg[terrain.traversable].mean())
     open_area = float(terrain.traversable.sum()) * region.grid.resolution_m**2
     director = Director(scenario, region.grid, belief, terrain, Budget(scenario, open_area, mean_slope), planner)

@@ -227,6 +227,13 @@ def interest_weights(grid: SiteGrid, regions: Sequence[tuple[Sequence[Place], fl
     return weights
 
 
+def worth_nothing(weights: NDArray[np.float32] | None, open_cells: BoolArray) -> str | None:
+    """One line on why nothing is worth measuring under these weights: all open cells have 0; None if some have not."""
+    if weights is None or bool((weights[open_cells] > 0).any()):
+        return None
+    return "expected a weight above 0 somewhere on open ground, got 0 everywhere"
+
+
 def along(path_m: Sequence[Place], step_m: float) -> Iterator[Place]:
     """Places along the polyline from its first vertex on, no further apart than the step."""
     yield path_m[0]

@@ -13,7 +13,7 @@ from he3.errors import He3Error, InvalidInput, NoRoute
 from he3.frames import SiteGrid
 from he3.reference import Region
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, NoParameters, Telecommand
-from schemas.ground import GroundStatus, MissionPhase
+from schemas.ground import GroundStatus, InterestChange, MissionPhase
 from schemas.maps import MapPointQuery
 from schemas.plans import MissionPlan, PlannedSample, RoundPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
@@ -29,6 +29,7 @@ from schemas.topics import (
     MAP_SCORE,
     PLAN,
     SAMPLE,
+    SET_INTEREST,
     STATE,
     TRACK,
     Side,
@@ -600,6 +601,38 @@ def test_an_interest_of_the_scenario_that_holds_nothing_is_refused_with_its_key(
     interest = [{"polygon_m": GOOD_AREA, "weight": 2.0}, {"polygon_m": polygon, "weight": 2.0}]
     with pytest.raises(InvalidInput, match=rf"^scenario 'test': ground\.interest\.1: {complaint}"):
         build_node(scenario(ground={"interest": interest}), region())
+
+
+EVERYWHERE = ((0.0, 0.0), (60.0, 0.0), (60.0, 60.0), (0.0, 60.0))
+
+
+def test_a_scenario_in_which_no_open_ground_is_of_interest_is_refused() -> None:
+    nothing = {"polygon_m": EVERYWHERE, "weight": 0.0}
+    closed = region(lambda x, y: x > 30.0)
+    beyond = {"polygon_m": ((40.0, 10.0), (50.0, 10.0), (50.0, 20.0)), "weight": 1.0}
+    for areas, site in (([nothing], region()), ([nothing, beyond], closed)):
+        with pytest.raises(InvalidInput, match=r"ground\.interest: expected a weight above 0 somewhere on open ground"):
+            build_node(scenario(ground={"interest": areas}), site)
+    build_node(scenario(ground={"interest": [nothing, beyond]}), region())
+
+
+def test_no_change_of_interest_may_leave_nothing_worth_measuring() -> None:
+    mission = Mission(scenario(ground={"interest": [{"polygon_m": EVERYWHERE, "weight": 0.0},
+                                                    {"polygon_m": GOOD_AREA, "weight": 2.0}]}))  # fmt: skip
+    mission.simulation.run_for(10.0)
+    before = mission.simulation.ask(SET_INTEREST, InterestChange())
+    for change, complaint in (
+        (InterestChange(area_id="scenario-2"), "weight: expected a weight above 0"),
+        (InterestChange(area_id="scenario-2", polygon_m=GOOD_AREA, weight=0.0), "weight: expected a weight above 0"),
+        (InterestChange(area_id="all", polygon_m=EVERYWHERE, weight=0.0), "weight: expected a weight above 0"),
+        (InterestChange(area_id="speck", polygon_m=SPECK), "polygon_m: expected an area that holds the centre"),
+    ):
+        with pytest.raises(He3Error, match=complaint):
+            mission.simulation.ask(SET_INTEREST, change)
+    assert mission.simulation.ask(SET_INTEREST, InterestChange()) == before
+    mission.simulation.ask(SET_INTEREST, InterestChange(area_id="scenario-1"))
+    mission.simulation.ask(SET_INTEREST, InterestChange(area_id="scenario-2"))
+    assert mission.run().ok
 
 
 # --- telemetry that cannot be ------------------------------------------------------------------------------------

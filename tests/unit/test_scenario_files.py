@@ -69,6 +69,10 @@ BAD = {
         "expected contact_s within period_s, got 2.0 of 1.0",
     ),
     "an area with two corners": (GOOD + "[ground]\nkeep_outs_m = [[[0.0, 0.0], [1.0, 1.0]]]\n", "ground.keep_outs_m.0"),
+    "an interest beyond all others": (
+        GOOD + "[ground]\ninterest = [{polygon_m = [[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]], weight = 1e300}]\n",
+        "ground.interest.0.weight: input should be less than or equal to 1000",
+    ),
     "an endpoint that is none": (GOOD + "[network]\nmoon = 'somewhere'\n", "network.moon: string should match pattern"),
 }
 
