@@ -125,7 +125,7 @@ class GroundConfig(Section):
     budget_m: Positive | None = None
     """Metres that the whole mission may drive."""
     budget_h: Positive | None = None
-    """Hours that the whole mission may take."""
+    """Hours that the whole mission may take, the charging of the rover included."""
     information_exponent: Positive = 1.0
     """alpha of the utility I^alpha / c."""
     clearance_m: NonNegative = 15.0

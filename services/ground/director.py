@@ -8,7 +8,7 @@ counted in, which the plan says. With h = 0 the rover waits for each round until
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import hypot
+from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
@@ -107,6 +107,8 @@ class Director:
     def state(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> list[Effect]:
         """The rover has told how it is. Should it have dropped what is on board, that is planned anew."""
         newest = made_at >= self._heard_at
+        if newest:
+            self._budget.heard(state.energy_wh)
         self.heard((state.x_m, state.y_m), state.driven_m, made_at)
         waiting = self.ledger.not_begun
         idle = state.mode in _NOTHING_TO_DO and state.rounds_on_board == 0 and state.plan_revision == self.revision
@@ -354,10 +356,11 @@ class Director:
         return Committed(metres, len(ledger.pending), len(ledger.open_rounds))
 
     def plan_ends(self, now: MissionTime) -> MissionTime | None:
-        """When the rover will have done what is planned, at the pace to be expected; None if nothing is planned."""
+        """When the rover will have done what is planned, at the pace to be expected; None if nothing is, or never."""
         if not self.ledger.open_rounds:
             return None
-        return now + seconds(self._budget.lasts_s(self._committed()))
+        lasts_s = self._budget.lasts_s(self._committed())
+        return now + seconds(lasts_s) if isfinite(lasts_s) else None
 
     # --- planning ---------------------------------------------------------------------------------------------------
 
