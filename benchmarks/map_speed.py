@@ -47,7 +47,7 @@ def run(
     *,
     grid: SiteGrid = SITE,
     seed: int = 0,
-    threads: int = 1,
+    threads: int = 2,
     sklearn: bool = True,
     say: Callable[[str], None] = print,
 ) -> list[Row]:

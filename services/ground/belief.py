@@ -40,6 +40,9 @@ class Observation:
     place_m: Place
     value_ppb: float
 
+MAP_THREADS = 2
+"""Threads that share the map's cells out among them: the map is the same to the byte whatever their number."""
+
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
@@ -85,7 +88,7 @@ class Belief:
         else:
             prior = Hyperparameters(first, noise_std_ppb, trend=trend)
         self._observations: dict[str, Observation] = {}
-        self._posterior: GridPosterior | None = GridPosterior(grid, prior)
+        self._posterior: GridPosterior | None = GridPosterior(grid, prior, threads=MAP_THREADS)
         self._map, self._process = self._posterior.snapshot(), self._posterior.process
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
 
@@ -165,8 +168,8 @@ class Belief:
         places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
         values = np.array([observed.value_ppb for observed in built], dtype=np.float64)
         if not built:
-            return GridPosterior(self.grid, hyperparameters)
-        return GridPosterior.build(self.grid, hyperparameters, places, values)
+            return GridPosterior(self.grid, hyperparameters, threads=MAP_THREADS)
+        return GridPosterior.build(self.grid, hyperparameters, places, values, threads=MAP_THREADS)
 
     def _standing(self) -> GridPosterior:
         """What the next sample is added to; after a restart it is made again, step by step as it came to be."""
