@@ -40,6 +40,7 @@ class Observation:
     place_m: Place
     value_ppb: float
 
+
 MAP_THREADS = 2
 """Threads that share the map's cells out among them: the map is the same to the byte whatever their number."""
 
