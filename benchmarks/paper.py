@@ -6,9 +6,9 @@ noise, start and number of samples, and scored on all cells:
     rrt, rrtstar          the paper's protocol, no limit on metres
     informative           utility I^alpha / c over every path of a tree
     tour                  one design and one route for all that is left
-    tour, a fifth         the same, held to a fifth of the yardstick's metres
-    tour, orbital         the same, with the coarse orbital map as prior mean, which changes the question
-    tour, orbital biased  the same, with an orbital map off by a gain of 1.3 and an offset of 1 ppb
+    tour-fifth            the same, held to a fifth of the yardstick's metres
+    tour-orbital          the same, with the coarse orbital map as prior mean, which changes the question
+    tour-orbital-biased   the same, with an orbital map off by a gain of 1.3 and an offset of 1 ppb
     floor                 no mission: the best design found offline with the field's true covariance known
 """
 
@@ -35,9 +35,9 @@ PUBLISHED = {
 """RMSE [ppb] and path [m] of the paper's table, one seed each."""
 
 YARDSTICK = "rrtstar"
-FIFTH = "tour, a fifth"
-ORBITAL = "tour, orbital"
-BIASED = "tour, orbital biased"
+FIFTH = "tour-fifth"
+ORBITAL = "tour-orbital"
+BIASED = "tour-orbital-biased"
 ALL = ("rrt", YARDSTICK, "informative", "tour", FIFTH, ORBITAL, BIASED)
 MISMATCHED = ("se",)
 """Kernels that promise a smoothness which a field with exponential covariance does not have."""
