@@ -60,6 +60,11 @@ def _run(words: list[str]) -> int:
         return _say("interrupted", INTERRUPTED)
     except BrokenPipeError:
         return _enough_read()
+    except OSError as error:
+        if told_to_end() is not None or os.environ.get(TRACEBACK):
+            raise
+        what = error.strerror or type(error).__name__
+        return _say(f"{error.filename}: {what}" if error.filename else f"the system refused: {what}", FAILED)
     except SystemExit as end:  # typer has seen it first
         if not isinstance(end.__context__, BrokenPipeError):
             raise

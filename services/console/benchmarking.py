@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import os
 import sys
 import types
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 from he3.errors import InvalidInput
+from services.console.outputs import make_folder
 
 CHECKOUT: Final = Path(__file__).resolve().parent.parent.parent
 FOLDER: Final = "benchmarks"
@@ -53,7 +55,18 @@ def run_benchmark(name: str, words: Sequence[str], say: Callable[[str], Any]) ->
     if "--help" in words or "-h" in words:
         say(f"Usage: he3 bench {name} [OPTIONS]\n\n{about.strip()}\n\nOptions:\n" + "\n".join(_flags(function)))
         return
-    function(**arguments_of(function, words))
+    arguments = arguments_of(function, words)
+    _check_place(arguments.get("json"))
+    function(**arguments)
+
+
+def _check_place(result: Path | None) -> None:
+    """Say now, not after half an hour of measuring, that the result cannot be written; its folder is made."""
+    if result is None:
+        return
+    folder = make_folder(result.parent)
+    if result.is_dir() or not os.access(result if result.exists() else folder, os.W_OK):
+        raise InvalidInput(f"json: expected a file that can be written, got {result}")
 
 
 def _checkout() -> None:

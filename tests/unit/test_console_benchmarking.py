@@ -80,3 +80,12 @@ def test_a_benchmark_explains_its_flags_without_running() -> None:
 def test_a_part_of_other_benchmarks_is_not_run() -> None:
     with pytest.raises(InvalidInput, match="is a part of other benchmarks"):
         run_benchmark("missions", [], print)
+
+
+def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="json: expected a file that can be written"):
+        run_benchmark("paper", ["--json", str(tmp_path), "--seeds", "0"], print)
+    # What comes next is the benchmark's own check: the folder was made on the way.
+    with pytest.raises(InvalidInput, match="expected one seed at least"):
+        run_benchmark("paper", ["--json", str(tmp_path / "new" / "rows.json"), "--seeds", "0"], print)
+    assert (tmp_path / "new").is_dir()

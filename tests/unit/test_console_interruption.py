@@ -71,3 +71,20 @@ def test_an_error_without_a_signal_is_a_defect_and_a_signal_of_an_earlier_comman
     monkeypatch.setenv(entry.TRACEBACK, "1")
     with pytest.raises(ValueError, match="seven"):
         entry.main([])
+
+
+def test_a_disk_that_is_full_costs_one_line_that_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def body() -> None:
+        with open("/dev/full", "w", encoding="ascii") as full:  # noqa: PTH123 - the device, not a file of ours
+            full.write("x" * 100_000)
+
+    command_is(monkeypatch, body)
+    monkeypatch.delenv(entry.TRACEBACK, raising=False)
+    assert entry.main([]) == 1
+    assert capsys.readouterr().err == "he3: the system refused: No space left on device\n"
+
+    command_is(monkeypatch, lambda: open("/dev/null/x", "w"))  # noqa: PTH123, SIM115 - it is never opened
+    assert entry.main([]) == 1
+    assert capsys.readouterr().err == "he3: /dev/null/x: Not a directory\n"
