@@ -19,19 +19,8 @@ QUICK = PlannerOptions(extra={"designs": 1.0, "first_steps": 10.0, "steps": 4.0,
 
 
 @pytest.fixture(scope="module")
-def region_file(tmp_path_factory):
-    """A quarter of t1, every second cell: 125 x 125 cells of 2 m."""
-    whole = load_region("t1")
-    path = tmp_path_factory.mktemp("floor") / "quarter.npz"
-    np.savez(
-        path, he3_ppb=whole.he3_ppb[:250:2, :250:2], traversable=whole.traversable[:250:2, :250:2], resolution_m=2.0
-    )
-    return path
-
-
-@pytest.fixture(scope="module")
-def region(region_file):
-    return load_region(region_file)
+def region(quarter_of_t1):
+    return load_region(quarter_of_t1)
 
 
 def test_the_floor_lies_below_a_mission_and_above_nothing(region):
@@ -105,10 +94,10 @@ def test_a_prior_that_nobody_has_is_refused(region):
         run_mission(region, "tour", "matern12", 1, rounds=1, prior="radar")
 
 
-def test_the_floor_is_printed_and_written(region_file, tmp_path):
+def test_the_floor_is_printed_and_written(quarter_of_t1, tmp_path):
     out = tmp_path / "floor.json"
     quick = ["--designs", "1", "--steps", "20", "--cells", "200", "--budget", "900"]
-    command = [sys.executable, "-m", "benchmarks.floor", "--region", str(region_file), "--json", str(out), *quick]
+    command = [sys.executable, "-m", "benchmarks.floor", "--region", str(quarter_of_t1), "--json", str(out), *quick]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
     assert "quarter: floor" in done.stdout
     (row,) = json.loads(out.read_text())["rows"]

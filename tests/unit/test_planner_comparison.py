@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from benchmarks import calibration, paper
@@ -10,24 +9,12 @@ from benchmarks.flights import Flight
 from benchmarks.floor import Floor
 from he3.errors import InvalidInput
 from he3.kernels import KERNELS
-from services.regions import load_region
 
 
-@pytest.fixture(scope="module")
-def region_file(tmp_path_factory):
-    """A quarter of t1, every second cell: 125 x 125 cells of 2 m."""
-    whole = load_region("t1")
-    path = tmp_path_factory.mktemp("comparison") / "quarter.npz"
-    np.savez(
-        path, he3_ppb=whole.he3_ppb[:250:2, :250:2], traversable=whole.traversable[:250:2, :250:2], resolution_m=2.0
-    )
-    return path
-
-
-def test_the_paper_s_table_is_printed_written_and_held_against_the_yardstick(region_file, tmp_path):
+def test_the_paper_s_table_is_printed_written_and_held_against_the_yardstick(quarter_of_t1, tmp_path):
     said, out = [], tmp_path / "rows.json"
     rows = paper.run(
-        seeds=1, region=region_file, planners=("rrtstar", "tour"), jobs=1, floor=False, json=out, say=said.append
+        seeds=1, region=quarter_of_t1, planners=("rrtstar", "tour"), jobs=1, floor=False, json=out, say=said.append
     )
     assert [(row["planner"], row["samples"]) for row in rows] == [("rrtstar", 150), ("tour", 150)]
     document = json.loads(out.read_text())
@@ -45,8 +32,8 @@ def test_the_floor_stands_in_the_table_and_says_how_far_above_it_tour_is():
     assert any(line.startswith("floor") and "0.7000" in line and "6000" in line for line in lines)
 
 
-def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marked(region_file):
-    rows = calibration.coverage(Flight(str(region_file), "rrtstar", "matern52", 1))
+def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marked(quarter_of_t1):
+    rows = calibration.coverage(Flight(str(quarter_of_t1), "rrtstar", "matern52", 1))
     assert [row["kernel"] for row in rows] == list(KERNELS)
     assert {row["kernel"] for row in rows if row["mismatched"]} == {"se", "matern32", "matern52"}
     assert all(0.2 < row["coverage_68"] < row["coverage_95"] <= 1.0 for row in rows)
@@ -57,8 +44,8 @@ def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marke
     assert any("se*" in line for line in lines)
 
 
-def test_a_comparison_of_planners_that_nobody_has_is_refused(region_file):
+def test_a_comparison_of_planners_that_nobody_has_is_refused(quarter_of_t1):
     with pytest.raises(InvalidInput, match="expected planners among"):
-        paper.run(seeds=1, region=region_file, planners=("teleport",))
+        paper.run(seeds=1, region=quarter_of_t1, planners=("teleport",))
     with pytest.raises(InvalidInput, match="expected one seed"):
-        calibration.run(seeds=0, region=region_file)
+        calibration.run(seeds=0, region=quarter_of_t1)

@@ -120,6 +120,22 @@ def _error(found: Any) -> str:
     return f"{max(found.quadrature_error_ppb, 1e-6):.1g}"
 
 
+def _listed(
+    layer: str, csv: bool, as_of: str | None, mission: str | None, earth: str | None, json: bool
+) -> dict[str, Any] | None:
+    """The reply to a query of a layer that is a list; None when it was printed as it is, as --csv or --json asked."""
+    from schemas.topics import MAP_LAYER
+
+    with _joined(mission, earth) as client:
+        form = "csv" if csv else "json"
+        payload, _ = client.client.fetch(MAP_LAYER, {"layer": layer, "format": form, "as_of": as_of})
+    if csv or json:
+        typer.echo(payload.decode().rstrip() if csv else _indented(payload))
+        return None
+    document: dict[str, Any] = json_format.loads(payload)
+    return document
+
+
 def samples(
     csv: Annotated[bool, typer.Option("--csv", help="As comma-separated values.")] = False,
     as_of: AsOf = None,
@@ -128,16 +144,12 @@ def samples(
     json: AsJson = False,
 ) -> None:
     """What was measured, and where."""
-    from schemas.topics import MAP_LAYER
     from services.console.commands.link import clock_text
 
-    with _joined(mission, earth) as client:
-        form = "csv" if csv else "json"
-        payload, _ = client.client.fetch(MAP_LAYER, {"layer": "samples", "format": form, "as_of": as_of})
-    if csv or json:
-        typer.echo(payload.decode().rstrip() if csv else _indented(payload))
+    document = _listed("samples", csv, as_of, mission, earth, json)
+    if document is None:
         return
-    rows = json_format.loads(payload)["samples"]
+    rows = document["samples"]
     typer.echo(f"{'sample':<10} {'round':>5} {'east m':>8} {'north m':>8} {'ppb':>8}  measured")
     for row in rows:
         typer.echo(
@@ -157,15 +169,10 @@ def plan(
     import numpy as np
 
     from he3.frames import path_length
-    from schemas.topics import MAP_LAYER
 
-    with _joined(mission, earth) as client:
-        form = "csv" if csv else "json"
-        payload, _ = client.client.fetch(MAP_LAYER, {"layer": "plan", "format": form, "as_of": as_of})
-    if csv or json:
-        typer.echo(payload.decode().rstrip() if csv else _indented(payload))
+    paths = _listed("plan", csv, as_of, mission, earth, json)
+    if paths is None:
         return
-    paths = json_format.loads(payload)
     for name, key in (("driven", "driven_path_m"), ("planned", "planned_path_m")):
         corners = np.array(paths[key], dtype=np.float64).reshape(-1, 2)
         end = f", to ({corners[-1, 0]:.1f}, {corners[-1, 1]:.1f}) m" if len(corners) else ""
