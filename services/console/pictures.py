@@ -272,7 +272,7 @@ def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
         if history:
             end, last = (samples[-1], rmse[-1]), f"{rmse[-1]:.3f} ppb"
             look: dict[str, Any] = {"color": "#1f6f8b", "fontweight": "bold", "ha": "right"}
-            axis.annotate(last, end, xytext=(-4, -14), textcoords="offset points", **look)
+            axis.annotate(last, end, xytext=(-2, 8), textcoords="offset points", **look)
             axis.set_ylim(0, max(*rmse, *claimed) * 1.08)
             axis.set_xlim(0, samples[-1] * 1.02)
         axis.set(xlabel="samples", ylabel="helium-3 [ppb]")
