@@ -16,7 +16,8 @@ R b to the mean and R S R' to the variance (Rasmussen & Williams 2006, eqs. 2.41
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
@@ -27,16 +28,14 @@ from numpy.typing import ArrayLike
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid, as_points
 from he3.gp import GaussianProcess
-from he3.gridrows import cells_of, rows_for, solve_rows
+from he3.gridrows import rows_for
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import Float32Array
+from he3.tiles import Tile, TiledGrid
 from he3.trend import TrendOnCells
 
 MOST_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
-# Cells that are worked on together, so that all but V stays in cache: the map is cut into bands of whole rows. They do
-# not depend on the number of threads, and so neither do the results.
-_CELLS_TO_APPEND = 65536
-_CELLS_TO_BUILD = 4096
+_CELLS_TO_BUILD = 4096  # cells whose rows are solved for together: what is worked on stays in cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,20 +57,22 @@ class GridPosterior:
         self.grid = grid
         self._threads = threads
         self._process = GaussianProcess(hyperparameters)
-        cells = grid.rows * grid.columns
-        self._rows = rows_for(grid, hyperparameters.kernel)
+        self._tiled = TiledGrid(grid)
+        cells = self._tiled.cells
+        # In tile order, as all that is kept of the cells here; a snapshot has them in the grid's.
         self._variance: FloatArray = np.full(cells, hyperparameters.kernel.prior_variance, dtype=np.float64)
         self._mean: FloatArray = np.zeros(cells)
         self._prior_mean: FloatArray | float = hyperparameters.mean_ppb
         self._without_trend = self._process
         self._trend: TrendOnCells | None = None
         if hyperparameters.trend is not None:
-            points = grid.points()
+            points = self._tiled.in_tile_order(grid.points())
             basis = hyperparameters.trend_basis(points)
             assert basis is not None
             self._without_trend = GaussianProcess(replace(hyperparameters, trend=None))
             self._prior_mean = hyperparameters.prior_mean_ppb(points)
             self._trend = TrendOnCells(basis.T.copy(), np.empty((0, basis.shape[1])))
+        self._rows = rows_for(self._tiled, self._without_trend.hyperparameters)
         self._snapshot: MapSnapshot | None = None
 
     @classmethod
@@ -135,7 +136,7 @@ class GridPosterior:
                 mean, variance = mean + by_trend, variance + of_trend
             std = np.sqrt(np.maximum(variance, 0.0))
             maps = [
-                values.astype(np.float32).reshape(self.grid.shape)
+                self._tiled.on_grid(values.astype(np.float32))
                 for values in (mean * scale + self._prior_mean, std * scale)
             ]
             for values in maps:
@@ -182,44 +183,49 @@ class GridPosterior:
         self._take(process, without_trend)
         residual = float(without_trend.whitened[n])
 
-        def extend(band: slice) -> None:
-            cells = cells_of(self.grid, band)
-            row = row_on(band)
+        def extend(tile: Tile) -> None:
+            cells = tile.cells
+            row = row_on(tile)
             if residual != 0.0:
                 self._mean[cells] += row * row.dtype.type(residual)
             self._variance[cells] -= row * row
             if self._trend is not None:
                 self._trend.subtract(n, row[None, :], cells)
 
-        self._in_bands(extend, _CELLS_TO_APPEND)
+        self._share_out(extend, self._tiled.tiles)
 
     def _fill(self) -> None:
         """Compute mean, variance and V from all samples at once."""
         process = self._without_trend
-        self._rows.make_room(process)
-        factor = process.factor.astype(np.float32)
+        rows_on = self._rows.rows_anew(process)
         whitened = process.whitened.astype(np.float32)
 
-        def fill(band: slice) -> None:
-            cells = cells_of(self.grid, band)
-            for first, rows in solve_rows(process, factor, self.grid, band):
-                self._rows.store(first, cells, rows)
+        def fill(part: Tile) -> None:
+            cells = part.cells
+            for first, rows in rows_on(part):
                 self._mean[cells] += whitened[first : first + len(rows)] @ rows
                 self._variance[cells] -= np.einsum("ij,ij->j", rows, rows)
                 if self._trend is not None:
                     self._trend.subtract(first, rows, cells)
 
-        self._in_bands(fill, _CELLS_TO_BUILD)
+        self._share_out(fill, (part for tile in self._tiled.tiles for part in tile.parts(_CELLS_TO_BUILD)))
 
-    def _in_bands(self, work: Callable[[slice], None], cells: int) -> None:
-        """Do the work for every row of the grid, given as slices of about that many cells."""
-        height = max(1, cells // self.grid.columns)
-        bands = [slice(first, min(first + height, self.grid.rows)) for first in range(0, self.grid.rows, height)]
-        if self._threads == 1:
-            for band in bands:
-                work(band)
-        else:
-            list(_pool(self._threads).map(work, bands))
+    def _share_out(self, work: Callable[[Tile], None], tiles: Iterable[Tile]) -> None:
+        """Do the work for every tile, on this thread and the others; which does what changes no result."""
+        waiting = deque(tiles)
+
+        def take_turns() -> None:
+            while True:
+                try:
+                    tile = waiting.popleft()
+                except IndexError:
+                    return
+                work(tile)
+
+        others = [_pool(self._threads - 1).submit(take_turns) for _ in range(self._threads - 1)]
+        take_turns()
+        for other in others:
+            other.result()
 
 
 @cache

@@ -9,7 +9,9 @@ from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.gridposterior import GridPosterior
-from he3.gridrows import ROWS_A_BLOCK, SeparableRows, StoredRows
+from he3.separablerows import SeparableRows
+from he3.storedrows import ROWS_A_BLOCK, StoredRows
+from he3.tiles import TiledGrid
 from he3.kernels import Kernel, Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
 from he3.trend import OrbitalTrend
 
@@ -101,12 +103,14 @@ def test_without_noise_crowded_and_repeated_places_keep_the_map_finite_and_its_v
 def test_rows_of_a_separable_kernel_are_those_that_are_stored() -> None:
     kernel = SquaredExponential(1.2, 40.0)
     places, values = samples(90, seed=10)
-    stored, separable = StoredRows(GRID, kernel), SeparableRows(GRID, kernel)
+    tiled = TiledGrid(GRID)
+    stored, separable = StoredRows(tiled, kernel), SeparableRows(tiled, kernel)
     process = GaussianProcess(Hyperparameters(kernel, 0.1, 8.0, 1.0))
     for place, value in zip(places, values, strict=True):
         process = process.condition(place[None, :], [value])
-        band = slice(0, GRID.rows)
-        np.testing.assert_allclose(stored.next_row(process)(band), separable.next_row(process)(band), atol=1e-5)
+        stored_on, separable_on = stored.next_row(process), separable.next_row(process)
+        for tile in tiled.tiles:
+            np.testing.assert_allclose(stored_on(tile), separable_on(tile), atol=1e-5)
 
 
 def test_a_snapshot_cannot_be_written_and_is_not_touched_by_later_samples() -> None:
