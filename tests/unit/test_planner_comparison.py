@@ -27,9 +27,11 @@ def test_the_paper_s_table_is_printed_written_and_held_against_the_yardstick(qua
     assert f"{ratio:.3f}" in line
 
 
-def test_the_floor_stands_in_the_table_and_says_how_far_above_it_tour_is():
-    lines = paper.table({}, "t1", ("tour",), Floor("t1", 150, None, 0.7, 0.69, 6000.0, 3, 1.0))
-    assert any(line.startswith("floor") and "0.7000" in line and "6000" in line for line in lines)
+def test_the_floors_stand_in_the_table_each_under_its_name():
+    floors = [Floor("t1", 150, None, 0.7, 0.69, 6000.0, 3, 1.0), Floor("t1", 150, 2900.0, 0.9, 0.88, 2890.0, 3, 1.0)]
+    lines = paper.table({}, "t1", ("tour",), floors)
+    assert any(line.startswith("floor ") and "0.7000" in line and "6000" in line for line in lines)
+    assert any(line.startswith("floor-fifth ") and "0.9000" in line and "2890" in line for line in lines)
 
 
 def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marked(quarter_of_t1):
