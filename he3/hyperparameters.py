@@ -17,8 +17,8 @@ lives in those units. Bounds, and why:
 - the noise is the instrument's, and fixed, unless bounds for it are given.
 
 "auto" chooses a kernel by its evidence, with caution. Samples far apart cannot see how smooth a field is in between,
-and likelihood then leans to smooth kernels, whose intervals are the narrowest: on even lattices of 144 and 196 samples of
-the embedded regions, the squared exponential was within 2.1 of the best evidence 19 times in 20, and its 68 %
+and likelihood then leans to smooth kernels, whose intervals are the narrowest: on even lattices of 144 and 196 samples
+of the embedded regions, the squared exponential was within 2.1 of the best evidence 19 times in 20, and its 68 %
 intervals covered 38 to 67 %. So "auto" takes the roughest kernel that the evidence does not speak very strongly against
 (of the same 20, it covered 68 to 78 %).
 """
@@ -198,7 +198,8 @@ def fit_hyperparameters(
     xy_m: places (n, 2) [m]; values_ppb: observations (n,) [ppb]; kernel_name: one of ``KERNEL_NAMES``, where "auto"
     fits every kernel and keeps the roughest that the evidence allows (see above); extent_m: the site's width [m], up to
     which a length scale may go. The search is by L-BFGS-B from several starts, of which ``previous`` is one: the result
-    is never less likely than the previous hyperparameters of that kernel on these samples. With fewer than FEWEST_SAMPLES the kernel stays what it was, or at its default.
+    is never less likely than the previous hyperparameters of that kernel on these samples. With fewer than
+    FEWEST_SAMPLES the kernel stays what it was, or at its default.
     Raises InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
     """
     xy = as_points(xy_m)
