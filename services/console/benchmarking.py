@@ -53,7 +53,9 @@ def run_benchmark(name: str, words: Sequence[str], say: Callable[[str], Any]) ->
     """Run the benchmark of that name with those flags; raises InvalidInput for a name or flag that is not known."""
     function, about = _benchmark(name)
     if "--help" in words or "-h" in words:
-        say(f"Usage: he3 bench {name} [OPTIONS]\n\n{about.strip()}\n\nOptions:\n" + "\n".join(_flags(function)))
+        parts = (f"Usage: he3 bench {name} [OPTIONS]", about.strip(), "Options:\n" + "\n".join(_flags(function)),
+                 inspect.getdoc(function) or "")  # fmt: skip
+        say("\n\n".join(part for part in parts if part))
         return
     arguments = arguments_of(function, words)
     _check_place(arguments.get("json"))
@@ -159,8 +161,12 @@ def _flags(function: Callable[..., Any]) -> list[str]:
     for name, kind in _parameters(function).items():
         default = defaults[name].default
         shown = ",".join(map(str, default)) if isinstance(default, tuple | list) else default
-        flag = f"--{name.replace('_', '-')}" + ("" if kind is bool else f" {_named(kind)}")
-        lines.append(f"  {flag:<34} {'' if default is inspect.Parameter.empty else f'default: {shown}'}")
+        word = name.replace("_", "-")
+        if kind is bool:
+            lines.append(f"  --no-{word}" if default else f"  --{word}")
+            continue
+        said = default is not None and default is not inspect.Parameter.empty
+        lines.append(f"  {f'--{word} {_named(kind)}':<34} {f'default: {shown}' if said else ''}".rstrip())
     return lines
 
 

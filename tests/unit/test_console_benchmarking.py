@@ -75,6 +75,9 @@ def test_a_benchmark_explains_its_flags_without_running() -> None:
     run_benchmark("map", ["--help"], said.append)
     assert "Usage: he3 bench map" in said[0]
     assert "--sizes N,..." in said[0]
+    assert "--no-sklearn" in said[0]
+    assert "default: None" not in said[0]
+    assert said[0].rstrip().endswith("if scikit-learn is asked for and not installed.")
 
 
 def test_a_part_of_other_benchmarks_is_not_run() -> None:
