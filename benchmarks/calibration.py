@@ -1,9 +1,11 @@
-"""Do intervals hold what they promise? Coverage of every kernel, on the same samples, over seeds.
+"""Do intervals hold what they promise? Coverage of every kernel, on the same samples, over fields.
 
-Each seed's samples are taken twice, where the paper's `rrtstar` goes and where `tour` goes. Every kernel is fitted to
-the same samples, and the share of the region's cells within 1 and 2 posterior standard deviations of the truth is
-counted. The reference fields have exponential covariance: kernels whose fields are smooth enough to be differentiated
-do not match it, and are marked.
+A promise of 68 % is about all fields of a kind, not about one: so each seed draws its own variation of an embedded
+region, as well as its own noise (a region from a file is what it is, and only the noise varies). Its samples are taken
+where the paper's `rrtstar` goes, and where `informative` and `tour` go. Every kernel is fitted to the same samples, and
+the share of the region's cells within 1 and 2 posterior standard deviations of the truth is counted. The reference
+fields have exponential covariance: kernels whose fields are smooth enough to be differentiated do not match it, and are
+marked. "auto" is whichever kernel it chooses.
 """
 
 from __future__ import annotations
@@ -22,13 +24,14 @@ from he3.errors import InvalidInput
 from he3.gp import fit_hyperparameters
 from he3.gridposterior import GridPosterior
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
-from he3.kernels import KERNELS
+from he3.kernels import AUTO, KERNELS
 from services.ground.scoring import Scorer
 
 MISMATCHED = ("se", "matern32", "matern52")
-DESIGNS = {"rrtstar": "matern52", "tour": "matern12"}
+DESIGNS = {"rrtstar": "matern52", "informative": "smooth+rough", "tour": "smooth+rough"}
 """Who chooses the places, and the kernel that it believes in while it does."""
 NOMINAL = (0.683, 0.954)
+JUDGED = (*KERNELS, AUTO)
 
 
 def run(
@@ -50,8 +53,8 @@ def run(
     names = [str(region)] if region is not None else list(regions)
     for name in names:
         region_named(name)
-    flights = [Flight(name, planner, kernel, seed) for name in names for planner, kernel in DESIGNS.items()
-               for seed in range(1, seeds + 1)]  # fmt: skip
+    flights = [Flight(name, planner, kernel, seed, variation=seed) for name in names
+               for planner, kernel in DESIGNS.items() for seed in range(1, seeds + 1)]  # fmt: skip
     rows: list[Row] = []
     began = time.monotonic()
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -69,10 +72,10 @@ def run(
 
 def coverage(flight: Flight) -> list[Row]:
     """A row for every kernel, fitted to the samples of that flight."""
-    mission, truth = fly(flight), region_named(flight.region)
+    mission, truth = fly(flight), region_named(flight.region, flight.variation)
     scorer, count = Scorer(truth.he3_ppb), len(mission.samples_m)
     rows = []
-    for kernel in KERNELS:
+    for kernel in JUDGED:
         rng = np.random.default_rng(np.random.SeedSequence((flight.seed, count)))
         fitted = fit_hyperparameters(
             mission.samples_m, mission.values_ppb, kernel, rng=rng, noise_std_ppb=DEFAULT_NOISE_STD_PPB
@@ -84,6 +87,7 @@ def coverage(flight: Flight) -> list[Row]:
                 "region": truth.name,
                 "planner": flight.planner,
                 "kernel": kernel,
+                "chosen": fitted.kernel.name,
                 "seed": flight.seed,
                 "samples": count,
                 "rmse_ppb": score.rmse_ppb,
@@ -101,7 +105,7 @@ def table(rows: Sequence[Row], region: str) -> list[str]:
     head = f"{'samples of':<11} {'kernel':<14} {'RMSE ppb':>9} {'68.3 %':>8} {'off':>6} {'95.4 %':>8} {'off':>6}"
     lines = [f"{region_named(region).title if region in ('t1', 't2') else region}", head, "-" * len(head)]
     for planner in DESIGNS:
-        for kernel in KERNELS:
+        for kernel in JUDGED:
             group = [row for row in rows if (row["region"], row["planner"], row["kernel"]) == (region, planner, kernel)]
             if not group:
                 continue
@@ -111,5 +115,7 @@ def table(rows: Sequence[Row], region: str) -> list[str]:
                 f"{mean_and_std(group, 'rmse_ppb')[0]:9.4f} {one:8.1%} {100 * (one - NOMINAL[0]):+6.1f} "
                 f"{two:8.1%} {100 * (two - NOMINAL[1]):+6.1f}"
             )
-    lines.append("off: points from nominal; * smoother than a field with exponential covariance: mismatched")
+    lines.append(
+        "off: points from nominal, mean over fields; * smoother than a field with exponential covariance: mismatched"
+    )
     return lines

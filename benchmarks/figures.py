@@ -15,7 +15,7 @@ from benchmarks.missions import Mission
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-COLOURS = ("#8a8f98", "#1b1f24", "#2a7f9e", "#d1495b", "#e08e45", "#5b8e4e", "#9d78b5")
+COLOURS = ("#8a8f98", "#1b1f24", "#2a7f9e", "#d1495b", "#e08e45", "#5b8e4e", "#9d78b5", "#c2a33a")
 STYLE: dict[str, Any] = {
     "font.size": 9,
     "axes.spines.top": False,

@@ -41,6 +41,8 @@ class Flight:
     """The orbital map that the ground is given is this gain times the true one, plus this offset."""
     label: str = ""
     """What the row is called in tables; the planner's name if empty."""
+    variation: int | None = None
+    """Seed of another variation of an embedded region; its own if None. A region from a file has no other."""
 
     @property
     def name(self) -> str:
@@ -79,7 +81,7 @@ def _landings(flights: Sequence[Flight], jobs: int) -> Iterator[tuple[Flight, Mi
 
 def fly(flight: Flight) -> Mission:
     """The mission of that flight, with the label and the orbital map's errors in its row."""
-    region = region_named(flight.region)
+    region = region_named(flight.region, flight.variation)
     planner: Any = flight.planner
     if flight.planner in OWN_PROCESS:
         planner = partial(_planned, flight.planner)
@@ -98,9 +100,9 @@ def fly(flight: Flight) -> Mission:
 
 
 @cache
-def region_named(name: str) -> Region:
-    """An embedded region, or anybody's from a file."""
-    return load_region(name)
+def region_named(name: str, variation: int | None = None) -> Region:
+    """An embedded region, in one of its variations if asked for, or anybody's from a file."""
+    return load_region(name, variation)
 
 
 @cache

@@ -24,7 +24,7 @@ def run(
     regions: Sequence[str] = ("t1", "t2"),
     region: Path | None = None,
     budgets: Sequence[float] = BUDGETS_M,
-    kernel: str = "matern12",
+    kernel: str = "smooth+rough",
     jobs: int = 2,
     peers: bool = True,
     json: Path | None = None,

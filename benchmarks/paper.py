@@ -3,7 +3,8 @@
 The yardstick is `rrtstar` with the paper's protocol and kernel. Our planners are held against it on the same fields,
 noise, start and number of samples, and scored on all cells:
 
-    rrt, rrtstar          the paper's protocol, no limit on metres
+    rrt, rrtstar          the paper's protocol and the kernel that it states, squared exponential; no limit on metres
+    rrtstar-matern52      the same with Matern 5/2, which made the published figures and is the harder to beat
     informative           utility I^alpha / c over every path of a tree
     tour                  one design and one route for all that is left
     tour-fifth            the same, held to a fifth of the yardstick's metres
@@ -21,6 +22,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from benchmarks.calibration import MISMATCHED
 from benchmarks.flights import Flight, flown, mean_and_std, region_named, written
 from benchmarks.floor import Floor
 from benchmarks.floor import floor as floor_of
@@ -36,12 +38,11 @@ PUBLISHED = {
 """RMSE [ppb] and path [m] of the paper's table, one seed each."""
 
 YARDSTICK = "rrtstar"
+HARDER = "rrtstar-matern52"
 FIFTH = "tour-fifth"
 ORBITAL = "tour-orbital"
 BIASED = "tour-orbital-biased"
-ALL = ("rrt", YARDSTICK, "informative", "tour", FIFTH, ORBITAL, BIASED)
-MISMATCHED = ("se",)
-"""Kernels that promise a smoothness which a field with exponential covariance does not have."""
+ALL = ("rrt", YARDSTICK, HARDER, "informative", "tour", FIFTH, ORBITAL, BIASED)
 
 
 def run(
@@ -49,8 +50,8 @@ def run(
     regions: Sequence[str] = ("t1", "t2"),
     region: Path | None = None,
     planners: Sequence[str] = ALL,
-    kernel: str = "matern52",
-    own_kernel: str = "matern12",
+    kernel: str = "se",
+    own_kernel: str = "smooth+rough",
     jobs: int = 2,
     floor: bool = True,
     json: Path | None = None,
@@ -103,6 +104,8 @@ def run(
 def _flight(region: str, planner: str, seed: int, kernel: str, own_kernel: str) -> Flight:
     if planner in ("rrt", YARDSTICK):
         return Flight(region, planner, kernel, seed)
+    if planner == HARDER:
+        return Flight(region, YARDSTICK, "matern52", seed, label=HARDER)
     if planner == ORBITAL:
         return Flight(region, "tour", own_kernel, seed, prior="orbital", label=ORBITAL)
     if planner == BIASED:
@@ -128,18 +131,18 @@ def table(
 ) -> list[str]:
     """Lines of the comparison on one region: mean and standard deviation over seeds, and ratios to the yardstick."""
     head = (
-        f"{'planner':<22} {'kernel':<13} {'RMSE ppb':>17} {'metres':>15} {'/ RMSE':>7} {'/ m':>6} "
+        f"{'planner':<22} {'kernel':<13} {'RMSE ppb':>17} {'metres':>15} {'/ RMSE':>7} {'/ m':>6} {'/ m52':>6} "
         f"{'68 %':>6} {'95 %':>6}  {'published':<18}"
     )
     lines = [f"{region}: {region_named(region).title}", head, "-" * len(head)]
-    yardstick = _rows(missions, region, YARDSTICK)
+    yardsticks = _rows(missions, region, YARDSTICK), _rows(missions, region, HARDER)
     for planner in planners:
         rows = _rows(missions, region, planner)
         if not rows:
             continue
         rmse, rmse_std = mean_and_std(rows, "rmse_ppb")
         metres, metres_std = mean_and_std(rows, "path_length_m")
-        ratio = _ratios(rmse, metres, yardstick)
+        ratio = _ratios(rmse, metres, *yardsticks)
         published: Any = PUBLISHED.get((region, planner))
         beside = f"{published[0]:.4f} {published[1]:9.1f} m" if published else ""
         kernel = rows[0]["kernel"] + ("*" if rows[0]["kernel"] in MISMATCHED else "")
@@ -151,7 +154,7 @@ def table(
         free = lowest.budget_m is None
         lines.append(
             f"{'floor' if free else 'floor-fifth':<22} {'true, known':<13} {lowest.rmse_ppb:8.4f} {'':<8} "
-            f"{lowest.length_m:8.0f} {'':<6} {_ratios(lowest.rmse_ppb, lowest.length_m, yardstick)}"
+            f"{lowest.length_m:8.0f} {'':<6} {_ratios(lowest.rmse_ppb, lowest.length_m, *yardsticks)}"
         )
     for lowest in floors:
         name = "tour" if lowest.budget_m is None else FIFTH
@@ -160,16 +163,19 @@ def table(
             error = mean_and_std(tours, "rmse_ppb")[0] / lowest.rmse_ppb - 1
             metres = mean_and_std(tours, "path_length_m")[0] / lowest.length_m - 1
             lines.append(f"{name} is {error:+.1%} from its floor's RMSE with {metres:+.1%} of its metres")
-    lines.append("ratios are to rrtstar; coverage: share of the cells within 1 and 2 std (nominal 68.3 %, 95.4 %)")
+    lines.append(
+        f"ratios are to {YARDSTICK}, '/ m52' to the RMSE of {HARDER}; "
+        "coverage: share of the cells within 1 and 2 std (nominal 68.3 %, 95.4 %)"
+    )
     if any(row["kernel"] in MISMATCHED for mission in missions.values() for row in [mission.row]):
         lines.append("* a mismatched kernel: smoother than the field, its intervals cannot be trusted")
     return lines
 
 
-def _ratios(rmse: float, metres: float, yardstick: Sequence[Row]) -> str:
-    if not yardstick:
-        return f"{'':>7} {'':>6}"
-    return (
-        f"{rmse / mean_and_std(yardstick, 'rmse_ppb')[0]:7.3f} "
-        f"{metres / mean_and_std(yardstick, 'path_length_m')[0]:6.3f}"
+def _ratios(rmse: float, metres: float, yardstick: Sequence[Row], harder: Sequence[Row]) -> str:
+    to_rmse, to_metres = (
+        mean_and_std(yardstick, key)[0] if yardstick else 0.0 for key in ("rmse_ppb", "path_length_m")
     )
+    to_harder = mean_and_std(harder, "rmse_ppb")[0] if harder else 0.0
+    parts = ((rmse, to_rmse, 7), (metres, to_metres, 6), (rmse, to_harder, 6))
+    return " ".join(f"{value / to:{width}.3f}" if to else " " * width for value, to, width in parts)
