@@ -197,6 +197,7 @@ class GridPosterior:
     def _fill(self) -> None:
         """Compute mean, variance and V from all samples at once."""
         process = self._without_trend
+        self._rows = rows_for(self._tiled, process.hyperparameters, len(process))
         rows_on = self._rows.rows_anew(process)
         whitened = process.whitened.astype(np.float32)
 

@@ -25,6 +25,8 @@ from he3.splitrows import SplitRows
 from he3.storedrows import StoredRows
 from he3.tiles import Tile, TiledGrid
 
+SPLIT_FROM = 256  # samples; the rows of fewer are read in less time than it takes to make two kinds of them [measured]
+
 
 class RowsOnGrid(Protocol):
     """What knows the rows so far and can tell the next. All functions of tiles may be called from any thread."""
@@ -49,11 +51,14 @@ class RowsOnGrid(Protocol):
         """An independent copy, sharing what neither will change."""
 
 
-def rows_for(tiled: TiledGrid, hyperparameters: Hyperparameters) -> RowsOnGrid:
-    """The fastest exact way for that kernel. The hyperparameters must be without a trend."""
+def rows_for(tiled: TiledGrid, hyperparameters: Hyperparameters, at_once: int | None = None) -> RowsOnGrid:
+    """The fastest exact way for that kernel, with no rows yet. The hyperparameters must be without a trend.
+
+    at_once: how many rows are about to be made anew; None if they will come one by one.
+    """
     kernel = hyperparameters.kernel
     if isinstance(kernel, SquaredExponential):
         return SeparableRows(tiled, kernel)
-    if isinstance(kernel, SmoothPlusRough):
+    if isinstance(kernel, SmoothPlusRough) and (at_once is None or at_once >= SPLIT_FROM):
         return SplitRows(tiled, kernel, hyperparameters)
     return StoredRows(tiled, kernel)

@@ -16,7 +16,7 @@ import numpy as np
 from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.kernels import Float32Array, Kernel
-from he3.rowsolving import covariance_on_cells, solve_rows
+from he3.rowsolving import covariance_on_cells, solve_rows, squared_offsets
 from he3.screening import Reading, rows_that_matter
 from he3.tiles import Tile, TiledGrid
 
@@ -57,7 +57,8 @@ class StoredRows:
         n = len(process) - 1
         self._make_room_for(n)
         number, offset = divmod(n, ROWS_A_BLOCK)
-        place = process.places_m[n:]
+        dx2 = squared_offsets(process.places_m[n:], self._tiled.grid.x_m, 0)
+        dy2 = squared_offsets(process.places_m[n:], self._tiled.grid.y_m, 1)
         rows = (Tied(process.factor[n, :n], float(process.factor[n, n]), self.allowed(self._kernel)), *others)
         matter = [rows_that_matter(row.tie, self._peaks[:, :n], row.allowed * row.pivot) for row in rows]
         reading = Reading(np.logical_or.reduce(matter), ROWS_A_BLOCK)
@@ -70,11 +71,11 @@ class StoredRows:
 
         def on_tile(tile: Tile) -> list[Float32Array]:
             kept = blocks[number][tile.number][offset]
-            covariance_on_cells(self._kernel, place, self._tiled.grid, tile, kept[None, :])
+            covariance_on_cells(self._kernel, dx2[:, tile.columns], dy2[:, tile.rows], kept)
             values = [kept, *(kept.copy() for _ in others)]
             for numbers, known in reading.pieces(tile, blocks):
                 for row, tie, needed in zip(values, ties, matter, strict=True):
-                    if needed[tile.number, numbers].any():
+                    if not others or needed[tile.number, numbers].any():
                         row -= tie[numbers] @ known
             for row, inverse in zip(values, inverse_pivots, strict=True):
                 row *= inverse
