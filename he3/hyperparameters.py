@@ -19,8 +19,8 @@ lives in those units. Bounds, and why:
 "auto" chooses a kernel by its evidence, with caution. Samples far apart cannot see how smooth a field is in between,
 and likelihood then leans to smooth kernels, whose intervals are the narrowest: on even lattices of 144 and 196 samples
 of the embedded regions, the squared exponential was within 2.1 of the best evidence 19 times in 20, and its 68 %
-intervals covered 38 to 67 %. So "auto" takes the roughest kernel that the evidence does not speak very strongly against
-(of the same 20, it covered 68 to 78 %).
+intervals covered 38 to 67 %. So "auto" takes the first of ``CAUTIOUS_FIRST`` that the evidence does not speak very
+strongly against.
 """
 
 from __future__ import annotations
@@ -60,8 +60,9 @@ PART_VARIANCE_BOUNDS = (0.001, 10.0)  # of the samples' variance, see above
 # standard deviation. It bounds the condition number of n samples by n 1e6 (times the kernel's variance), which a
 # float64 Cholesky and a float32 grid both survive; a map is not better for pretending to more.
 NOISE_VARIANCE_FLOOR = 1e-6
-ROUGHEST_FIRST = (("matern12", "smooth+rough"), ("matern32",), ("matern52",), ("se",))
-"""Kernels by how often a field of theirs can be differentiated: not at all, once, twice, for ever."""
+CAUTIOUS_FIRST = ("smooth+rough", "matern12", "matern32", "matern52", "se")
+"""Kernels from the one that promises least: not differentiable, the sum first as it holds most others; then the rest by
+how often their fields can be differentiated."""
 VERY_STRONG_EVIDENCE = 5.0  # logarithm of a ratio of evidences from which it is called that (Kass & Raftery 1995)
 FEWEST_SAMPLES = 5  # below it the likelihood says next to nothing, and the previous or default kernel stays
 SMALLEST_SCALE_IN_NOISE = (
@@ -196,9 +197,9 @@ def fit_hyperparameters(
     """The hyperparameters under which the samples are likeliest, within the bounds of this module.
 
     xy_m: places (n, 2) [m]; values_ppb: observations (n,) [ppb]; kernel_name: one of ``KERNEL_NAMES``, where "auto"
-    fits every kernel and keeps the roughest that the evidence allows (see above); extent_m: the site's width [m], up to
-    which a length scale may go. The search is by L-BFGS-B from several starts, of which ``previous`` is one: the result
-    is never less likely than the previous hyperparameters of that kernel on these samples. With fewer than
+    fits every kernel and keeps the most cautious that the evidence allows (see above); extent_m: the site's width [m],
+    up to which a length scale may go. The search is by L-BFGS-B from several starts, of which ``previous`` is one: the
+    result is never less likely than the previous hyperparameters of that kernel on these samples. With fewer than
     FEWEST_SAMPLES the kernel stays what it was, or at its default.
     Raises InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
     """
@@ -233,16 +234,10 @@ def _fit_best_kernel(
         fits.append(_fit(xy, values, kernel_from(name), rng, noise_std_ppb, noise_bounds_ppb, warm, trend, extent_m))
     if len(xy) < FEWEST_SAMPLES:
         return next((fit for fit in fits if previous is not None and fit.kernel.name == previous.kernel.name), fits[0])
-    return _roughest_allowed(fits, len(xy))
-
-
-def _roughest_allowed(fits: Sequence[Hyperparameters], samples: int) -> Hyperparameters:
-    """The best of the roughest kernels, unless a smoother one has very strong evidence against it; and so on."""
-    evidence = {fit.kernel.name: information_criterion(fit, samples) for fit in fits}
+    evidence = {fit.kernel.name: information_criterion(fit, len(xy)) for fit in fits}
     least = max(evidence.values()) - VERY_STRONG_EVIDENCE
-    rough = next(names for names in ROUGHEST_FIRST if max(evidence[name] for name in names) >= least)
-    best = max(rough, key=lambda name: evidence[name])
-    return next(fit for fit in fits if fit.kernel.name == best)
+    chosen = next(name for name in CAUTIOUS_FIRST if evidence[name] >= least)
+    return next(fit for fit in fits if fit.kernel.name == chosen)
 
 
 def _fit(
