@@ -3,9 +3,12 @@
 Every figure is of the same machine, the same run, the same samples and hyperparameters:
 
     update_s            one sample taken into mean and variance of every cell, without a refit (median)
-    stream_s            what the memory allows: reading n float32 values a cell once, and reading and writing the two
-                        float64 sums, as fast as plain array operations can (median). An update that keeps its rows
-                        must do that; the squared exponential's, being separable, need not, and may take less
+    stream_s            what the memory allows: as many float32 values read as the update reads of the rows it keeps,
+                        the new row and the two float64 sums written, and the Cholesky factor copied to a longer one, as
+                        fast as plain array operations do it (median)
+    read_fraction       the part that the update reads (median) of what it keeps, n float32 values a cell; the rest can
+                        change nothing. The squared exponential, being separable, keeps and reads none, and may take
+                        less than its stream_s, which is that of reading all n
     refit_s             new hyperparameters from the last ones (warm start), and all of the map made anew
     predict_s           all of the map made anew, mean and standard deviation of every cell
     sklearn_predict_s   the same from scikit-learn, already fitted, in its fastest chunking, on as many threads
@@ -60,8 +63,8 @@ def run(
     if sklearn:
         _require_sklearn()
     say(
-        f"{'n':>5} {'kernel':<13} {'cells':>7} {'update':>9} {'stream':>9} {'ratio':>6} {'refit':>9} {'predict':>9} "
-        f"{'sklearn':>9} {'update vs sklearn':>18}"
+        f"{'n':>5} {'kernel':<13} {'cells':>7} {'update':>9} {'stream':>9} {'ratio':>6} {'read':>5} {'refit':>9} "
+        f"{'predict':>9} {'sklearn':>9} {'update vs sklearn':>18}"
     )
     rows = []
     for n in sizes:
@@ -71,7 +74,8 @@ def run(
             theirs = row["sklearn_predict_s"]
             say(
                 f"{n:>5} {name:<13} {row['cells']:>7} {_ms(row['update_s'])} {_ms(row['stream_s'])} "
-                f"{row['update_s'] / row['stream_s']:>6.2f} {_ms(row['refit_s'])} {_ms(row['predict_s'])} "
+                f"{row['update_s'] / row['stream_s']:>6.2f} {row['read_fraction']:>5.0%} {_ms(row['refit_s'])} "
+                f"{_ms(row['predict_s'])} "
                 + (f"{_ms(theirs)} {theirs / row['update_s']:>17.0f}x" if theirs else f"{'-':>9} {'-':>18}")
             )
     if json is not None:
@@ -82,6 +86,7 @@ def run(
 
 def measure(n: int, kernel_name: str, *, grid: SiteGrid, seed: int, threads: int, sklearn: bool) -> Row:
     """The figures for n samples of a field with a trend and a perturbation."""
+    cells = grid.rows * grid.columns
     rng = np.random.default_rng(np.random.SeedSequence([seed, n]))
     places, values = _samples(n + 16, grid, rng)
     extra = list(zip(places[n:], values[n:], strict=True))
@@ -98,46 +103,56 @@ def measure(n: int, kernel_name: str, *, grid: SiteGrid, seed: int, threads: int
     posterior.snapshot()
     predict_s = time.perf_counter() - start
 
-    update_s = _median(lambda: posterior.add(*extra.pop()), 11)
-    stream_s = _median(stream_of(posterior), 11)
+    read: list[float] = []
+
+    def update() -> None:
+        known = len(posterior)
+        posterior.add(*extra.pop())
+        read.append(posterior.values_read / (known * cells))
+
+    update_s = _median(update, 11)
+    read_fraction = statistics.median(read)
+    streamed = read_fraction or 1.0
+    stream_s = _median(stream_of(n, cells, streamed), 11)
     row: Row = {
         "n": n,
         "kernel": kernel_name,
-        "cells": grid.rows * grid.columns,
+        "cells": cells,
         "update_s": update_s,
         "stream_s": stream_s,
+        "read_fraction": read_fraction,
         "refit_s": fit_s + predict_s,
         "predict_s": predict_s,
         "sklearn_predict_s": None,
         "fit_s": fit_s,
-        "bytes": _touched(posterior),
+        "bytes": _touched(n, cells, streamed),
     }
     if sklearn:
         row["sklearn_predict_s"], row["sklearn_chunk"] = _sklearn_predict(grid, fitted, places, values, threads)
     return row
 
 
-def stream_of(posterior: GridPosterior) -> Callable[[], None]:
-    """One pass over arrays as large as those an update touches: n float32 rows read, two float64 ones changed."""
-    cells = posterior.grid.rows * posterior.grid.columns
-    n = len(posterior)
-    blocks = [np.ones((min(64, n - first), cells), dtype=np.float32) for first in range(0, n, 64)]
+def stream_of(n: int, cells: int, fraction: float) -> Callable[[], None]:
+    """One pass over arrays as large as those an update touches, reading that fraction of n values a cell."""
+    values = round(fraction * n * cells)
+    blocks = [np.ones(min(64 * cells, values - first), dtype=np.float32) for first in range(0, values, 64 * cells)]
     row = np.ones(cells, dtype=np.float32)
     sums = [np.ones(cells), np.ones(cells)]
+    factor, longer = np.ones((n, n)), np.ones((n, n))
 
     def stream() -> None:
         for block in blocks:
-            np.dot(block.ravel(), block.ravel())
+            np.dot(block, block)
         row.fill(1.0)
         for total in sums:
             total += 1.0
+        np.copyto(longer, factor)
 
     return stream
 
 
-def _touched(posterior: GridPosterior) -> int:
-    cells = posterior.grid.rows * posterior.grid.columns
-    return cells * (4 * len(posterior) + 4 + 2 * 2 * 8)
+def _touched(n: int, cells: int, fraction: float) -> int:
+    return round(4 * fraction * n * cells) + cells * (4 + 2 * 2 * 8) + 2 * 8 * n * n
 
 
 def machine() -> dict[str, Any]:

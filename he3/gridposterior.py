@@ -17,10 +17,10 @@ R b to the mean and R S R' to the variance (Rasmussen & Williams 2006, eqs. 2.41
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +31,7 @@ from he3.gp import GaussianProcess
 from he3.gridrows import rows_for
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import Float32Array
-from he3.tiles import Tile, TiledGrid
+from he3.tiles import Tile, TiledGrid, Work
 from he3.trend import TrendOnCells
 
 MOST_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
@@ -103,6 +103,11 @@ class GridPosterior:
     def process(self) -> GaussianProcess:
         """The same belief at arbitrary places: immutable, stays as it is when samples are added here."""
         return self._process
+
+    @property
+    def values_read(self) -> int:
+        """How many float32 values of the rows kept the last sample took; the benchmark asks."""
+        return self._rows.values_read
 
     def add(self, xy_m: ArrayLike, value_ppb: float) -> None:
         """Take in one observation [ppb] at the place (2,) [m]."""
@@ -179,20 +184,14 @@ class GridPosterior:
 
     def _append(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
         n = len(self)
-        row_on = self._rows.next_row(without_trend)
+        row = self._rows.next_row(without_trend, self._share_out)
         self._take(process, without_trend)
         residual = float(without_trend.whitened[n])
-
-        def extend(tile: Tile) -> None:
-            cells = tile.cells
-            row = row_on(tile)
-            if residual != 0.0:
-                self._mean[cells] += row * row.dtype.type(residual)
-            self._variance[cells] -= row * row
-            if self._trend is not None:
-                self._trend.subtract(n, row[None, :], cells)
-
-        self._share_out(extend, self._tiled.tiles)
+        if residual != 0.0:
+            self._mean += row * row.dtype.type(residual)
+        self._variance -= row * row
+        if self._trend is not None:
+            self._trend.subtract(n, row[None, :], slice(0, len(row)))
 
     def _fill(self) -> None:
         """Compute mean, variance and V from all samples at once."""
@@ -209,19 +208,20 @@ class GridPosterior:
                 if self._trend is not None:
                     self._trend.subtract(first, rows, cells)
 
-        self._share_out(fill, (part for tile in self._tiled.tiles for part in tile.parts(_CELLS_TO_BUILD)))
+        parts = (part for tile in self._tiled.tiles for part in tile.parts(_CELLS_TO_BUILD))
+        self._share_out(partial(fill, part) for part in parts)
 
-    def _share_out(self, work: Callable[[Tile], None], tiles: Iterable[Tile]) -> None:
-        """Do the work for every tile, on this thread and the others; which does what changes no result."""
-        waiting = deque(tiles)
+    def _share_out(self, works: Iterable[Work]) -> None:
+        """Do all pieces of work, on this thread and the others; which does what changes no result."""
+        waiting = deque(works)
 
         def take_turns() -> None:
             while True:
                 try:
-                    tile = waiting.popleft()
+                    work = waiting.popleft()
                 except IndexError:
                     return
-                work(tile)
+                work()
 
         others = [_pool(self._threads - 1).submit(take_turns) for _ in range(self._threads - 1)]
         take_turns()

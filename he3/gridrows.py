@@ -23,23 +23,20 @@ from he3.kernels import Float32Array, SmoothPlusRough, SquaredExponential
 from he3.separablerows import SeparableRows
 from he3.splitrows import SplitRows
 from he3.storedrows import StoredRows
-from he3.tiles import Tile, TiledGrid
+from he3.tiles import ShareOut, Tile, TiledGrid
 
 SPLIT_FROM = 256  # samples; the rows of fewer are read in less time than it takes to make two kinds of them [measured]
 
 
 class RowsOnGrid(Protocol):
-    """What knows the rows so far and can tell the next. All functions of tiles may be called from any thread."""
+    """What knows the rows so far and can tell the next. Rows are in tile order, (cells,)."""
 
     @property
     def values_read(self) -> int:
         """How many values of the rows known it took to tell the last one."""
 
-    def next_row(self, process: GaussianProcess) -> Callable[[Tile], Float32Array | FloatArray]:
-        """The last of the process's n rows as a function of a tile: its values (cells,) there; all before are known.
-
-        Each tile of the grid must be asked for once, in any order.
-        """
+    def next_row(self, process: GaussianProcess, share_out: ShareOut) -> Float32Array | FloatArray:
+        """The last of the process's n rows, (cells,) in tile order; all before are known."""
 
     def rows_anew(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, Float32Array]]]:
         """All rows of a process, in place of those known, as a function of a part of a tile.

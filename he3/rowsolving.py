@@ -10,7 +10,7 @@ from scipy.linalg import blas
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess
 from he3.kernels import Float32Array, Kernel, SmoothPlusRough, SquaredExponential
-from he3.tiles import Tile
+from he3.tiles import Tile, TiledGrid
 
 _ROWS_TO_SOLVE = 128  # rows solved for together when many are; more waste in the triangle, fewer waste in the product
 
@@ -36,6 +36,14 @@ def solve_rows(
         solved: Float32Array = blas.strsm(1.0, corner, work.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
         done.append((first, solved))
         yield first, solved
+
+
+def fill_covariance(kernel: Kernel, place_m: FloatArray, tiled: TiledGrid, out: Float32Array) -> None:
+    """Write the kernel between one place (2,) [m] and all cells into out (cells,), in tile order and float32."""
+    dx2 = squared_offsets(place_m[None, :], tiled.grid.x_m, 0)
+    dy2 = squared_offsets(place_m[None, :], tiled.grid.y_m, 1)
+    for tile in tiled.tiles:
+        covariance_on_cells(kernel, dx2[:, tile.columns], dy2[:, tile.rows], out[tile.cells])
 
 
 def squared_offsets(places: FloatArray, axis_m: FloatArray, coordinate: int) -> Float32Array:

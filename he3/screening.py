@@ -19,7 +19,7 @@ from he3.frames import FloatArray
 from he3.kernels import Float32Array
 from he3.tiles import Tile
 
-_COPIED_ROWS = 64  # scattered rows summed together, at least as many as a block has
+_COPIED_ROWS = 16  # scattered rows summed together: 1 MB on a whole tile, about what a core's cache holds
 _WORTH_COPYING = 1.5  # rows to read for one that is needed, above which the needed ones are copied first [measured]
 
 
@@ -67,19 +67,23 @@ class Reading:
         blocks: by block and tile, arrays (rows, cells). The rows must be used before the next ones are asked for.
         """
         numbers = np.flatnonzero(self._scattered[tile.number])
-        copied = np.empty((min(len(numbers), _COPIED_ROWS), tile.size), dtype=np.float32)
         offsets = numbers % self._rows_a_block
+        copied = np.empty((min(len(numbers), _COPIED_ROWS), tile.size), dtype=np.float32)
         summed = taken = 0  # of the scattered ones
         for block, (count, first, stop, as_they_lie) in enumerate(self._plan[tile.number].tolist()):
             if as_they_lie:
                 start = block * self._rows_a_block
                 yield slice(start + first, start + stop), blocks[block][tile.number][first:stop]
-            elif count:
-                if taken + count - summed > _COPIED_ROWS:
-                    yield numbers[summed:taken], copied[: taken - summed]
+                continue
+            last = taken + count
+            while taken < last:
+                here = taken - summed
+                some = min(last - taken, _COPIED_ROWS - here)
+                place = copied[here : here + some]
+                blocks[block][tile.number].take(offsets[taken : taken + some], axis=0, out=place, mode="clip")
+                taken += some
+                if taken - summed == _COPIED_ROWS:
+                    yield numbers[summed:taken], copied
                     summed = taken
-                place = copied[taken - summed : taken - summed + count]
-                blocks[block][tile.number].take(offsets[taken : taken + count], axis=0, out=place, mode="clip")
-                taken += count
         if taken > summed:
             yield numbers[summed:taken], copied[: taken - summed]

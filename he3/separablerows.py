@@ -9,8 +9,10 @@ Practice, 2013, theorem 8.2).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -19,7 +21,7 @@ from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.kernels import Float32Array, SquaredExponential
 from he3.rowsolving import solve_rows
-from he3.tiles import Tile, TiledGrid
+from he3.tiles import ShareOut, Tile, TiledGrid
 
 _ROUNDING = 2.0**-53  # of float64: the interpolation of a function of size 1 is off by no more
 
@@ -92,32 +94,34 @@ class SeparableRows:
         """No rows yet."""
         self._tiled = tiled
         self._kernel = kernel
-        columns = {tile.columns.start: tile.columns for tile in tiled.tiles}
-        rows = {tile.rows.start: tile.rows for tile in tiled.tiles}
-        self._eastward = _Axis(tiled.grid.x_m, list(columns.values()), kernel.length_scale_m)
-        self._northward = _Axis(tiled.grid.y_m, list(rows.values()), kernel.length_scale_m)
+        self._beside = [list(tiles) for _, tiles in groupby(tiled.tiles, key=lambda tile: tile.rows.start)]
+        self._eastward = _Axis(tiled.grid.x_m, [tile.columns for tile in self._beside[0]], kernel.length_scale_m)
+        self._northward = _Axis(tiled.grid.y_m, [tiles[0].rows for tiles in self._beside], kernel.length_scale_m)
         self._forget()
 
-    def next_row(self, process: GaussianProcess) -> Callable[[Tile], FloatArray]:
-        """The last of the process's n rows as a function of a tile."""
-        return self.next_sum(process.places_m, row_weights(process))
+    def next_row(self, process: GaussianProcess, share_out: ShareOut) -> FloatArray:
+        """The last of the process's n rows, (cells,) in tile order."""
+        return self.next_sum(process.places_m, row_weights(process), share_out)
 
-    def next_sum(self, places_m: FloatArray, weights: FloatArray) -> Callable[[Tile], FloatArray]:
-        """The kernel at places (n, 2) [m] times weights (n,), summed up, as a function of a tile.
+    def next_sum(self, places_m: FloatArray, weights: FloatArray, share_out: ShareOut) -> FloatArray:
+        """The kernel at places (n, 2) [m] times weights (n,), summed up, (cells,) in tile order.
 
         The places must begin with those of the call before.
         """
         self._know(places_m)
         east = self._east
         north = self._north * (self._kernel.variance * weights)[:, None]
+        total = np.empty(self._tiled.cells)
 
-        def on_tile(tile: Tile) -> FloatArray:
-            rows, to_rows = self._northward.piece(tile.rows)
-            columns, to_columns = self._eastward.piece(tile.columns)
-            values: FloatArray = (to_rows @ (north[:, rows].T @ east[:, columns]) @ to_columns.T).ravel()
-            return values
+        def add_up(beside: Sequence[Tile]) -> None:
+            rows, to_rows = self._northward.piece(beside[0].rows)
+            at_nodes = to_rows @ (north[:, rows].T @ east)
+            for tile in beside:
+                columns, to_columns = self._eastward.piece(tile.columns)
+                np.matmul(at_nodes[:, columns], to_columns.T, out=total[tile.cells].reshape(tile.shape))
 
-        return on_tile
+        share_out(partial(add_up, beside) for beside in self._beside)
+        return total
 
     def rows_anew(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, Float32Array]]]:
         """All rows of a process, in place of those known, as a function of a part of a tile: see ``RowsOnGrid``."""

@@ -20,7 +20,7 @@ from he3.hyperparameters import Hyperparameters
 from he3.kernels import Float32Array, SmoothPlusRough
 from he3.separablerows import SeparableRows, row_weights
 from he3.storedrows import SCREENED, StoredRows, Tied
-from he3.tiles import Tile, TiledGrid
+from he3.tiles import ShareOut, Tile, TiledGrid
 
 
 class SplitRows:
@@ -45,21 +45,16 @@ class SplitRows:
     def values_read(self) -> int:
         return self._rough.values_read
 
-    def next_row(self, process: GaussianProcess) -> Callable[[Tile], FloatArray]:
-        """The last of the process's n rows as a function of a tile; all before are known."""
+    def next_row(self, process: GaussianProcess, share_out: ShareOut) -> FloatArray:
+        """The last of the process's n rows, (cells,) in tile order; all before are known."""
         weights = row_weights(process)
         pivot = float(process.factor[-1, -1])
         tie = self._rough_alone.factor.T @ (-pivot * weights[:-1])
         self._rough_alone = self._rough_alone.condition_on_places(process.places_m[-1:])
-        rough_on = self._rough.next_rows(self._rough_alone, Tied(tie, pivot, self._rough.allowed(self._kernel)))
-        smooth_on = self._smooth.next_sum(process.places_m, weights)
-
-        def on_tile(tile: Tile) -> FloatArray:
-            row = smooth_on(tile)
-            row += rough_on(tile)[1]
-            return row
-
-        return on_tile
+        rough = Tied(tie, pivot, self._rough.allowed(self._kernel))
+        row = self._smooth.next_sum(process.places_m, weights, share_out)
+        row += self._rough.next_rows(self._rough_alone, share_out, rough)[1]
+        return row
 
     def rows_anew(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, Float32Array]]]:
         """All rows of a process, in place of those known, as a function of a part of a tile: see ``RowsOnGrid``."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from threading import Lock
 
 import numpy as np
@@ -16,9 +17,9 @@ import numpy as np
 from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.kernels import Float32Array, Kernel
-from he3.rowsolving import covariance_on_cells, solve_rows, squared_offsets
+from he3.rowsolving import fill_covariance, solve_rows
 from he3.screening import Reading, rows_that_matter
-from he3.tiles import Tile, TiledGrid
+from he3.tiles import ShareOut, Tile, TiledGrid
 
 ROWS_A_BLOCK = 64  # rows of V allocated together: 64 MB at 500 x 500 cells; V grows by blocks and is never moved
 SCREENED = 2.0**-22  # of the prior standard deviation: four times what float32 may round off a value as large (2^-24)
@@ -47,42 +48,46 @@ class StoredRows:
         self._lock = Lock()
         self.values_read = 0
 
-    def next_row(self, process: GaussianProcess) -> Callable[[Tile], Float32Array]:
-        """The last of the process's n rows as a function of a tile; all before are known."""
-        rows_on = self.next_rows(process)
-        return lambda tile: rows_on(tile)[0]
+    def next_row(self, process: GaussianProcess, share_out: ShareOut) -> Float32Array:
+        """The last of the process's n rows, (cells,) in tile order; all before are known."""
+        return self.next_rows(process, share_out)[0]
 
-    def next_rows(self, process: GaussianProcess, *others: Tied) -> Callable[[Tile], list[Float32Array]]:
+    def next_rows(self, process: GaussianProcess, share_out: ShareOut, *others: Tied) -> list[Float32Array]:
         """The last of the process's rows, which is kept, and others for the same place, which are not."""
         n = len(process) - 1
-        self._make_room_for(n)
-        number, offset = divmod(n, ROWS_A_BLOCK)
-        dx2 = squared_offsets(process.places_m[n:], self._tiled.grid.x_m, 0)
-        dy2 = squared_offsets(process.places_m[n:], self._tiled.grid.y_m, 1)
-        rows = (Tied(process.factor[n, :n], float(process.factor[n, n]), self.allowed(self._kernel)), *others)
-        matter = [rows_that_matter(row.tie, self._peaks[:, :n], row.allowed * row.pivot) for row in rows]
+        tied = (Tied(process.factor[n, :n], float(process.factor[n, n]), self.allowed(self._kernel)), *others)
+        matter = [rows_that_matter(row.tie, self._peaks[:, :n], row.allowed * row.pivot) for row in tied]
         reading = Reading(np.logical_or.reduce(matter), ROWS_A_BLOCK)
         self.values_read = sum(
             int(count) * tile.size for count, tile in zip(reading.rows_read, self._tiled.tiles, strict=True)
         )
-        inverse_pivots = [np.float32(1.0 / row.pivot) for row in rows]
-        ties = [row.tie.astype(np.float32) for row in rows]
-        blocks, peaks = self._blocks, self._peaks
+        ties = [row.tie.astype(np.float32) for row in tied]
+        covariance = np.empty(self._tiled.cells, dtype=np.float32)
+        explained = [np.zeros_like(covariance) for _ in tied]
 
-        def on_tile(tile: Tile) -> list[Float32Array]:
-            kept = blocks[number][tile.number][offset]
-            covariance_on_cells(self._kernel, dx2[:, tile.columns], dy2[:, tile.rows], kept)
-            values = [kept, *(kept.copy() for _ in others)]
-            for numbers, known in reading.pieces(tile, blocks):
-                for row, tie, needed in zip(values, ties, matter, strict=True):
+        def explain(tile: Tile) -> None:
+            on_tile = [values[tile.cells] for values in explained]
+            for numbers, known in reading.pieces(tile, self._blocks):
+                for values, tie, needed in zip(on_tile, ties, matter, strict=True):
                     if not others or needed[tile.number, numbers].any():
-                        row -= tie[numbers] @ known
-            for row, inverse in zip(values, inverse_pivots, strict=True):
-                row *= inverse
-            peaks[tile.number, n] = _peak(kept)
-            return values
+                        values += tie[numbers] @ known
 
-        return on_tile
+        # The covariance is many short steps, which two threads at once would spend waiting for the interpreter's lock.
+        fill = partial(fill_covariance, self._kernel, process.places_m[n], self._tiled, covariance)
+        share_out([fill, *(partial(explain, tile) for tile in self._tiled.tiles)])
+        rows = [
+            (covariance - values) * np.float32(1.0 / row.pivot) for values, row in zip(explained, tied, strict=True)
+        ]
+        self._keep(n, rows[0])
+        return rows
+
+    def _keep(self, n: int, row: Float32Array) -> None:
+        self._make_room_for(n)
+        block, offset = divmod(n, ROWS_A_BLOCK)
+        for tile in self._tiled.tiles:
+            self._blocks[block][tile.number][offset] = row[tile.cells]
+        starts = [tile.cells.start for tile in self._tiled.tiles]
+        self._peaks[:, n] = np.maximum.reduceat(np.abs(row), starts)
 
     def allowed(self, kernel: Kernel) -> float:
         """By how much a row of that kernel may be off."""
@@ -143,8 +148,3 @@ class StoredRows:
             flat[ROWS_A_BLOCK * tile.cells.start : ROWS_A_BLOCK * tile.cells.stop].reshape(ROWS_A_BLOCK, tile.size)
             for tile in self._tiled.tiles
         ]
-
-
-def _peak(row: Float32Array) -> np.float32:
-    largest: np.float32 = max(np.maximum.reduce(row), -np.minimum.reduce(row))
-    return largest

@@ -6,7 +6,7 @@ say for the whole tile how much a far sample matters there. Arrays over cells in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TypeVar
@@ -18,9 +18,9 @@ from he3.frames import SiteGrid
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-TILE_EDGE = (
-    100  # cells at most: a row of V on a tile is 40 kB, long enough to be read at speed [measured: 50 is slower]
-)
+# Cells at most: a row of V on a tile is 64 kB, long enough to be read at speed. Edges of 64 and less are slower, of 250
+# too: more is read of more rows [measured].
+TILE_EDGE = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,11 @@ class Tile:
                 self.columns,
                 slice(self.cells.start + first * columns, self.cells.start + last * columns),
             )
+
+
+Work = Callable[[], None]
+ShareOut = Callable[[Iterable[Work]], None]
+"""What does all pieces of work: in any order, and on several threads perhaps."""
 
 
 @dataclass(frozen=True, slots=True)
