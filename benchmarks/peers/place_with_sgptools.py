@@ -23,16 +23,23 @@ it came back with 5.2. In centimetres it keeps to what it is asked for to some p
 
 
 def kernel_of(kernel: dict):
+    """The kernel by its name and parameters, lengths in metres, as GPflow has it in the library's unit."""
     import gpflow
 
-    if kernel["name"] == "se":
-        return gpflow.kernels.SquaredExponential(lengthscales=kernel["length_scale_m"], variance=kernel["variance"])
     kinds = {
+        "se": gpflow.kernels.SquaredExponential,
         "matern12": gpflow.kernels.Matern12,
         "matern32": gpflow.kernels.Matern32,
         "matern52": gpflow.kernels.Matern52,
     }
-    return kinds[kernel["name"]](lengthscales=kernel["length_scale_m"], variance=kernel["variance"])
+
+    def part(name: str, of: str = ""):
+        length = UNITS_PER_M * kernel[f"{of}length_scale_m"]
+        return kinds[name](lengthscales=length, variance=kernel[f"{of}variance"])
+
+    if kernel["name"] == "smooth+rough":
+        return part("se", "smooth_") + part("matern12", "rough_")
+    return part(kernel["name"])
 
 
 def place(request: dict) -> dict:
@@ -51,7 +58,6 @@ def place(request: dict) -> dict:
     began = time.perf_counter()
     ground = UNITS_PER_M * np.array(request["open_m"], dtype=np.float64)
     start = UNITS_PER_M * np.array([request["start_m"]], dtype=np.float64)
-    kernel = {**request["kernel"], "length_scale_m": UNITS_PER_M * request["kernel"]["length_scale_m"]}
     samples = request["samples"]
     first = get_inducing_pts(ground, samples)
     paths, _ = run_tsp(first, start_nodes=start, time_limit=20)
@@ -61,7 +67,7 @@ def place(request: dict) -> dict:
     method = ContinuousSGP(
         samples,
         ground,
-        kernel_of(kernel),
+        kernel_of(request["kernel"]),
         request["noise_variance"],
         transform=transform,
         X_init=ordered[1 : samples + 1],
