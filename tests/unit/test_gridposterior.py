@@ -11,10 +11,11 @@ from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.gridposterior import GridPosterior
+from he3.gridrows import SPLIT_FROM
 from he3.kernels import Kernel, Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
 from he3.separablerows import SeparableRows
 from he3.storedrows import ROWS_A_BLOCK, StoredRows
-from he3.tiles import TiledGrid, Work
+from he3.tiles import TILE_EDGE, TiledGrid, Work
 from he3.trend import OrbitalTrend
 
 GRID = SiteGrid(45, 60, 5.0)
@@ -60,6 +61,33 @@ def test_built_at_once_or_sample_by_sample_the_map_is_the_exact_posterior(kernel
         assert_exact(posterior)
 
 
+@every_kernel
+@pytest.mark.parametrize("shape", [(TILE_EDGE + 1, 2 * TILE_EDGE + 3), (3, TILE_EDGE), (1, 1)])
+def test_a_map_of_any_shape_is_the_exact_posterior(kernel: Kernel, shape: tuple[int, int]) -> None:
+    grid = SiteGrid(*shape, 2.0)
+    places, values = samples(24, seed=14, grid=grid)
+    posterior = GridPosterior.build(grid, Hyperparameters(kernel, 0.1, 8.0, 0.9), places[:20], values[:20], threads=2)
+    for place, value in zip(places[20:], values[20:], strict=True):
+        posterior.add(place, value)
+    assert posterior.mean_ppb.shape == shape
+    assert_exact(posterior)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "most"), [(Matern52(1.0, 20.0), 0.5), (SmoothPlusRough(0.8, 150.0, 0.3, 15.0), 0.7)], ids=["m52", "s+r"]
+)
+def test_a_map_of_many_samples_is_updated_from_few_of_their_rows(kernel: Kernel, most: float) -> None:
+    grid = SiteGrid(2 * TILE_EDGE, 2 * TILE_EDGE, 2.0)
+    places, values = samples(SPLIT_FROM + 3, seed=15, grid=grid)
+    hyperparameters = Hyperparameters(kernel, 0.1, 8.0, 0.9)
+    posterior = GridPosterior.build(grid, hyperparameters, places[:-3], values[:-3])
+    for place, value in zip(places[-3:], values[-3:], strict=True):
+        known = len(posterior)
+        posterior.add(place, value)
+        assert 0 < posterior.values_read < most * known * grid.rows * grid.columns
+    assert_exact(posterior)
+
+
 def test_the_prior_map_is_flat() -> None:
     posterior = GridPosterior(GRID, Hyperparameters(SquaredExponential(4.0, 40.0), 0.1, 7.5, 0.5))
     assert posterior.mean_ppb.shape == GRID.shape
@@ -73,8 +101,12 @@ def test_the_prior_map_is_flat() -> None:
         (SquaredExponential(1.0, 30.0), ConstantKernel(1.0) * RBF(30.0)),
         (Matern12(1.0, 40.0), ConstantKernel(1.0) * Matern(40.0, nu=0.5)),
         (Matern52(1.0, 40.0), ConstantKernel(1.0) * Matern(40.0, nu=2.5)),
+        (
+            SmoothPlusRough(0.7, 120.0, 0.3, 20.0),
+            ConstantKernel(0.7) * RBF(120.0) + ConstantKernel(0.3) * Matern(20.0, nu=0.5),
+        ),
     ],
-    ids=["se", "matern12", "matern52"],
+    ids=["se", "matern12", "matern52", "smooth+rough"],
 )
 def test_after_a_thousand_updates_the_map_is_that_of_scikit_learn(kernel: Kernel, authority: ConstantKernel) -> None:
     grid = SiteGrid(50, 50, 10.0)
@@ -132,9 +164,10 @@ def test_a_snapshot_cannot_be_written_and_is_not_touched_by_later_samples() -> N
         snapshot.mean_ppb[0, 0] = 1.0
 
 
-@pytest.mark.parametrize("shared", [0, 5, ROWS_A_BLOCK, ROWS_A_BLOCK + 3])
-def test_forks_do_not_see_each_other(shared: int) -> None:
-    hyperparameters = Hyperparameters(Matern32(1.0, 30.0), 0.1, 8.0, 1.0)
+@pytest.mark.parametrize("shared", [0, 5, ROWS_A_BLOCK, ROWS_A_BLOCK + 3, SPLIT_FROM])
+@pytest.mark.parametrize("kernel", [SquaredExponential(1.0, 30.0), Matern32(1.0, 30.0), SmoothPlusRough()])
+def test_forks_do_not_see_each_other(shared: int, kernel: Kernel) -> None:
+    hyperparameters = Hyperparameters(kernel, 0.1, 8.0, 1.0)
     places, values = samples(shared + 6, seed=6)
     trunk = GridPosterior.build(GRID, hyperparameters, places[:shared], values[:shared])
     fork = trunk.fork()
@@ -159,14 +192,18 @@ def test_places_without_values_lower_the_variance_and_keep_the_mean() -> None:
     assert ahead.std_ppb[8, 6] < 0.5 * posterior.std_ppb[8, 6]
 
 
-def test_the_number_of_threads_changes_no_bit() -> None:
+@pytest.mark.parametrize(
+    ("kernel", "built"),
+    [(SquaredExponential(1.0, 60.0), 66), (Matern12(1.0, 60.0), 66), (SmoothPlusRough(), 0), (SmoothPlusRough(), 66)],
+)
+def test_the_number_of_threads_changes_no_bit(kernel: Kernel, built: int) -> None:
     grid = SiteGrid(300, 300, 1.0)
-    places, values = samples(70, seed=8, grid=grid)
-    hyperparameters = Hyperparameters(Matern12(1.0, 60.0), 0.1, 8.0, 1.0)
+    places, values = samples(built + 4, seed=8, grid=grid)
+    hyperparameters = Hyperparameters(kernel, 0.1, 8.0, 1.0)
     maps = []
     for threads in (1, 2, 3):
-        posterior = GridPosterior.build(grid, hyperparameters, places[:66], values[:66], threads=threads)
-        for place, value in zip(places[66:], values[66:], strict=True):
+        posterior = GridPosterior.build(grid, hyperparameters, places[:built], values[:built], threads=threads)
+        for place, value in zip(places[built:], values[built:], strict=True):
             posterior.add(place, value)
         maps.append((posterior.mean_ppb.tobytes(), posterior.std_ppb.tobytes()))
     assert maps[0] == maps[1] == maps[2]
