@@ -23,7 +23,8 @@ from services.ground.planning import PlannedRound, PlanningRequest
 from services.regions import load_region
 
 OWN_PROCESS = ("rrt", "rrtstar", "informative")
-"""Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone."""
+"""Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone. So is
+each of anybody's own (``module:function``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ def fly(flight: Flight) -> Mission:
     """The mission of that flight, with the label and the orbital map's errors in its row."""
     region = region_named(flight.region, flight.variation)
     planner: Any = flight.planner
-    if flight.planner in OWN_PROCESS:
+    if flight.planner in OWN_PROCESS or ":" in flight.planner:
         planner = partial(_planned, flight.planner)
     orbital = flight.orbital_gain * region.orbital_ppb + flight.orbital_offset_ppb
     mission = run_mission(

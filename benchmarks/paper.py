@@ -12,6 +12,8 @@ noise, start and number of samples, and scored on all cells:
     tour-orbital-biased   the same, with an orbital map off by a gain of 1.3 and an offset of 1 ppb
     floor                 no mission: the best design found offline with the field's true covariance known
     floor-fifth           the same, held to a fifth of the yardstick's metres
+
+Any other planner is named module:function, and flies beside them: --planners rrtstar,tour,my_planners:mine
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from benchmarks.floor import Floor
 from benchmarks.floor import floor as floor_of
 from benchmarks.missions import Mission, Row
 from he3.errors import InvalidInput
+from services.ground.planners import planner_named
 
 PUBLISHED = {
     ("t1", "rrt"): (0.8347, 16829.9),
@@ -67,9 +70,12 @@ def run(
     """
     if seeds < 1:
         raise InvalidInput(f"expected one seed at least, got {seeds}")
-    unknown = [name for name in planners if name not in ALL]
+    unknown = [name for name in planners if name not in ALL and ":" not in name]
     if unknown:
-        raise InvalidInput(f"expected planners among {'; '.join(ALL)}; got {', '.join(unknown)}")
+        raise InvalidInput(f"expected planners among {'; '.join(ALL)}, or module:function; got {', '.join(unknown)}")
+    for name in planners:
+        if ":" in name:
+            planner_named(name)
     names = [str(region)] if region is not None else list(regions)
     for name in names:
         region_named(name)
@@ -147,7 +153,7 @@ def table(
         beside = f"{published[0]:.4f} {published[1]:9.1f} m" if published else ""
         kernel = rows[0]["kernel"] + MISMATCHED.get(rows[0]["kernel"], "")
         lines.append(
-            f"{planner:<22} {kernel:<13} {rmse:8.4f} ± {rmse_std:.4f} {metres:8.0f} ± {metres_std:4.0f} {ratio} "
+            f"{planner.rpartition(':')[2]:<22} {kernel:<13} {rmse:8.4f} ± {rmse_std:.4f} {metres:8.0f} ± {metres_std:4.0f} {ratio} "
             f"{mean_and_std(rows, 'coverage_68')[0]:6.1%} {mean_and_std(rows, 'coverage_95')[0]:6.1%}  {beside}"
         )
     for lowest in floors:

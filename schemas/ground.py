@@ -38,7 +38,7 @@ class GroundStatus(Wire):
     """The mission as the ground sees it."""
 
     phase: MissionPhase
-    planner: Identifier
+    planner: Text
     round: Count
     """Rounds completed."""
     rounds: Count

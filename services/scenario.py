@@ -7,12 +7,13 @@ Bad values are refused with one line that names file, key, expectation and what 
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from he3.errors import InvalidInput
 from schemas.link import LinkConditions
@@ -107,7 +108,18 @@ class InterestRegion(Section):
 
 
 KernelName = Literal["se", "matern12", "matern32", "matern52", "smooth+rough", "auto"]
-PlannerName = Literal["rrt", "rrtstar", "informative", "tour"]
+PLANNER_NAMES = ("rrt", "rrtstar", "informative", "tour")
+OWN_PLANNER = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
+"""Anybody's planner, a function of a module."""
+
+
+def _planner_name(name: str) -> str:
+    if name not in PLANNER_NAMES and not OWN_PLANNER.fullmatch(name):
+        raise ValueError(f"expected {', '.join(PLANNER_NAMES)} or module:function")
+    return name
+
+
+PlannerName = Annotated[str, AfterValidator(_planner_name)]
 
 
 class GroundConfig(Section):

@@ -22,6 +22,7 @@ from schemas.topics import PLAN
 from services.ground.allowance import Budget, Committed
 from services.ground.belief import Belief, Observation, fit
 from services.ground.ledger import Ledger, RoundRecord
+from services.ground.planners import planner_named
 from services.ground.planning import Planner, PlannerOptions, PlanningRequest
 from services.ground.round_plans import PlanInWork, round_plan, run_planner, sample_id
 from services.ground.terrain import BoolArray, GroundTerrain, along, cell_of, interest_weights
@@ -70,6 +71,8 @@ class Director:
         """What an operator should know of how it goes."""
         self._budget = budget
         self._planner = planner if planner is not None else scenario.ground.planner
+        if isinstance(self._planner, str) and ":" in self._planner:
+            planner_named(self._planner)  # somebody's own is refused now or never
         self.interests: dict[str, tuple[Sequence[Place], float]] = {
             f"scenario-{number}": (region.polygon_m, region.weight)
             for number, region in enumerate(scenario.ground.interest, start=1)

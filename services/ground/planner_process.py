@@ -43,7 +43,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from he3.errors import He3Error, InvalidInput
-from services.ground.planners import PLANNERS, plan
+from services.ground.planners import PLANNERS, plan, planner_named
 from services.ground.planning import PlannedRound, PlanningRequest
 
 T = TypeVar("T")
@@ -106,9 +106,9 @@ class PlannerProcess:
         return future
 
     def plan(self, planner_name: str, request: PlanningRequest) -> Future[PlannedRound]:
-        """The future round of the named planner. Raises InvalidInput at once for a name that no planner has."""
-        if planner_name not in PLANNERS:
-            raise InvalidInput(f"expected a planner among {', '.join(PLANNERS)}; got {planner_name!r}")
+        """The future round of the named planner. Raises InvalidInput at once for a name that no planner of ours has."""
+        if planner_name not in PLANNERS and ":" not in planner_name:
+            planner_named(planner_name)
         return self.submit(plan, planner_name, request)
 
     def cancel(self) -> None:

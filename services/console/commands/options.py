@@ -12,7 +12,10 @@ ScenarioRef = Annotated[
 ]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed, instead of the scenario's.")]
 Planner = Annotated[
-    str | None, typer.Option("--planner", metavar="NAME", help="rrt, rrtstar, informative or tour, instead.")
+    str | None,
+    typer.Option(
+        "--planner", metavar="NAME", help="rrt, rrtstar, informative, tour, or your own module:function, instead."
+    ),
 ]
 Settings = Annotated[
     list[str] | None,

@@ -1,6 +1,7 @@
 """The planners: one signature for all, arrays and frozen values in, a planned round out.
 
-They are named here and imported when asked for, so that whoever only needs the names needs no OMPL.
+They are named here and imported when asked for, so that whoever only needs the names needs no OMPL. Anybody's own is
+named ``module:function`` (``services.ground.planners.own``).
 """
 
 from __future__ import annotations
@@ -20,9 +21,12 @@ PLANNERS = {
 
 
 def planner_named(name: str) -> Planner:
-    """The planner of that name; raises InvalidInput for a name that none has."""
+    """The planner of that name, ours or anybody's; raises InvalidInput for a name that none has."""
+    if ":" in name:
+        own: Planner = import_module("services.ground.planners.own").own_planner(name)
+        return own
     if name not in PLANNERS:
-        raise InvalidInput(f"expected a planner among {', '.join(PLANNERS)}; got {name!r}")
+        raise InvalidInput(f"expected a planner among {', '.join(PLANNERS)}, or module:function; got {name!r}")
     planner: Planner = getattr(import_module(PLANNERS[name]), name)
     return planner
 

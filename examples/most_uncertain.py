@@ -1,0 +1,52 @@
+"""A planner of your own: always on to the most uncertain place, and from there to the next.
+
+    he3 run t1-nominal --in-process --planner examples.most_uncertain:most_uncertain
+    he3 bench paper --seeds 3 --regions t1 --planners rrtstar,tour,examples.most_uncertain:most_uncertain
+
+It needs no tree and asks for no utility, but it is greedy: what one sample will teach about the places around it is
+taken into account before the next is chosen, what the way there costs is not. See how many metres that takes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from he3.errors import NoRoute
+from he3.frames import path_length
+from services.ground.planners.rounds import belief_about, planned
+from services.ground.planners.routes import Routes
+from services.ground.planners.traversability import OpenGround
+from services.ground.planning import PlannedRound, PlanningRequest, checked
+
+SPACING_CELLS = 10
+"""Of the places among which it chooses."""
+
+
+def most_uncertain(request: PlanningRequest) -> PlannedRound:
+    """The round to the most uncertain places, one after the other. Raises NoRoute if none can be reached."""
+    grid = checked(request).grid
+    ground = OpenGround(grid, request.traversable)
+    routes = Routes(ground)
+    here = ground.footing(request.start_m)
+    reachable = ground.connected_to(here) & (ground.clearance > 1)
+    rows, columns = (axis[reachable] for axis in np.mgrid[: grid.rows, : grid.columns])
+    kept = (rows % SPACING_CELLS == 0) & (columns % SPACING_CELLS == 0)
+    places = (np.column_stack((columns[kept], rows[kept])) + 0.5) * grid.resolution_m
+    if not len(places):
+        raise NoRoute("no place to sample can be reached from here")
+    belief = belief_about(request)
+    path, chosen, left_m = [np.array([here])], [], request.budget_m
+    for _ in range(request.samples):
+        _, std = belief.predict(places)
+        target = places[int(np.argmax(std))]
+        leg = routes.route(here, (target[0], target[1]))
+        left_m -= path_length(leg)
+        if left_m < 0:
+            break
+        path.append(leg[1:])
+        here = (float(target[0]), float(target[1]))
+        chosen.append(target)
+        belief = belief.condition_on_places([target])
+    if not chosen:
+        raise NoRoute(f"the most uncertain place is farther than the {request.budget_m:g} m that are left")
+    return planned(request, np.vstack(path), np.array(chosen))
