@@ -36,7 +36,7 @@ class RowsOnGrid(Protocol):
         """How many values of the rows known it took to tell the last one."""
 
     def next_row(self, process: GaussianProcess, share_out: ShareOut) -> Float32Array | FloatArray:
-        """The last of the process's n rows, (cells,) in tile order; all before are known."""
+        """The last of the process's n rows, (cells,) in tile order, good until the next; all before are known."""
 
     def rows_anew(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, Float32Array]]]:
         """All rows of a process, in place of those known, as a function of a part of a tile.

@@ -45,11 +45,12 @@ class StoredRows:
         self._blocks: list[list[Float32Array]] = []
         self._peaks: Float32Array = np.zeros((len(tiled.tiles), 0), dtype=np.float32)
         self._tail_is_shared = False
+        self._scratch: list[Float32Array] = []
         self._lock = Lock()
         self.values_read = 0
 
     def next_row(self, process: GaussianProcess, share_out: ShareOut) -> Float32Array:
-        """The last of the process's n rows, (cells,) in tile order; all before are known."""
+        """The last of the process's n rows, (cells,) in tile order, good until the next; all before are known."""
         return self.next_rows(process, share_out)[0]
 
     def next_rows(self, process: GaussianProcess, share_out: ShareOut, *others: Tied) -> list[Float32Array]:
@@ -62,24 +63,31 @@ class StoredRows:
             int(count) * tile.size for count, tile in zip(reading.rows_read, self._tiled.tiles, strict=True)
         )
         ties = [row.tie.astype(np.float32) for row in tied]
-        covariance = np.empty(self._tiled.cells, dtype=np.float32)
-        explained = [np.zeros_like(covariance) for _ in tied]
+        covariance, *values = self._scratch_for(1 + len(tied))
 
         def explain(tile: Tile) -> None:
-            on_tile = [values[tile.cells] for values in explained]
+            on_tile = [explained[tile.cells] for explained in values]
+            for explained in on_tile:
+                explained.fill(0.0)
             for numbers, known in reading.pieces(tile, self._blocks):
-                for values, tie, needed in zip(on_tile, ties, matter, strict=True):
+                for explained, tie, needed in zip(on_tile, ties, matter, strict=True):
                     if not others or needed[tile.number, numbers].any():
-                        values += tie[numbers] @ known
+                        explained += tie[numbers] @ known
 
         # The covariance is many short steps, which two threads at once would spend waiting for the interpreter's lock.
         fill = partial(fill_covariance, self._kernel, process.places_m[n], self._tiled, covariance)
         share_out([fill, *(partial(explain, tile) for tile in self._tiled.tiles)])
-        rows = [
-            (covariance - values) * np.float32(1.0 / row.pivot) for values, row in zip(explained, tied, strict=True)
-        ]
-        self._keep(n, rows[0])
-        return rows
+        for row, way in zip(values, tied, strict=True):
+            np.subtract(covariance, row, out=row)
+            row *= np.float32(1.0 / way.pivot)
+        self._keep(n, values[0])
+        return values
+
+    def _scratch_for(self, count: int) -> list[Float32Array]:
+        """Arrays (cells,), the same at each call: memory that is new takes longer to get than to fill."""
+        while len(self._scratch) < count:
+            self._scratch.append(np.empty(self._tiled.cells, dtype=np.float32))
+        return self._scratch[:count]
 
     def _keep(self, n: int, row: Float32Array) -> None:
         self._make_room_for(n)
