@@ -6,7 +6,7 @@ told apart: with w = L^-T l, and M the Cholesky factor of the rough covariance p
     (k_n - w' K) / d = (s_n - w' S) / d + (r_n - (M' w)' U) / d,      U = M^-1 R(samples, cells)
 
 The first term is separable (``he3.separablerows``), the second needs the rows U of a process that is rough alone, which
-are local (``he3.storedrows``). It is as safe as V itself: M M' <= K plus noise, so |M' w| <= |l|.
+are local (``he3.storedrows``). It is as safe as V itself: M M' <= K plus noise = L L', so |M' w| <= |L' w| = |l|.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ class SplitRows:
         """All rows of a process, in place of those known, as a function of a part of a tile: see ``RowsOnGrid``."""
         self._rough_alone = GaussianProcess(self._rough_alone.hyperparameters).condition_on_places(process.places_m)
         all_on = self._smooth.rows_anew(process)
-        rough_on = self._rough.rows_anew(self._rough_alone)
+        rough_on = self._rough.rows_anew(self._rough_alone)  # those to keep; mean and variance need all of the kernel's
 
         def on_part(part: Tile) -> Iterator[tuple[int, Float32Array]]:
             for _ in rough_on(part):
-                pass  # they are kept
+                pass
             yield from all_on(part)
 
         return on_part

@@ -18,8 +18,8 @@ from he3.frames import SiteGrid
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-# Cells at most: a row of V on a tile is 64 kB, long enough to be read at speed. Edges of 64 and less are slower, of 250
-# too: more is read of more rows [measured].
+# Cells at most. A row of V on a tile is then 64 kB, long enough to be read at speed; on tiles of 64 it is not, and on
+# tiles of 250 too many rows matter somewhere [measured].
 TILE_EDGE = 128
 
 
