@@ -2,9 +2,9 @@
 
 All samples and metres that are left are planned together: places that make the average of the field as certain as
 possible (``he3.design_of_samples``), on a tour that is short and within the budget (``tour_design``). The first plan
-takes the best of a few designs; later ones begin from what the last one expected to do and let it move with what the
-hyperparameters have become, so that rounds agree with one another and no holes are left to come back for. A request
-without that outlook is planned afresh.
+begins several designs and draws the best on for long, which is worth 1 % of RMSE where the budget binds; later ones
+begin from what the last one expected to do and let it move with what the hyperparameters have become, so that rounds
+agree with one another and no holes are left to come back for. A request without that outlook is planned afresh.
 
 A mission without a budget gets one: metres beyond those of a tour through an even lattice buy next to nothing.
 Hyperparameters that say nothing about where to go, because they let a sample know only its own spot or all of the site,
@@ -14,7 +14,7 @@ are brought to the nearest that do.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf, isfinite, sqrt
+from math import isfinite, sqrt
 
 import numpy as np
 
@@ -34,11 +34,14 @@ LEG_CONSTANT = 1.02
 """Metres a sample that a mission without a budget may drive, as the crow flies, in units of sqrt(reachable area /
 samples), the spacing of a square lattice. The shortest tour through places at random takes 0.7124 (Beardwood, Halton &
 Hammersley 1959), one through a lattice 1; near it, the variance hardly depends on the metres."""
-DESIGNS = 4
-"""Designs from which a plan without an outlook takes the best."""
+DESIGNS = 8
+"""Designs that a plan without an outlook begins with."""
+FINALISTS = 2
+"""Designs that are drawn on for long; the best of them is taken."""
 FIRST_STEPS = 40
+FINAL_STEPS = 300
 STEPS = 10
-"""Steps of the places, in a plan without and with an outlook."""
+"""Steps of the places: of every design, of a finalist, and of an outlook."""
 STEP_ON_M = 1.5
 """Root mean square step [m] with which the places of an outlook begin to move on."""
 KICKS = 20
@@ -46,7 +49,7 @@ MOST_REFITTED = 0.34
 """An outlook over more or fewer samples is used as long as the difference is at most this share of them."""
 ROUNDING = 1e-9
 """Share of the budget that is left alone, so that sums of legs in another order do not exceed it."""
-SETTINGS = ("thrift", "designs", "first_steps", "steps", "kicks")
+SETTINGS = ("thrift", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks")
 SHORTEST_IN_SPACINGS = 0.5
 LONGEST_IN_SPACINGS = 6.0
 """Length scales that a design uses, in spacings of an even lattice of all samples over the site."""
@@ -87,17 +90,23 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
         price = thrift * variance(places)
         return drawn_taut(site, variance, places, price, metres, int(extra.get("steps", STEPS)), STEP_ON_M)
     rng = np.random.default_rng(request.seed)
-    best, least = np.zeros((0, 2)), inf
+
+    def drawn(places: FloatArray, steps: int) -> tuple[float, FloatArray]:
+        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
+        price = thrift * variance(places)
+        places = drawn_taut(site, variance, places, price, metres, steps)
+        return worth(site, variance, places, price, metres), places
+
+    designs = []
     for _ in range(max(1, int(extra.get("designs", DESIGNS)))):
         first_node = int(rng.integers(len(site.nodes.weights)))
         places = first_design(site, request.observed_m, left, budget_m, first_node)
-        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
-        price = thrift * variance(places)
-        places = drawn_taut(site, variance, places, price, metres, int(extra.get("first_steps", FIRST_STEPS)))
-        cost = worth(site, variance, places, price, metres)
-        if cost < least:
-            best, least = places, cost
-    return best
+        designs.append(drawn(places, int(extra.get("first_steps", FIRST_STEPS))))
+    designs.sort(key=lambda design: design[0])
+    if (final_steps := int(extra.get("final_steps", FINAL_STEPS))) > 0:
+        finalists = designs[: max(1, int(extra.get("finalists", FINALISTS)))]
+        designs = sorted([*designs, *(drawn(places, final_steps) for _, places in finalists)], key=lambda one: one[0])
+    return designs[0][1]
 
 
 def _metres_without_budget(site: Site, places: FloatArray, leg_m: float) -> float:
