@@ -15,7 +15,7 @@ from he3.errors import InvalidInput
 from services.ground.planning import PlannerOptions
 from services.regions import load_region
 
-QUICK = PlannerOptions(extra={"designs": 1.0, "first_steps": 10.0, "steps": 4.0, "kicks": 2.0})
+QUICK = PlannerOptions(extra={"designs": 1.0, "final_steps": 0.0, "first_steps": 10.0, "steps": 4.0, "kicks": 2.0})
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from services.ground.planning import PlannerOptions, PlanningRequest
 SIDE = 120
 GRID = SiteGrid(SIDE, SIDE)
 BELIEF = Hyperparameters(Matern12(1.0, 20.0), 0.1, 8.0, 1.0)
-QUICK = PlannerOptions(extra={"designs": 1.0, "first_steps": 15.0, "steps": 6.0, "kicks": 5.0})
+QUICK = PlannerOptions(extra={"designs": 1.0, "final_steps": 0.0, "first_steps": 15.0, "steps": 6.0, "kicks": 5.0})
 
 
 def rough(seed=0, share=0.12):
