@@ -23,30 +23,31 @@ SPACING_CELLS = 10
 
 
 def most_uncertain(request: PlanningRequest) -> PlannedRound:
-    """The round to the most uncertain places, one after the other. Raises NoRoute if none can be reached."""
+    """The round to the most uncertain places within reach, one after the other. Raises NoRoute if there is none."""
     grid = checked(request).grid
     ground = OpenGround(grid, request.traversable)
     routes = Routes(ground)
     here = ground.footing(request.start_m)
-    reachable = ground.connected_to(here) & (ground.clearance > 1)
-    rows, columns = (axis[reachable] for axis in np.mgrid[: grid.rows, : grid.columns])
+    rows, columns = (axis[ground.clearance > 1] for axis in np.mgrid[: grid.rows, : grid.columns])
     kept = (rows % SPACING_CELLS == 0) & (columns % SPACING_CELLS == 0)
-    places = (np.column_stack((columns[kept], rows[kept])) + 0.5) * grid.resolution_m
-    if not len(places):
-        raise NoRoute("no place to sample can be reached from here")
+    rows, columns = rows[kept], columns[kept]
+    places = (np.column_stack((columns, rows)) + 0.5) * grid.resolution_m
+    interest = np.ones(len(places)) if request.interest is None else request.interest[rows, columns]
     belief = belief_about(request)
     path, chosen, left_m = [np.array([here])], [], request.budget_m
-    for _ in range(request.samples):
-        _, std = belief.predict(places)
-        target = places[int(np.argmax(std))]
-        leg = routes.route(here, (target[0], target[1]))
-        left_m -= path_length(leg)
-        if left_m < 0:
+    while len(chosen) < request.samples and len(places):
+        within_reach = routes.distances_from(here)[rows, columns] <= left_m
+        worth = np.where(within_reach, interest * belief.predict(places)[1], -1.0)
+        best = int(np.argmax(worth))
+        if worth[best] < 0:
             break
+        target = (float(places[best, 0]), float(places[best, 1]))
+        leg = routes.route(here, target)
+        left_m -= path_length(leg)
         path.append(leg[1:])
-        here = (float(target[0]), float(target[1]))
+        here = target
         chosen.append(target)
         belief = belief.condition_on_places([target])
     if not chosen:
-        raise NoRoute(f"the most uncertain place is farther than the {request.budget_m:g} m that are left")
+        raise NoRoute(f"no place to sample can be reached within the {request.budget_m:g} m that are left")
     return planned(request, np.vstack(path), np.array(chosen))

@@ -212,10 +212,13 @@ def fit_hyperparameters(
     return _fit(xy, values, kernel_from(kernel_name), rng, noise_std_ppb, noise_bounds_ppb, previous, trend, extent_m)
 
 
-def information_criterion(fitted: Hyperparameters, samples: int) -> float:
-    """Bayesian information criterion as a log evidence: log likelihood - p/2 log n (Schwarz 1978). Higher is better."""
-    parameters = len(fitted.kernel.parameters())
-    return fitted.log_likelihood - 0.5 * parameters * math.log(max(samples, 1))
+def information_criterion(fitted: Hyperparameters) -> float:
+    """Akaike's information criterion as a log evidence: log likelihood - p, p parameters (Akaike 1974); more is better.
+
+    Its price of a parameter does not grow with the samples, so that a kernel which holds another is not ruled out by
+    their number alone.
+    """
+    return fitted.log_likelihood - len(fitted.kernel.parameters())
 
 
 def _fit_best_kernel(
@@ -234,7 +237,7 @@ def _fit_best_kernel(
         fits.append(_fit(xy, values, kernel_from(name), rng, noise_std_ppb, noise_bounds_ppb, warm, trend, extent_m))
     if len(xy) < FEWEST_SAMPLES:
         return next((fit for fit in fits if previous is not None and fit.kernel.name == previous.kernel.name), fits[0])
-    evidence = {fit.kernel.name: information_criterion(fit, len(xy)) for fit in fits}
+    evidence = {fit.kernel.name: information_criterion(fit) for fit in fits}
     least = max(evidence.values()) - VERY_STRONG_EVIDENCE
     chosen = next(name for name in CAUTIOUS_FIRST if evidence[name] >= least)
     return next(fit for fit in fits if fit.kernel.name == chosen)

@@ -57,6 +57,7 @@ PRELOADED = ("scipy.optimize", "he3.gp", *sorted(set(PLANNERS.values())))
 """What the server imports before the first fork, so that no child spends its time on it."""
 
 _HEADER = struct.Struct("!QQc")
+_LENGTH = struct.Struct("!Q")
 _TASK, _CANCEL, _RESULT, _ERROR, _DIED = b"t", b"c", b"r", b"e", b"d"
 _PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
 
@@ -160,8 +161,9 @@ class PlannerProcess:
                 f"from services.ground.planner_process import serve; serve({theirs.fileno()}, {self._parallel})"
             )
             self._server = subprocess.Popen(
-                [sys.executable, "-c", command], pass_fds=[theirs.fileno()], env=environment, stdin=subprocess.DEVNULL
-            )
+                [sys.executable, "-c", command], pass_fds=[theirs.fileno()], env=environment, stdin=subprocess.DEVNULL,
+                stdout=2,  # what somebody's planner prints is not for whoever reads the owner's answers
+            )  # fmt: skip
         self._socket = ours
         self._reader = threading.Thread(
             target=self._read, args=(ours, self._server), name="planner-process", daemon=True
@@ -269,6 +271,12 @@ class _Child:
     output: int
     answer: bytearray = field(default_factory=bytearray)
 
+    @property
+    def has_answered(self) -> bool:
+        """Whether all of the answer, which tells its own length, has come."""
+        read = len(self.answer) - _LENGTH.size
+        return read >= 0 and read >= _LENGTH.unpack_from(self.answer)[0]
+
 
 def serve(file_descriptor: int, parallel: int) -> None:
     """Answer the tasks that come in by the socket until its other end is closed; then return."""
@@ -299,7 +307,7 @@ def serve(file_descriptor: int, parallel: int) -> None:
                 child = children[key.fd]
                 chunk = os.read(child.output, 1 << 20)
                 child.answer += chunk
-                if not chunk:
+                if not chunk or child.has_answered:  # whoever it forked may hold the other end open
                     selector.unregister(child.output)
                     del children[child.output]
                     _report(channel, child)
@@ -315,7 +323,10 @@ def serve(file_descriptor: int, parallel: int) -> None:
 
 
 def _kill(children: Iterable[_Child]) -> None:
+    """Kill children, with all that they started."""
     for child in children:  # none of them is reaped before its output ends, so each process id is still its own
+        with suppress(ProcessLookupError):  # it has not yet got as far as to lead a group
+            os.killpg(child.pid, signal.SIGKILL)
         os.kill(child.pid, signal.SIGKILL)
 
 
@@ -328,9 +339,11 @@ def _forked(number: int, payload: bytes) -> _Child:
         return _Child(number, pid, output)
     status = 1
     try:
+        os.setsid()
         _die_with(server)
+        answer = _computed(payload)
         with os.fdopen(inside, "wb") as stream:
-            stream.write(_computed(payload))
+            stream.write(_LENGTH.pack(len(answer)) + answer)
         status = 0
     finally:
         os._exit(status)  # no exit handlers, no buffers: those are the server's
@@ -354,12 +367,14 @@ def _computed(payload: bytes) -> bytes:
 
 def _report(channel: socket.socket, child: _Child) -> None:
     os.close(child.output)
+    if child.has_answered:
+        _kill([child])
     _, wait_status = os.waitpid(child.pid, 0)
-    status = os.waitstatus_to_exitcode(wait_status)
-    if status == 0 and child.answer:
-        _send(channel, child.number, bytes(child.answer[:1]), bytes(memoryview(child.answer)[1:]))
+    if child.has_answered:
+        answer = memoryview(child.answer)[_LENGTH.size :]
+        _send(channel, child.number, bytes(answer[:1]), bytes(answer[1:]))
     else:
-        _send(channel, child.number, _DIED, struct.pack("!q", status))
+        _send(channel, child.number, _DIED, struct.pack("!q", os.waitstatus_to_exitcode(wait_status)))
 
 
 def _die_with(server: int) -> None:
