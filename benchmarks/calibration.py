@@ -27,6 +27,7 @@ from he3.gridposterior import GridPosterior
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.kernels import AUTO, KERNELS
 from services.ground.scoring import Scorer
+from services.regions import EMBEDDED
 
 MISMATCHED = {"se": "*", "matern32": "*", "matern52": "*", "matern12": "+"}
 """Kernels that do not match the reference fields, and their mark."""
@@ -54,8 +55,8 @@ def run(
     regions: embedded names; region: somebody's field as .npz in their place. Raises InvalidInput for names that nobody
     has.
     """
-    if seeds < 1 or jobs < 1:
-        raise InvalidInput(f"expected one seed and one job at least, got {seeds} and {jobs}")
+    if seeds < 1 or jobs < 1 or not (regions or region):
+        raise InvalidInput(f"expected one seed, job and region at least, got {seeds}, {jobs} and {len(regions)}")
     names = [str(region)] if region is not None else list(regions)
     for name in names:
         region_named(name)
@@ -84,8 +85,9 @@ def coverage(flight: Flight) -> list[Row]:
     for kernel in JUDGED:
         rng = np.random.default_rng(np.random.SeedSequence((flight.seed, count)))
         fitted = fit_hyperparameters(
-            mission.samples_m, mission.values_ppb, kernel, rng=rng, noise_std_ppb=DEFAULT_NOISE_STD_PPB
-        )
+            mission.samples_m, mission.values_ppb, kernel, rng=rng, noise_std_ppb=DEFAULT_NOISE_STD_PPB,
+            extent_m=max(truth.grid.width_m, truth.grid.height_m),
+        )  # fmt: skip
         posterior = GridPosterior.build(truth.grid, fitted, mission.samples_m, mission.values_ppb)
         score = scorer.score(posterior.mean_ppb, posterior.std_ppb, count, count, 0)
         rows.append(
@@ -109,7 +111,7 @@ def coverage(flight: Flight) -> list[Row]:
 def table(rows: Sequence[Row], region: str) -> list[str]:
     """Lines of coverage on one region: mean over seeds, and how far from nominal."""
     head = f"{'samples of':<11} {'kernel':<14} {'RMSE ppb':>9} {'68.3 %':>8} {'off':>6} {'95.4 %':>8} {'off':>6}"
-    lines = [f"{region_named(region).title if region in ('t1', 't2') else region}", head, "-" * len(head)]
+    lines = [f"{region_named(region).title if region in EMBEDDED else region}", head, "-" * len(head)]
     for planner in DESIGNS:
         for kernel in JUDGED:
             group = [row for row in rows if (row["region"], row["planner"], row["kernel"]) == (region, planner, kernel)]
@@ -117,9 +119,9 @@ def table(rows: Sequence[Row], region: str) -> list[str]:
                 continue
             one, two = (mean_and_std(group, key)[0] for key in ("coverage_68", "coverage_95"))
             lines.append(
-                f"{planner:<11} {kernel + MISMATCHED.get(kernel, ''):<14} "
+                f"{planner:<11} {kernel + (MISMATCHED.get(kernel, '') if region in EMBEDDED else ''):<14} "
                 f"{mean_and_std(group, 'rmse_ppb')[0]:9.4f} {one:8.1%} {100 * (one - NOMINAL[0]):+6.1f} "
                 f"{two:8.1%} {100 * (two - NOMINAL[1]):+6.1f}"
             )
-    lines += ["off: points from nominal, mean over fields", *MARKS]
+    lines += ["off: points from nominal, mean over fields", *(MARKS if region in EMBEDDED else ())]
     return lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 COLOURS = ("#8a8f98", "#1b1f24", "#2a7f9e", "#d1495b", "#e08e45", "#5b8e4e", "#9d78b5", "#c2a33a")
+_SETTLED = 10
+"""Samples after which a curve's error says how high to draw."""
 STYLE: dict[str, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -49,8 +52,8 @@ def _of(missions: dict[Flight, Mission], region: str, name: str) -> list[Mission
 def _errors(missions: dict[Flight, Mission], regions: Sequence[str], planners: Sequence[str], path: Path) -> Path:
     figure, axes = plt.subplots(1, len(regions), figsize=(5.2 * len(regions), 3.6), squeeze=False)
     for axis, region in zip(axes[0], regions, strict=True):
-        for colour, planner in zip(COLOURS, planners, strict=False):
-            flown = _of(missions, region, planner)
+        for colour, planner in zip(cycle(COLOURS), planners, strict=False):
+            flown = [mission for mission in _of(missions, region, planner) if mission.rmse_history]
             if not flown:
                 continue
             shortest = min(len(mission.rmse_history) for mission in flown)
@@ -61,7 +64,10 @@ def _errors(missions: dict[Flight, Mission], regions: Sequence[str], planners: S
             axis.fill_between(samples, middle - spread, middle + spread, color=colour, alpha=0.13, lw=0)
         axis.set(title=region_named(region).title, xlabel="samples", ylabel="RMSE over all cells [ppb]")
         late = [m.rmse_history for f, m in missions.items() if f.region == region]
-        axis.set_ylim(0.9 * min(min(curve) for curve in late), 1.15 * float(np.median([curve[9] for curve in late])))
+        late = [curve for curve in late if len(curve) >= _SETTLED]
+        if late:
+            highest = 1.15 * float(np.median([curve[_SETTLED - 1] for curve in late]))
+            axis.set_ylim(0.9 * min(min(curve) for curve in late), highest)
     axes[0][-1].legend(ncols=2, fontsize=8)
     return _saved(figure, path)
 
@@ -90,7 +96,7 @@ def _trajectories(missions: dict[Flight, Mission], regions: Sequence[str], plann
 
 
 def _maps(missions: dict[Flight, Mission], regions: Sequence[str], planners: Sequence[str], path: Path) -> Path:
-    shown = [name for name in ("rrtstar", "informative", "tour") if name in planners]
+    shown = [name for name in planners if name in ("rrtstar", "informative", "tour") or ":" in name]
     figure, axes = plt.subplots(
         len(regions), 1 + len(shown), figsize=(2.9 * (1 + len(shown)), 2.9 * len(regions)), squeeze=False
     )
@@ -106,7 +112,7 @@ def _maps(missions: dict[Flight, Mission], regions: Sequence[str], planners: Seq
         for axis, (title, layer) in zip(line, panels, strict=False):
             image = axis.imshow(layer, origin="lower", extent=extent, cmap="viridis", vmin=low, vmax=high)
             axis.set_title(title, fontsize=9)
-            axis.set(xticks=[0, 250, 500], yticks=[0, 250, 500])
+            axis.locator_params(nbins=3)
             axis.grid(visible=False)
         line[0].set_ylabel("north [m]")
         figure.colorbar(image, ax=list(line), shrink=0.9, label="helium-3 [ppb]")

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.missions import FOOTPRINT_RADIUS_M, ROUNDS, SAMPLES_A_ROUND, START_M
+from benchmarks.missions import FOOTPRINT_RADIUS_M, ROUNDS, SAMPLES_A_ROUND, start_of
 from he3.design_of_samples import AverageVariance, field_nodes
 from he3.frames import FloatArray
 from he3.gp import Hyperparameters, fit_hyperparameters
@@ -85,7 +85,7 @@ def floor(
     begun = time.perf_counter()
     truth = true_covariance(region, noise_std_ppb, seed, cells)
     traversable = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable
-    site = site_about(region.grid, traversable, START_M, field_nodes(region.grid, None))
+    site = site_about(region.grid, traversable, start_of(region), field_nodes(region.grid, None))
     none = np.zeros((0, 2))
     coarse = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, site.nodes, none)
     nodes = field_nodes(region.grid, None, NODES)

@@ -37,8 +37,10 @@ def run(
     regions: embedded names; region: somebody's field as .npz in their place; peers: also fly SGP-Tools, once a budget
     and region. Raises InvalidInput for budgets that are not positive.
     """
-    if seeds < 1 or any(budget <= 0 for budget in budgets):
-        raise InvalidInput(f"expected one seed at least and positive budgets, got {seeds} and {tuple(budgets)}")
+    if seeds < 1 or not budgets or not all(budget > 0 for budget in budgets) or not (regions or region):
+        raise InvalidInput(
+            f"expected one seed and region at least and positive budgets, got {seeds}, {regions} and {tuple(budgets)}"
+        )
     names = [str(region)] if region is not None else list(regions)
     for name in names:
         region_named(name)

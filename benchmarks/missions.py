@@ -24,6 +24,7 @@ from he3.reference import Region
 from he3.trend import OrbitalTrend
 from services.ground.belief import Belief, Observation, fit
 from services.ground.planners import planner_named
+from services.ground.planners.traversability import OpenGround
 from services.ground.planning import Planner, PlannerOptions, PlanningRequest
 from services.ground.scoring import Scorer
 from services.ground.terrain import GroundTerrain
@@ -82,7 +83,7 @@ def run_mission(
     budget_m: float = inf,
     prior: str | None = None,
     noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
-    start_m: tuple[float, float] = START_M,
+    start_m: tuple[float, float] | None = None,
     interest: NDArray[np.float32] | None = None,
     options: PlannerOptions | None = None,
     orbital_ppb: FloatArray | None = None,
@@ -91,7 +92,8 @@ def run_mission(
     """The mission that this planner flies over the region, and its row of figures.
 
     prior: None or "orbital", a trend learned from the region's orbital map or from ``orbital_ppb`` in its place.
-    progress is called with the number of samples taken and of all. Raises InvalidInput for names that nobody has.
+    start_m: where the rover stands at first, ``start_of`` the region if None. progress is called with the number of
+    samples taken and of all. Raises InvalidInput for names that nobody has.
     """
     begun = time.perf_counter()
     if prior not in (None, "orbital"):
@@ -102,6 +104,7 @@ def run_mission(
     trend = OrbitalTrend(region.grid, orbital) if prior == "orbital" else None
     belief = Belief(region.grid, kernel, noise_std_ppb, trend)
     scorer = Scorer(region.he3_ppb)
+    start_m = start_of(region, terrain) if start_m is None else start_m
     log, here = _Log(), start_m
     for number in range(1, rounds + 1):
         left_m = budget_m - log.driven_m
@@ -179,6 +182,19 @@ def run_mission(
         traversable=terrain.traversable,
         ended=log.ended,
     )
+
+
+def start_of(region: Region, terrain: GroundTerrain | None = None) -> tuple[float, float]:
+    """START_M, or where that is closed or outside the region, the centre [m] of the open cell that is nearest to it."""
+    terrain = terrain or GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
+    wanted = np.array([START_M])
+    if region.grid.contains(wanted).all() and OpenGround(region.grid, terrain.traversable).is_open(wanted).all():
+        return START_M
+    places = (np.argwhere(terrain.traversable)[:, ::-1] + 0.5) * region.grid.resolution_m
+    if not len(places):
+        raise InvalidInput(f"{region.name}: expected some traversable ground, got none")
+    nearest = places[int(np.argmin(np.hypot(*(places - wanted).T)))]
+    return float(nearest[0]), float(nearest[1])
 
 
 def without_arrays(mission: Mission) -> Mission:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.missions import FOOTPRINT_RADIUS_M, START_M, Mission
+from benchmarks.missions import FOOTPRINT_RADIUS_M, Mission, start_of
 from he3.errors import He3Error, InvalidInput
 from he3.frames import FloatArray, path_length
 from he3.measurement import sample_noise
@@ -83,7 +83,7 @@ def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m
     request = {
         "task": "place",
         "open_m": cells_m[chosen].tolist(),
-        "start_m": list(START_M),
+        "start_m": list(start_of(region)),
         "samples": len(like.samples_m),
         "kernel": {"name": learned.kernel.name, **parameters},
         "noise_variance": learned.noise_variance,
@@ -98,7 +98,7 @@ def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m
         closed = ~ground.is_open(places)
         if closed.any():
             places[closed] = cells_m[cKDTree(cells_m).query(places[closed])[1]]
-        path, blocked = _path(ground, places)
+        path, blocked = _path(ground, start_of(region), places)
         if path_length(path) <= budget_m * (1 + TOLERANCE):
             break
         # Round obstacles it is longer, and the library's own budget is not exact: it is asked for less, as much less.
@@ -147,9 +147,9 @@ def _belief(region: Region, places: FloatArray, values: FloatArray, kernel: str,
     return belief
 
 
-def _path(ground: OpenGround, places: FloatArray) -> tuple[FloatArray, int]:
-    corners = [np.array(START_M)]
-    pieces, blocked = [np.array([START_M])], 0
+def _path(ground: OpenGround, start_m: tuple[float, float], places: FloatArray) -> tuple[FloatArray, int]:
+    corners = [np.array(start_m)]
+    pieces, blocked = [np.array([start_m])], 0
     for place in places:
         way = shortest_way(ground, corners[-1], place)
         blocked += len(way) > 2

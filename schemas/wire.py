@@ -180,7 +180,7 @@ def one_line(error: ValidationError) -> str:
     came = first.get("input")
     shown = "" if first["type"] in {"missing", "json_invalid"} else f", got {_short(came)}"
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    message = first["msg"].splitlines()[0]
+    message = first["msg"].splitlines()[0].removeprefix("Value error, ")
     return f"{place}: {message[0].lower()}{message[1:]}{shown}{more}"
 
 

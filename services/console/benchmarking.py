@@ -54,11 +54,13 @@ def run_benchmark(name: str, words: Sequence[str], say: Callable[[str], Any]) ->
     function, about = _benchmark(name)
     if "--help" in words or "-h" in words:
         parts = (f"Usage: he3 bench {name} [OPTIONS]", about.strip(), "Options:\n" + "\n".join(_flags(function)),
-                 inspect.getdoc(function) or "")  # fmt: skip
+                 (inspect.getdoc(function) or "").partition("Raises ")[0].strip())  # fmt: skip
         say("\n\n".join(part for part in parts if part))
         return
     arguments = arguments_of(function, words)
     _check_place(arguments.get("json"))
+    if isinstance(arguments.get("out"), Path):
+        make_folder(arguments["out"])
     function(**arguments)
 
 
@@ -166,7 +168,8 @@ def _flags(function: Callable[..., Any]) -> list[str]:
             lines.append(f"  --no-{word}" if default else f"  --{word}")
             continue
         said = default is not None and default is not inspect.Parameter.empty
-        lines.append(f"  {f'--{word} {_named(kind)}':<34} {f'default: {shown}' if said else ''}".rstrip())
+        value = "FOLDER" if name == "out" else _named(kind)
+        lines.append(f"  {f'--{word} {value}':<34} {f'default: {shown}' if said else ''}".rstrip())
     return lines
 
 

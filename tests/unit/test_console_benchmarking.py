@@ -77,7 +77,8 @@ def test_a_benchmark_explains_its_flags_without_running() -> None:
     assert "--sizes N,..." in said[0]
     assert "--no-sklearn" in said[0]
     assert "default: None" not in said[0]
-    assert said[0].rstrip().endswith("if scikit-learn is asked for and not installed.")
+    assert said[0].rstrip().endswith("printed, and written to ``json`` if given.")
+    assert "Raises" not in said[0]
 
 
 def test_a_part_of_other_benchmarks_is_not_run() -> None:

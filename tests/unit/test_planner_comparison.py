@@ -1,14 +1,18 @@
 """The comparison of planners and of kernels, on a small region that is somebody's own file."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from benchmarks import calibration, paper
-from benchmarks.flights import Flight
+from benchmarks import calibration, frontier, paper
+from benchmarks.flights import Flight, fly
 from benchmarks.floor import Floor
+from benchmarks.missions import start_of
 from he3.errors import InvalidInput
 from he3.kernels import KERNELS
+from services.regions import load_region
 
 
 def test_the_paper_s_table_is_printed_written_and_held_against_the_yardstick(quarter_of_t1, tmp_path):
@@ -56,6 +60,33 @@ def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marke
     assert any("smooth+rough " in line for line in lines)
     assert any("matern12+" in line for line in lines)
     assert any("se*" in line for line in lines)
+
+
+def test_missions_begin_where_the_ground_is_open(quarter_of_t1):
+    region = load_region(quarter_of_t1)
+    assert start_of(region) == (25.0, 25.0)
+    closed = region.traversable.copy()
+    closed[:40, :40] = False
+    x, y = start_of(replace(region, traversable=closed))
+    assert max(x, y) > 40.0
+    assert region.traversable[int(y), int(x)]
+    with pytest.raises(InvalidInput, match="expected some traversable ground"):
+        start_of(replace(region, traversable=np.zeros_like(closed)))
+
+
+def test_a_mission_that_ends_early_is_told_from_the_others(quarter_of_t1):
+    flight = Flight(str(quarter_of_t1), "tour", "matern12", 1, budget_m=60.0)
+    whole = fly(flight)
+    short = replace(whole, row={**whole.row, "samples": 12}, ended="no place left to go to")
+    assert not any(" of 150 samples" in line for line in paper.table({flight: whole}, flight.region, ("tour",)))
+    lines = paper.table({flight: short}, flight.region, ("tour",))
+    assert "tour, seed 1: 12 of 150 samples: no place left to go to" in lines
+
+
+@pytest.mark.parametrize("budgets", [(float("nan"),), (0.0,), ()])
+def test_a_frontier_without_a_budget_is_refused(quarter_of_t1, budgets):
+    with pytest.raises(InvalidInput, match="positive budgets"):
+        frontier.run(seeds=1, region=quarter_of_t1, budgets=budgets)
 
 
 def test_a_comparison_of_planners_that_nobody_has_is_refused(quarter_of_t1):
