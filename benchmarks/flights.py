@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.missions import Mission, Row, run_mission
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
 from services.ground.planning import PlannedRound, PlanningRequest
@@ -52,32 +52,53 @@ class Flight:
 
 def flown(
     flights: Sequence[Flight], jobs: int, say: Callable[[str], None], began: float | None = None
-) -> dict[Flight, Mission]:
-    """The missions, by flight; a line for each as it lands."""
-    missions: dict[Flight, Mission] = {}
+) -> tuple[dict[Flight, Mission], list[str]]:
+    """The missions that landed, by flight and in the flights' order, and a line for each that failed.
+
+    A line is said for each as it ends: what one of them does wrong is no reason to lose the others.
+    """
+    landed: dict[Flight, Mission] = {}
+    failures: list[str] = []
     started = time.monotonic() if began is None else began
-    for count, (flight, mission) in enumerate(_landings(flights, jobs), start=1):
-        missions[flight] = mission
-        row = mission.row
+    for count, (flight, outcome) in enumerate(_outcomes(flights, jobs), start=1):
+        head = f"  {count:>3}/{len(flights)}  {flight.region:<4} {flight.name:<22} seed {flight.seed:<3} "
+        if isinstance(outcome, He3Error):
+            failures.append(f"{flight.name} on {flight.region}, seed {flight.seed}: {outcome}")
+            say(f"{head} failed: {outcome}")
+            continue
+        landed[flight] = outcome
+        row = outcome.row
         say(
-            f"  {count:>3}/{len(flights)}  {flight.region:<4} {flight.name:<22} seed {flight.seed:<3} "
-            f"rmse {row['rmse_ppb']:.4f} ppb  {row['path_length_m']:7.0f} m  {row['samples']} samples  "
+            f"{head} rmse {row['rmse_ppb']:.4f} ppb  {row['path_length_m']:7.0f} m  {row['samples']} samples  "
             f"{row['wall_time_s']:.1f} s   ({time.monotonic() - started:.0f} s)"
         )
-    return missions
+    return {flight: landed[flight] for flight in flights if flight in landed}, failures
 
 
-def _landings(flights: Sequence[Flight], jobs: int) -> Iterator[tuple[Flight, Mission]]:
+def expect_none(failures: Sequence[str]) -> None:
+    """Raise He3Error if a flight failed: to be called when the others are printed and written."""
+    if failures:
+        raise He3Error(f"{len(failures)} of the missions failed, the first: {failures[0]}")
+
+
+def _outcomes(flights: Sequence[Flight], jobs: int) -> Iterator[tuple[Flight, Mission | He3Error]]:
     if jobs < 1:
         raise InvalidInput(f"expected one job at least, got {jobs}")
     if jobs == 1 or len(flights) < 2:
         for flight in flights:
-            yield flight, fly(flight)
+            yield flight, _outcome(flight)
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting = {pool.submit(fly, flight): flight for flight in flights}
+        waiting = {pool.submit(_outcome, flight): flight for flight in flights}
         for future in as_completed(waiting):
             yield waiting[future], future.result()
+
+
+def _outcome(flight: Flight) -> Mission | He3Error:
+    try:
+        return fly(flight)
+    except He3Error as error:
+        return error
 
 
 def fly(flight: Flight) -> Mission:

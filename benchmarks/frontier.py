@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from benchmarks.flights import Flight, flown, mean_and_std, region_named, written
+from benchmarks.flights import Flight, expect_none, flown, mean_and_std, region_named, written
 from benchmarks.missions import Mission, Row
 from he3.errors import InvalidInput
 
@@ -48,7 +48,7 @@ def run(
     flights = [Flight(name, "tour", kernel, seed, budget_m=budget) for name in names for budget in budgets
                for seed in range(1, seeds + 1)]  # fmt: skip
     flights += [Flight(name, "rrtstar", "matern52", seed) for name in names for seed in range(1, seeds + 1)]
-    missions = flown(flights, jobs, say, began)
+    missions, failures = flown(flights, jobs, say, began)
     rows = [mission.row for mission in missions.values()]
     if peers:
         rows += _peer_rows(names, budgets, kernel, seeds, missions, jobs, say)
@@ -62,6 +62,7 @@ def run(
 
         curves = {name: _curves(rows, region_named(name).name) for name in names}
         say(f"written {frontier_figure(curves, {}, out / 'frontier.png')}")
+    expect_none(failures)
     return rows
 
 
@@ -93,8 +94,12 @@ def _peer_rows(
         )
         return row
 
-    asked = [(name, budget, seed) for name in names for budget in budgets if budget in PEER_BUDGETS_M
-             for seed in range(1, seeds + 1)]  # fmt: skip
+    wanted = [(name, budget, seed) for name in names for budget in budgets for seed in range(1, seeds + 1)]
+    asked = [
+        (name, budget, seed)
+        for name, budget, seed in wanted
+        if budget in PEER_BUDGETS_M and Flight(name, "tour", kernel, seed, budget_m=budget) in missions
+    ]
     with ThreadPoolExecutor(jobs) as pool:  # the work is done in processes of the peer's
         return list(pool.map(lambda one: fly(*one), asked))
 

@@ -22,11 +22,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from benchmarks.calibration import MARKS, MISMATCHED
-from benchmarks.flights import Flight, flown, mean_and_std, region_named, written
+from benchmarks.flights import Flight, expect_none, flown, mean_and_std, region_named, written
 from benchmarks.floor import Floor
 from benchmarks.floor import floor as floor_of
 from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Mission, Row
@@ -89,14 +90,17 @@ def run(
              for seed in range(1, seeds + 1) if planner != FIFTH]  # fmt: skip
     if FIFTH in planners and YARDSTICK not in planners:
         raise InvalidInput(f"expected {YARDSTICK} among the planners, as '{FIFTH}' is measured by it")
-    missions = flown(first, jobs, say, began)
+    missions, failures = flown(first, jobs, say, began)
     if FIFTH in planners:
         fifths = []
         for name in names:
-            metres, _ = mean_and_std(_rows(missions, name, YARDSTICK), "path_length_m")
+            yardstick = _rows(missions, name, YARDSTICK)
+            metres = mean_and_std(yardstick, "path_length_m")[0] if yardstick else inf
             fifths += [Flight(name, "tour", own_kernel, seed, budget_m=metres / 5, label=FIFTH)
                        for seed in range(1, seeds + 1)]  # fmt: skip
-        missions |= flown(fifths, jobs, say, began)
+        of_fifths, failed = flown([flight for flight in fifths if flight.budget_m < inf], jobs, say, began)
+        missions |= of_fifths
+        failures += failed
     floors = {name: _floors(missions, name, planners) if floor else [] for name in names}
     for name in names:
         say("")
@@ -109,6 +113,7 @@ def run(
 
         for path in paper_figures(missions, names, planners, out):
             say(f"written {path}")
+    expect_none(failures)
     return rows
 
 
@@ -129,8 +134,9 @@ def _flight(region: str, planner: str, seed: int, kernel: str, own_kernel: str) 
 
 def _floors(missions: dict[Flight, Mission], region: str, planners: Sequence[str]) -> list[Floor]:
     floors = [floor_of(region_named(region))]
-    if FIFTH in planners:
-        metres, _ = mean_and_std(_rows(missions, region, YARDSTICK), "path_length_m")
+    yardstick = _rows(missions, region, YARDSTICK)
+    if FIFTH in planners and yardstick:
+        metres, _ = mean_and_std(yardstick, "path_length_m")
         floors.append(floor_of(region_named(region), budget_m=metres / 5))
     return floors
 

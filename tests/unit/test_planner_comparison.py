@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks import calibration, frontier, paper
-from benchmarks.flights import Flight, fly
+from benchmarks import calibration, flights, frontier, paper
+from benchmarks.flights import Flight, flown, fly
 from benchmarks.floor import Floor
 from benchmarks.missions import start_of
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from he3.kernels import KERNELS
+from services.ground.planner_process import PlannerProcess
 from services.regions import load_region
 
 
@@ -81,6 +82,28 @@ def test_a_mission_that_ends_early_is_told_from_the_others(quarter_of_t1):
     assert not any(" of 150 samples" in line for line in paper.table({flight: whole}, flight.region, ("tour",)))
     lines = paper.table({flight: short}, flight.region, ("tour",))
     assert "tour, seed 1: 12 of 150 samples: no place left to go to" in lines
+
+
+def test_a_mission_that_fails_does_not_take_the_others_with_it(quarter_of_t1, tmp_path, monkeypatch):
+    (tmp_path / "failing.py").write_text("def planner(request):\n    return None\n")
+    monkeypatch.chdir(tmp_path)
+    said, out = [], tmp_path / "rows.json"
+    expected = r"1 of the missions failed, the first: failing:planner on .* a PlannedRound, got NoneType"
+    with PlannerProcess(parallel=1) as planners:
+        monkeypatch.setattr(flights, "_process", lambda: planners)
+        with pytest.raises(He3Error, match=expected):
+            paper.run(seeds=1, region=quarter_of_t1, planners=("tour", "failing:planner"), jobs=1, floor=False,
+                      json=out, out=tmp_path, say=said.append)  # fmt: skip
+    assert [row["planner"] for row in json.loads(out.read_text())["rows"]] == ["tour"]
+    assert any(line.startswith("tour ") for line in said)
+    assert (tmp_path / "paper-maps.png").stat().st_size > 10_000
+
+
+def test_missions_are_in_the_order_in_which_they_were_asked_for(quarter_of_t1):
+    slow, quick = (Flight(str(quarter_of_t1), "tour", "matern12", 1), Flight(str(quarter_of_t1), "rrt", "matern52", 1))
+    landed, failures = flown([slow, quick], 2, lambda line: None)
+    assert list(landed) == [slow, quick]
+    assert failures == []
 
 
 @pytest.mark.parametrize("budgets", [(float("nan"),), (0.0,), ()])
