@@ -23,11 +23,11 @@ from benchmarks.flights import Flight, fly, mean_and_std, region_named, written
 from benchmarks.missions import Row
 from he3.errors import InvalidInput
 from he3.gp import fit_hyperparameters
-from he3.gridposterior import GridPosterior
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.kernels import AUTO, KERNELS
+from he3.posterior.grid import GridPosterior
 from services.ground.scoring import Scorer
-from services.regions import EMBEDDED
+from services.mission.regions import EMBEDDED
 
 MISMATCHED = {"se": "*", "matern32": "*", "matern52": "*", "matern12": "+"}
 """Kernels that do not match the reference fields, and their mark."""

@@ -26,9 +26,9 @@ from typing import Any
 from he3.errors import He3Error, InvalidInput
 from schemas.ground import MissionPhase
 from services.ground.planner_process import PlannerProcess
-from services.mission import InProcessMission
-from services.scenario import Scenario, checked_scenario
-from services.seat import Executor
+from services.mission.in_process import InProcessMission
+from services.mission.scenario import Scenario, checked_scenario
+from services.runtime.scheduler import Executor
 
 MOON_S = 1.282
 """Light time of the black-out rows: the Moon at its mean distance."""

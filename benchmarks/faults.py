@@ -29,17 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from he3.errors import He3Error, InvalidInput
-from he3.frames import SiteGrid
-from he3.gp import Hyperparameters
-from he3.gridposterior import GridPosterior
-from he3.kernels import kernel_from
-from he3.reference import Region
-from schemas.commands import CommandKind, NoParameters, Telecommand
-from schemas.link import LinkChange, LinkConditions
-from schemas.topics import ISSUE_COMMAND, LINK_SET, SAMPLE, TRACK, Side, Topic
-from schemas.wire import Wire, decode
-from services.faults import (
+from benchmarks.fault_schedules import (
     LINK_FAULTS,
     SERVICES,
     Fault,
@@ -50,17 +40,27 @@ from services.faults import (
     shrunk,
     telecommand,
 )
+from he3.errors import He3Error, InvalidInput
+from he3.frames import SiteGrid
+from he3.gp import Hyperparameters
+from he3.kernels import kernel_from
+from he3.posterior.grid import GridPosterior
+from he3.reference import Region
+from schemas.commands import CommandKind, NoParameters, Telecommand
+from schemas.link import LinkChange, LinkConditions
+from schemas.topics import ISSUE_COMMAND, LINK_SET, SAMPLE, TRACK, Side, Topic
+from schemas.wire import Wire, decode
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
 from services.ground.planner_process import PlannerProcess
-from services.journal import identity_of
 from services.link.node import build_node as build_link
-from services.mission import InProcessMission
-from services.node import SECOND, MissionTime, Node
-from services.regions import load_region
+from services.mission.in_process import InProcessMission
+from services.mission.regions import load_region
+from services.mission.scenario import Scenario, checked_scenario
 from services.rover.node import build_node as build_rover
-from services.scenario import Scenario, checked_scenario
-from services.seat import Executor, InlineExecutor
+from services.runtime.journal import identity_of
+from services.runtime.node import SECOND, MissionTime, Node
+from services.runtime.scheduler import Executor, InlineExecutor
 
 CELLS = 120
 LIGHT_TIME_S = 1.282

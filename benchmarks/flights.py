@@ -19,8 +19,8 @@ from benchmarks.missions import Mission, Row, run_mission
 from he3.errors import He3Error, InvalidInput
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
-from services.ground.planning import PlannedRound, PlanningRequest
-from services.regions import load_region
+from services.ground.planners.interface import PlannedRound, PlanningRequest
+from services.mission.regions import load_region
 
 OWN_PROCESS = ("rrt", "rrtstar", "informative")
 """Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone. So is

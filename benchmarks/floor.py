@@ -23,19 +23,19 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.missions import FOOTPRINT_RADIUS_M, ROUNDS, SAMPLES_A_ROUND, start_of
-from he3.design_of_samples import AverageVariance, field_nodes
 from he3.frames import FloatArray
 from he3.gp import Hyperparameters, fit_hyperparameters
-from he3.gridposterior import GridPosterior
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
+from he3.i_optimal_design import AverageVariance, field_nodes
 from he3.information import rmse
 from he3.measurement import sample_noise
+from he3.posterior.grid import GridPosterior
 from he3.reference import Region
-from services.ground.planners.tour_design import drawn_taut, first_design, worth
-from services.ground.planners.tour_route import route_through
-from services.ground.planners.tour_site import site_about
+from services.ground.planners.tour.design import drawn_taut, first_design, worth
+from services.ground.planners.tour.route import route_through
+from services.ground.planners.tour.site import site_about
 from services.ground.terrain import GroundTerrain
-from services.regions import load_region
+from services.mission.regions import load_region
 
 KERNEL = "smooth+rough"
 CELLS = 900

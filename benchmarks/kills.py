@@ -30,12 +30,12 @@ from schemas.ground import MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapLayerQuery
 from schemas.topics import GROUND_STATUS, MAP_LAYER, SAMPLE, TRACK, Topic
 from schemas.wire import Wire, decode
-from services.bus import Client
-from services.console.launcher import free_endpoints
-from services.deployment import find_scenario
-from services.journal import JournalReader, identity_of
-from services.options import parse_setting, with_settings
-from services.scenario import Scenario, load_scenario
+from services.console.launch.launcher import free_endpoints
+from services.mission.deployment import find_scenario
+from services.mission.scenario import Scenario, load_scenario
+from services.runtime.journal import JournalReader, identity_of
+from services.runtime.options import parse_setting, with_settings
+from services.runtime.transport.session import Client
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 VICTIMS = ("rover", "ground", "link", "field")

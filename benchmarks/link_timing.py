@@ -36,13 +36,13 @@ from schemas.link import ClockState, LinkChange, LinkStatus
 from schemas.telemetry import SampleReport
 from schemas.topics import COMMAND, EARTH_CLOCK, LINK_SET, MOON_CLOCK, SAMPLE, Side, Topic
 from schemas.wire import Header, Wire, decode, encode
-from services.bus import Bus, Client, open_session
-from services.clock import mission_time
-from services.console.joining import join_when_up
-from services.console.launcher import free_endpoints
-from services.deployment import find_scenario
-from services.node import SECOND
-from services.scenario import load_scenario
+from services.console.client.session import join_when_up
+from services.console.launch.launcher import free_endpoints
+from services.mission.deployment import find_scenario
+from services.mission.scenario import load_scenario
+from services.runtime.clock import mission_time
+from services.runtime.node import SECOND
+from services.runtime.transport.session import Bus, Client, open_session
 
 Row = dict[str, Any]
 T = TypeVar("T")

@@ -25,15 +25,15 @@ from typing import Any
 from he3.errors import He3Error, PeerUnreachable
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.topics import TIME_CONTROL
-from services.bus import Client
-from services.console.joining import join_when_up
-from services.console.launcher import Launcher, free_endpoints
-from services.console.scenarios import Chosen, choose
+from services.console.client.session import join_when_up
+from services.console.launch.launcher import Launcher, free_endpoints
+from services.console.launch.scenarios import Chosen, choose
 from services.ground.planner_process import PlannerProcess
-from services.mission import InProcessMission
-from services.node import SECOND
-from services.seat import Executor
-from services.trace import EventLog, merge_event_logs
+from services.mission.in_process import InProcessMission
+from services.runtime.event_log import EventLog, merge_event_logs
+from services.runtime.node import SECOND
+from services.runtime.scheduler import Executor
+from services.runtime.transport.session import Client
 
 Row = dict[str, Any]
 

@@ -32,8 +32,8 @@ import numpy as np
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters, fit_hyperparameters
-from he3.gridposterior import GridPosterior
 from he3.kernels import KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential
+from he3.posterior.grid import GridPosterior
 
 SITE = SiteGrid(500, 500, 1.0)
 NOISE_STD_PPB = 0.1

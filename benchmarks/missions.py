@@ -24,8 +24,8 @@ from he3.reference import Region
 from he3.trend import OrbitalTrend
 from services.ground.belief import Belief, Observation, fit
 from services.ground.planners import planner_named
+from services.ground.planners.interface import Planner, PlannerOptions, PlanningRequest
 from services.ground.planners.traversability import OpenGround
-from services.ground.planning import Planner, PlannerOptions, PlanningRequest
 from services.ground.scoring import Scorer
 from services.ground.terrain import GroundTerrain
 

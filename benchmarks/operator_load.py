@@ -24,11 +24,11 @@ from typing import Any
 
 from he3.errors import He3Error, PeerUnreachable
 from schemas.topics import MAP_BOX, MAP_LAYER, MAP_POINT, Side
-from services.bus import open_session, selector_text
-from services.console.client import MissionClient
-from services.console.joining import join_when_up
-from services.console.launcher import Endpoints, Launcher, free_endpoints
-from services.deployment import deployment
+from services.console.client.mission_client import MissionClient
+from services.console.client.session import join_when_up
+from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
+from services.mission.deployment import deployment
+from services.runtime.transport.session import open_session, selector_text
 
 SCENARIO = "t1-nominal"
 POINT_SHARE, BOX_SHARE = 0.90, 0.08

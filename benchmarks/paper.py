@@ -33,7 +33,7 @@ from benchmarks.floor import floor as floor_of
 from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Mission, Row
 from he3.errors import InvalidInput
 from services.ground.planners import planner_named
-from services.regions import EMBEDDED
+from services.mission.regions import EMBEDDED
 
 PUBLISHED = {
     ("t1", "rrt"): (0.8347, 16829.9),

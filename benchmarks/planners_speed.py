@@ -30,10 +30,10 @@ from he3.kernels import kernel_from
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners import PLANNERS, planner_named
+from services.ground.planners.interface import PlanningRequest
 from services.ground.planners.traversability import OpenGround
-from services.ground.planning import PlanningRequest
 from services.ground.terrain import GroundTerrain
-from services.regions import load_region
+from services.mission.regions import load_region
 
 KNOWN = (0, 75, 145)
 SAMPLES, TOTAL = 5, 150

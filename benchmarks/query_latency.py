@@ -32,11 +32,11 @@ from he3.errors import He3Error, InvalidInput
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.topics import GROUND_STATUS, MAP_POINT, Side
 from schemas.wire import Header
-from services.bus import Client, open_session
-from services.console.joining import join_when_up
-from services.console.launcher import free_endpoints
-from services.deployment import find_scenario
-from services.scenario import load_scenario
+from services.console.client.session import join_when_up
+from services.console.launch.launcher import free_endpoints
+from services.mission.deployment import find_scenario
+from services.mission.scenario import load_scenario
+from services.runtime.transport.session import Client, open_session
 
 BARE_KEY = "bench/bare"
 GIVE_UP_S = 300.0

@@ -26,7 +26,7 @@ from he3.frames import FloatArray, path_length
 from he3.measurement import sample_noise
 from he3.reference import Region
 from services.ground.belief import Belief, Observation, fit
-from services.ground.planners.tour_ways import shortest_way
+from services.ground.planners.tour.paths import shortest_way
 from services.ground.planners.traversability import OpenGround
 from services.ground.scoring import Scorer
 from services.ground.terrain import GroundTerrain

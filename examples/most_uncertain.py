@@ -13,10 +13,10 @@ import numpy as np
 
 from he3.errors import NoRoute
 from he3.frames import path_length
+from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
 from services.ground.planners.rounds import belief_about, planned
 from services.ground.planners.routes import Routes
 from services.ground.planners.traversability import OpenGround
-from services.ground.planning import PlannedRound, PlanningRequest, checked
 
 SPACING_CELLS = 10
 """Of the places among which it chooses."""

@@ -7,7 +7,7 @@
     later = belief.condition([[40.0, 55.0]], [7.9])                          # belief itself is unchanged
     planned = belief.condition_on_places([[100.0, 20.0], [120.0, 20.0]])     # to be sampled: less variance, same mean
     nats = information_gain(planned.posterior_covariance(places_m), fitted.noise_variance_ppb2)
-    posterior = GridPosterior.build(grid, fitted, xy_m, values_ppb)          # he3.gridposterior: every cell of the site
+    posterior = GridPosterior.build(grid, fitted, xy_m, values_ppb)          # he3.posterior: every cell of the site
     posterior.add([60.0, 61.0], 8.3)                                         # one sample, no refit
     posterior.mean_ppb, posterior.std_ppb                                    # (rows, columns) float32
 

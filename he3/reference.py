@@ -22,7 +22,7 @@ from scipy.interpolate import RectBivariateSpline
 from he3 import constants
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
-from he3.randomfield import correlated, layer_correlation, unit_fields
+from he3.random_field import correlated, layer_correlation, unit_fields
 from he3.regolith import RegolithModel
 from he3.terrain import relief_m, slope_deg, traversable
 

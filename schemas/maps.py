@@ -253,7 +253,7 @@ class FrameKind(StrEnum):
 
 
 class MapFrame(Wire):
-    """The head of a frame of the map's feed; numbers follow it, see services/mapfeed.py."""
+    """The head of a frame of the map's feed; numbers follow it, see services/ground/map/feed.py."""
 
     kind: FrameKind
     epoch: Count

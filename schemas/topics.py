@@ -143,7 +143,7 @@ MAP_BOX = Topic("earth/map/box", MapBoxQuery, service=Query(), reply=MapRaster, 
 MAP_RESOURCE = Topic("earth/map/resource", ResourceQuery, service=Query(), reply=ResourceEstimate)
 MAP_HISTORY = Topic("earth/map/history", NoParameters, service=Query(), reply=MapHistory)
 MAP_FEED = Topic("earth/map/feed", MapFrame, max_bytes=67_108_864)
-"""Not an envelope: head and numbers, as services/mapfeed.py writes them. Asked for on the same key: a key frame."""
+"""Not an envelope: head and numbers, see services/ground/map/feed.py. A query on the same key returns a key frame."""
 
 MOON_JOIN = Topic("moon/time/join", Join, service=Query(), reply=Joined, max_bytes=65_536)
 MOON_GRANT = Topic("moon/time/grant", Grant)

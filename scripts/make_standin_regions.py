@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from he3 import constants
-from he3.randomfield import correlated, unit_fields
+from he3.random_field import correlated, unit_fields
 from he3.reference import METRES_PER_DEGREE
 
 FloatArray = NDArray[np.float64]
@@ -202,7 +202,7 @@ def write(path: Path, arrays: dict[str, NDArray[np.generic]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    default = Path(__file__).parent.parent / "services" / "region_data"
+    default = Path(__file__).parent.parent / "services" / "mission" / "region_data"
     parser.add_argument("--out", type=Path, default=default, help="folder to write to (default: the package's)")
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)

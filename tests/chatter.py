@@ -16,7 +16,7 @@ from typing import NoReturn
 
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import Query, Side, Topic
-from services.node import (
+from services.runtime.node import (
     SECOND,
     Answer,
     Ask,
@@ -149,10 +149,10 @@ class DawdlingExecutor:
 
 def main(name: str, seed: str, *arguments: str) -> NoReturn:
     """One chatter in this process."""
-    from services.link.lockstep import LockstepLinkProcess
-    from services.lockstep import LockstepProcess
-    from services.run import Service
-    from services.serve import leave, serve
+    from services.link.lockstep_process import LockstepLinkProcess
+    from services.runtime.drivers.wall_clock import Service
+    from services.runtime.entry import leave, serve
+    from services.runtime.lockstep.process import LockstepProcess
 
     node = next(each for each in chatters(int(seed)) if each.interface.name == name)
     service = Service(name, lambda options: node, executor=DawdlingExecutor, journals=False)

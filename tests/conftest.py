@@ -11,7 +11,7 @@ import pytest
 @pytest.fixture(scope="session")
 def quarter_of_t1(tmp_path_factory):
     """A quarter of t1 as somebody's own region file, every second cell: 125 x 125 cells of 2 m."""
-    from services.regions import load_region
+    from services.mission.regions import load_region
 
     whole = load_region("t1")
     path = tmp_path_factory.mktemp("region") / "quarter.npz"

@@ -42,7 +42,7 @@ def _run(words: list[str]) -> int:
     import typer
 
     from he3.errors import He3Error, InvalidInput
-    from services.console.app import build
+    from services.console.cli.app import build
     from services.console.interruption import told_to_end
 
     # typer carries its own copy of click and exports only the leaves of its exception tree.

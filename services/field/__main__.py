@@ -1,10 +1,10 @@
 """The field service: ``python -m services.field SCENARIO``."""
 
 from services.field.node import build_node
-from services.node import Node
-from services.options import Options
-from services.run import Service
-from services.serve import leave, serve
+from services.runtime.drivers.wall_clock import Service
+from services.runtime.entry import leave, serve
+from services.runtime.node import Node
+from services.runtime.options import Options
 
 
 def build(options: Options) -> Node:

@@ -14,9 +14,9 @@ from he3.reference import Region
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.topics import MEASURE, TERRAIN, Side
 from services.field.hazards import covered, hazard_places
-from services.node import Answer, Asked, Effect, Event, Interface, MissionTime, Refuse
-from services.regions import load_region
-from services.scenario import FieldConfig, Scenario
+from services.mission.regions import load_region
+from services.mission.scenario import FieldConfig, Scenario
+from services.runtime.node import Answer, Asked, Effect, Event, Interface, MissionTime, Refuse
 
 
 class FieldNode:

@@ -1,12 +1,12 @@
 """The ground service: ``python -m services.ground SCENARIO``."""
 
-from services.ground.map_process import map_answers
+from services.ground.map.process import map_answers
 from services.ground.node import build_node
 from services.ground.planner_process import PlannerProcess
-from services.node import Node
-from services.options import Options
-from services.run import Service
-from services.serve import leave, serve
+from services.runtime.drivers.wall_clock import Service
+from services.runtime.entry import leave, serve
+from services.runtime.node import Node
+from services.runtime.options import Options
 
 
 def build(options: Options) -> Node:

@@ -18,8 +18,8 @@ from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
-from he3.gridposterior import GridPosterior, MapSnapshot
 from he3.kernels import AUTO, kernel_from
+from he3.posterior.grid import GridPosterior, MapSnapshot
 from he3.trend import OrbitalTrend
 
 Place = tuple[float, float]

@@ -19,15 +19,15 @@ from he3.gp import Hyperparameters
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
 from schemas.topics import PLAN
-from services.ground.allowance import Budget, Committed
 from services.ground.belief import Belief, Observation, fit
-from services.ground.ledger import Ledger, RoundRecord
+from services.ground.budget import Budget, Committed
 from services.ground.planners import planner_named
-from services.ground.planning import Planner, PlannerOptions, PlanningRequest
+from services.ground.planners.interface import Planner, PlannerOptions, PlanningRequest
+from services.ground.round_log import Ledger, RoundRecord
 from services.ground.round_plans import PlanInWork, round_plan, run_planner, sample_id
 from services.ground.terrain import BoolArray, GroundTerrain, along, cell_of, interest_weights
-from services.node import Compute, Effect, Finish, Level, MissionTime, Note, Send, WakeAt, seconds
-from services.scenario import Scenario
+from services.mission.scenario import Scenario
+from services.runtime.node import Compute, Effect, Finish, Level, MissionTime, Note, Send, WakeAt, seconds
 
 Place = tuple[float, float]
 

@@ -37,16 +37,18 @@ from schemas.topics import (
     Side,
 )
 from schemas.wire import Header
-from services.ground.allowance import Budget
 from services.ground.belief import Belief
-from services.ground.commands import ENDS, LOOK_AGAIN_S, CommandBook
+from services.ground.budget import Budget
 from services.ground.director import REPLAN_TIMER, Director
-from services.ground.map_service import MAP_TOPICS, answer
-from services.ground.planning import Planner
+from services.ground.map.service import MAP_TOPICS, answer
+from services.ground.map.snapshot import MapSnapshot
+from services.ground.planners.interface import Planner
 from services.ground.scoring import Scorer
-from services.ground.snapshot import MapSnapshot
+from services.ground.telecommands import ENDS, LOOK_AGAIN_S, CommandBook
 from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing, interest_weights, worth_nothing
-from services.node import (
+from services.mission.regions import load_region
+from services.mission.scenario import Scenario
+from services.runtime.node import (
     SECOND,
     Answer,
     Answered,
@@ -69,8 +71,6 @@ from services.node import (
     WakeAt,
     seconds,
 )
-from services.regions import load_region
-from services.scenario import Scenario
 
 STATUS_TIMER = "status"
 LOOK, LOOK_TIMER = "commands-on-the-link", "look"

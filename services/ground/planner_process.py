@@ -44,7 +44,7 @@ from typing import Any, Self, TypeVar
 
 from he3.errors import He3Error, InvalidInput
 from services.ground.planners import PLANNERS, plan, planner_named
-from services.ground.planning import PlannedRound, PlanningRequest
+from services.ground.planners.interface import PlannedRound, PlanningRequest
 
 T = TypeVar("T")
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid, as_points
-from he3.gridposterior import GridPosterior
+from he3.posterior.grid import GridPosterior
 from schemas.plans import PlannedSample, RoundPlan
 from services.ground.planners import planner_named
-from services.ground.planning import PlannedRound, Planner, PlanningRequest
+from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 
 Place = tuple[float, float]
 

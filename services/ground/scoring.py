@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
 from schemas.maps import MapScore
-from services.node import MissionTime
+from services.runtime.node import MissionTime
 
 Float32Array = NDArray[np.float32]
 

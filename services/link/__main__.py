@@ -1,12 +1,12 @@
 """The link service: ``python -m services.link SCENARIO``. It embeds both routers and keeps mission time."""
 
-from services.link.lockstep import LockstepLinkProcess
+from services.link.lockstep_process import LockstepLinkProcess
 from services.link.node import build_node
 from services.link.process import LinkProcess
-from services.node import Node
-from services.options import Options
-from services.run import Service
-from services.serve import leave, serve
+from services.runtime.drivers.wall_clock import Service
+from services.runtime.entry import leave, serve
+from services.runtime.node import Node
+from services.runtime.options import Options
 
 
 def build(options: Options) -> Node:

@@ -26,8 +26,8 @@ from random import Random
 from schemas.link import AtEdge, DirectionConditions, DirectionCounts
 from schemas.topics import Custody
 from services.link.contact import Contact, Span
-from services.link.letter import Letter
-from services.node import SECOND, MissionTime, seconds
+from services.link.packet import Letter
+from services.runtime.node import SECOND, MissionTime, seconds
 
 
 class Reason(StrEnum):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from schemas.link import LinkConditions
-from services.node import MissionTime, seconds
+from services.runtime.node import MissionTime, seconds
 
 
 class Span(NamedTuple):

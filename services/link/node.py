@@ -9,7 +9,8 @@ from schemas.link import Direction, LinkChange
 from schemas.topics import LINK_SET, LINK_STATUS, Side, crossing
 from services.link.channel import Drop, Reason
 from services.link.relay import Relay
-from services.node import (
+from services.mission.scenario import Scenario
+from services.runtime.node import (
     SECOND,
     Answer,
     Asked,
@@ -27,7 +28,6 @@ from services.node import (
     Started,
     WakeAt,
 )
-from services.scenario import Scenario
 
 STATUS_AT_MOST_EVERY: MissionTime = 1 * SECOND
 """Between two reports when letters are offered [ns]."""

@@ -14,11 +14,11 @@ from he3.errors import He3Error
 from schemas.link import ClockState
 from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header, Refused, decode, encode
-from services.bus import Bus, Question, open_session
-from services.clock import at_rate, started
-from services.options import Options
-from services.questions import request_of
-from services.run import CLOCKS, Process, Service, Stop
+from services.runtime.clock import at_rate, started
+from services.runtime.drivers.wall_clock import CLOCKS, Process, Service, Stop
+from services.runtime.options import Options
+from services.runtime.queries.server import request_of
+from services.runtime.transport.session import Bus, Question, open_session
 
 CLOCK_FILE = "clock.json"
 

@@ -22,8 +22,8 @@ from schemas.topics import COMMAND, Topic
 from schemas.wire import one_line
 from services.link.channel import Channel, Drop, Flight, Limits
 from services.link.contact import Contact
-from services.link.letter import Letter, sealed
-from services.node import MissionTime
+from services.link.packet import Letter, sealed
+from services.runtime.node import MissionTime
 
 SHOWN_IN_FLIGHT = 200
 SHOWN_DROPPED = 50

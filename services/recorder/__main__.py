@@ -3,13 +3,13 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from services.node import Node
-from services.options import Options
 from services.recorder.files import open_recording
 from services.recorder.node import build_node
 from services.recorder.writer import RecordingWriter
-from services.run import Service
-from services.serve import leave, serve
+from services.runtime.drivers.wall_clock import Service
+from services.runtime.entry import leave, serve
+from services.runtime.node import Node
+from services.runtime.options import Options
 
 DEFAULT_FILE = Path("mission.mcap")
 LEAST_FLUSH_S = 0.2

@@ -7,8 +7,20 @@ from typing import Protocol
 
 from schemas.topics import TOPICS, Side, Topic
 from schemas.wire import encode
-from services.node import Due, Effect, Event, Interface, Level, MissionTime, Note, Received, Started, WakeAt, seconds
-from services.scenario import Scenario
+from services.mission.scenario import Scenario
+from services.runtime.node import (
+    Due,
+    Effect,
+    Event,
+    Interface,
+    Level,
+    MissionTime,
+    Note,
+    Received,
+    Started,
+    WakeAt,
+    seconds,
+)
 
 FLUSH = "flush"
 

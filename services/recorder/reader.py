@@ -16,7 +16,7 @@ from zstandard import ZstdError
 from he3.errors import InvalidInput
 from schemas.topics import BY_NAME, Topic
 from schemas.wire import Header, Refused, decode
-from services.node import MissionTime
+from services.runtime.node import MissionTime
 
 RECORD_LIMIT_BYTES = 64 * 1024 * 1024
 

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from schemas.topics import Topic
 from schemas.wire import SCHEMA_VERSION, Envelope
-from services.node import MissionTime
+from services.runtime.node import MissionTime
 
 CHUNK_BYTES = 65_536
 """Uncompressed size at which a chunk is written: what a kill can cost at most when nobody flushes."""

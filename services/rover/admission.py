@@ -12,8 +12,8 @@ import numpy as np
 
 from he3.frames import SiteGrid
 from schemas.plans import MissionPlan, RoundPlan
-from services.rover.rounds import Job, Leg, legs_of
-from services.rover.segments import Area, Point
+from services.rover.activities import Job, Leg, legs_of
+from services.rover.geometry import Area, Point
 
 JOIN_TOLERANCE_M: Final = 2.0  # m between where a round begins and where the rover will be
 MAX_ROUND_M: Final = 50_000.0  # m of way in a round: more is a mistake, the whole mission drives 20 km

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-from services.node import SECOND, MissionTime
-from services.scenario import RoverConfig
+from services.mission.scenario import RoverConfig
+from services.runtime.node import SECOND, MissionTime
 
 _WS_PER_WH: Final = 3600.0  # W s in a Wh
 

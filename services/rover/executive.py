@@ -19,12 +19,16 @@ from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainRep
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverMode, RoverState, SampleReport
 from schemas.topics import MEASURE, SAMPLE, TERRAIN, Topic
-from services.node import Effect, Finish, Level, MissionTime, Note, Send, Silence, WakeAt, seconds
-from services.rover.commands import CommandTable
+from services.mission.scenario import RoverConfig
+from services.rover.activities import Job
+from services.rover.command_registry import CommandTable
 from services.rover.drill import Hole
 from services.rover.energy import full_battery
+from services.rover.geometry import Area, Point
 from services.rover.instruments import Instruments
-from services.rover.phases import (
+from services.rover.plan_queue import Programme
+from services.rover.reporter import Voice
+from services.rover.states import (
     ENDED_BY_PLAN,
     HOLD_TRIGGERS,
     INTERRUPTIBLE,
@@ -35,13 +39,9 @@ from services.rover.phases import (
     Trigger,
     after,
 )
-from services.rover.programme import Programme
-from services.rover.rounds import Job
-from services.rover.segments import Area, Point
 from services.rover.traverse import Look, Piece, corridor, drive, forbidden
 from services.rover.vehicle import Vehicle
-from services.rover.voice import Voice
-from services.scenario import RoverConfig
+from services.runtime.node import Effect, Finish, Level, MissionTime, Note, Send, Silence, WakeAt, seconds
 
 STEP: Final = "step"
 CHARGED: Final = "charged"

@@ -7,7 +7,7 @@ from typing import Final
 
 from schemas.topics import Topic
 from schemas.wire import Wire
-from services.node import Ask, Effect, MissionTime, WakeAt, seconds
+from services.runtime.node import Ask, Effect, MissionTime, WakeAt, seconds
 
 RETRY: Final = "retry"
 

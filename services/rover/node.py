@@ -10,7 +10,13 @@ from he3 import constants
 from he3.frames import SiteGrid
 from schemas.telemetry import RoverMode
 from schemas.topics import COMMAND, MEASURE, PLAN, STATE, TERRAIN, Side
-from services.node import (
+from services.mission.regions import EMBEDDED, load_region
+from services.mission.scenario import RoverConfig, Scenario
+from services.rover import command_handlers as orders
+from services.rover.executive import CHARGED, STEP, WATCHDOG, Executive
+from services.rover.geometry import Area, Point
+from services.rover.instruments import RETRY
+from services.runtime.node import (
     Answered,
     Due,
     Effect,
@@ -24,12 +30,6 @@ from services.node import (
     WakeAt,
     seconds,
 )
-from services.regions import EMBEDDED, load_region
-from services.rover import orders
-from services.rover.executive import CHARGED, STEP, WATCHDOG, Executive
-from services.rover.instruments import RETRY
-from services.rover.segments import Area, Point
-from services.scenario import RoverConfig, Scenario
 
 TELL_STATE: Final = "state"
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from he3.frames import FloatArray
-from services.rover.segments import Point
+from services.rover.geometry import Point
 
 _SAME_PLACE_M: Final = 1e-6
 

@@ -16,9 +16,9 @@ from typing import Final
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from schemas.measurement import TerrainReply
-from services.node import SECOND, MissionTime
-from services.rover.segments import Point
-from services.scenario import RoverConfig
+from services.mission.scenario import RoverConfig
+from services.rover.geometry import Point
+from services.runtime.node import SECOND, MissionTime
 
 _LINE_PLACES: Final = 320  # of the 512 places of one question, for the lines along a piece
 _TURN_PLACES: Final = 176  # and for the rings where it turns, and what each turn adds to the lines

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from schemas.telemetry import RoverMode, RoverState
-from services.node import MissionTime
 from services.rover.energy import Battery
-from services.rover.segments import Point
+from services.rover.geometry import Point
 from services.rover.traverse import Drive
+from services.runtime.node import MissionTime
 
 
 class Vehicle:

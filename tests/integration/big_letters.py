@@ -10,10 +10,23 @@ from collections.abc import Iterable
 
 from schemas.plans import MissionPlan, RoundPlan
 from schemas.topics import PLAN, Side
-from services.node import SECOND, Due, Effect, Event, Finish, Interface, Level, Node, Note, Received, Send, WakeAt
-from services.options import Options
-from services.run import Service
-from services.serve import leave, serve
+from services.runtime.drivers.wall_clock import Service
+from services.runtime.entry import leave, serve
+from services.runtime.node import (
+    SECOND,
+    Due,
+    Effect,
+    Event,
+    Finish,
+    Interface,
+    Level,
+    Node,
+    Note,
+    Received,
+    Send,
+    WakeAt,
+)
+from services.runtime.options import Options
 
 LETTERS = 30
 BYTES = 100_000

@@ -29,8 +29,8 @@ from schemas.topics import (
     MOON_PRESENCE,
     Side,
 )
-from services.clock import mission_time
-from services.node import SECOND
+from services.runtime.clock import mission_time
+from services.runtime.node import SECOND
 
 SERVICES = ("rover", "recorder", "ground", "field")
 """All but the link, in no order that anybody would choose."""

@@ -12,9 +12,9 @@ import pytest
 
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.topics import TIME_CONTROL
-from services.bus import Client
-from services.simulation import Simulation
-from services.trace import EventLog, merge_event_logs
+from services.runtime.drivers.simulation import Simulation
+from services.runtime.event_log import EventLog, merge_event_logs
+from services.runtime.transport.session import Client
 
 CHATTER = Path(__file__).parents[1] / "chatter.py"
 _SPEC = importlib.util.spec_from_file_location("chatter", CHATTER)

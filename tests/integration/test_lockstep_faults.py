@@ -18,8 +18,8 @@ from schemas.link import LinkChange
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.measurement import MeasurementRequest
 from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_SET, MEASURE, TIME_CONTROL, Side
-from services.bus import Client
-from services.node import SECOND
+from services.runtime.node import SECOND
+from services.runtime.transport.session import Client
 
 pytestmark = pytest.mark.timeout(240)
 
@@ -252,7 +252,7 @@ def test_a_time_keeper_that_hangs_is_reported_by_those_who_wait_for_it(lockstep:
 
 LOOKS_ON_AND_HANGS = """
 import os, signal, sys
-from services.bus import open_session
+from services.runtime.transport.session import open_session
 from schemas.topics import Side
 session = open_session(Side.EARTH, "client", sys.argv[1])
 heard = session.declare_subscriber("he3/**", lambda sample: None)

@@ -12,9 +12,9 @@ import pytest
 
 from he3.frames import SiteGrid
 from schemas.topics import Side
-from services.answering import AnsweringProcess
-from services.ground.map_process import MODULE
-from services.ground.snapshot import MapSnapshot
+from services.ground.map.process import MODULE
+from services.ground.map.snapshot import MapSnapshot
+from services.runtime.queries.process import AnsweringProcess
 
 GRID = SiteGrid(50, 60, 1.0)
 WITHIN_S = 60.0

@@ -19,10 +19,10 @@ import pytest
 from he3.errors import He3Error, InvalidInput
 from schemas.maps import MapAbout
 from schemas.topics import Side
-from services.bus import open_session
-from services.console.client import MissionClient
-from services.console.joining import join_when_up
-from services.console.launcher import Endpoints, Launcher, free_endpoints
+from services.console.client.mission_client import MissionClient
+from services.console.client.session import join_when_up
+from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
+from services.runtime.transport.session import open_session
 
 MISSION, RATE = "t1-nominal", 120.0
 ROOT = Path(__file__).parents[2]
@@ -218,7 +218,7 @@ def _answerer_of(ground: int) -> int:
                 parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
             except (OSError, IndexError):
                 continue
-            if b"services.ground.map_process" in words and parent == ground:
+            if b"services.ground.map.process" in words and parent == ground:
                 return int(entry.name)
     return 0
 

@@ -19,7 +19,7 @@ import pytest
 from benchmarks.kills import Mission
 from schemas.link import ClockChange
 from schemas.topics import CLOCK_SET
-from services.console.launcher import free_endpoints
+from services.console.launch.launcher import free_endpoints
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parents[1]

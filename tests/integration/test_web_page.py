@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from services.console.client import MissionClient
-from services.console.joining import join_when_up
-from services.console.launcher import Launcher, free_endpoints
+from services.console.client.mission_client import MissionClient
+from services.console.client.session import join_when_up
+from services.console.launch.launcher import Launcher, free_endpoints
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 RATE = 60.0

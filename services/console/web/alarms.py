@@ -11,7 +11,7 @@ from enum import StrEnum
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import LinkStatus
 from schemas.telemetry import EventKind, RoverEvent, RoverMode
-from services.node import SECOND, MissionTime
+from services.runtime.node import SECOND, MissionTime
 
 LOW_ENERGY_SHARE = 0.25
 """Of the capacity; the rover goes safe at its reserve, 0.2 by default, and somebody should know before."""

@@ -26,10 +26,10 @@ from schemas.topics import (
     Topic,
 )
 from schemas.wire import Header
-from services.clock import mission_time, newer
-from services.console.client import MissionClient
+from services.console.client.mission_client import MissionClient
 from services.console.web.alarms import Alarms, documents
-from services.node import MissionTime
+from services.runtime.clock import mission_time, newer
+from services.runtime.node import MissionTime
 
 MOST_EVENTS = 300
 MOST_POINTS = 1500

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 
 from he3.errors import He3Error
-from services.console.client import MissionClient
+from services.console.client.mission_client import MissionClient
 from services.console.web.hub import Hub
 
 OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")

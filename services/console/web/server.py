@@ -17,9 +17,9 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from he3.colour_maps import OF_LAYER, stops
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, TRACK, Topic
-from services.colours import OF_LAYER, stops
 from services.console.web.guard import Guard
 from services.console.web.hub import Hub, Viewer
 

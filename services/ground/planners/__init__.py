@@ -1,7 +1,7 @@
 """The planners: one signature for all, arrays and frozen values in, a planned round out.
 
 They are named here and imported when asked for, so that whoever only needs the names needs no OMPL. Anybody's own is
-named ``module:function`` (``services.ground.planners.own``).
+named ``module:function`` (``services.ground.planners.plugin``).
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 from importlib import import_module
 
 from he3.errors import InvalidInput
-from services.ground.planning import PlannedRound, Planner, PlanningRequest
+from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 
 PLANNERS = {
-    "rrt": "services.ground.planners.paper",
-    "rrtstar": "services.ground.planners.paper",
+    "rrt": "services.ground.planners.rrt",
+    "rrtstar": "services.ground.planners.rrt",
     "informative": "services.ground.planners.informative",
-    "tour": "services.ground.planners.tour",
+    "tour": "services.ground.planners.tour.planner",
 }
 """Name of each planner, which is also its function's name, and the module that holds it."""
 
@@ -23,7 +23,7 @@ PLANNERS = {
 def planner_named(name: str) -> Planner:
     """The planner of that name, ours or anybody's; raises InvalidInput for a name that none has."""
     if ":" in name:
-        own: Planner = import_module("services.ground.planners.own").own_planner(name)
+        own: Planner = import_module("services.ground.planners.plugin").own_planner(name)
         return own
     if name not in PLANNERS:
         raise InvalidInput(f"expected a planner among {', '.join(PLANNERS)}, or module:function; got {name!r}")

@@ -43,10 +43,10 @@ from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.hyperparameters import Hyperparameters
 from he3.information import information_gains
+from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
 from services.ground.planners.rounds import PACE, belief_about, budget_share_m, cut, places_along, planned
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import Growth, Tree, spanning_tree
-from services.ground.planning import PlannedRound, PlanningRequest, checked
 
 DEFAULTS = {"iterations": 3600.0, "sample_cost_m": 300.0, "least_scale": 1.0, "pace": PACE, "rewire_scale_m": 400.0}
 """Settings by name. The tree's rewiring radius shrinks more slowly than the paper's, for shorter paths."""

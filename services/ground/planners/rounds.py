@@ -8,7 +8,7 @@ from he3.errors import NoRoute
 from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.information import information_gain
-from services.ground.planning import PlannedRound, PlanningRequest
+from services.ground.planners.interface import PlannedRound, PlanningRequest
 
 PACE = 1.5
 """A round may take so many times its even share of the metres that are left: the last rounds still have some then."""

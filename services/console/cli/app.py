@@ -1,0 +1,78 @@
+"""The ``he3`` command: what commands there are, and what stands in its help."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from services.console.cli import (
+    bench,
+    command,
+    demo,
+    link,
+    map,
+    reference,
+    replay,
+    run,
+    schemas,
+    status,
+    time,
+    up,
+    watch,
+    web,
+)
+
+ABOUT = """Helium-3 prospecting on the Moon: a rover, an honest map, and the light time between them.
+
+Start with: he3 demo
+"""
+
+
+def build() -> typer.Typer:
+    """The command line application; making it imports nothing heavy."""
+    app = typer.Typer(
+        name="he3",
+        help=ABOUT,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    )
+    app.callback()(_common)
+    app.command("demo", short_help="The main job: a whole mission, now.", epilog=demo.EXAMPLES)(demo.demo)
+    app.command("run", short_help="A whole mission, and a report on it.", epilog=run.EXAMPLES)(run.run)
+    app.command("up", short_help="Start the services and stay; Ctrl-C ends it.", epilog=up.EXAMPLES)(up.up)
+    app.command("status", short_help="Who is alive, where the rover is.", epilog=status.EXAMPLES)(status.status)
+    app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
+    app.command("web", short_help="The operator's page, in a browser.", epilog=web.EXAMPLES)(web.web)
+    app.add_typer(map.app, name="map", help="The live map: a place, a picture, numbers.")
+    app.add_typer(
+        time.app, name="time", help="Mission time: see it, pause it, step it, slow it down.", epilog=time.EXAMPLES
+    )
+    app.add_typer(link.app, name="link", help="The link between Earth and Moon: see it, change it.")
+    app.add_typer(command.app, name="command", help="Send the rover a telecommand.")
+    app.command("commands", short_help="What became of every telecommand.", epilog=command.EXAMPLES)(command.commands)
+    app.add_typer(reference.app, name="reference", help="The reference field of a region.")
+    app.command("replay", short_help="What a recording holds.", epilog=replay.EXAMPLES)(replay.replay)
+    app.command("schemas", short_help="JSON Schema of what goes over the wire.", epilog=schemas.EXAMPLES)(
+        schemas.schemas
+    )
+    app.command(
+        "bench",
+        short_help="Measure: the paper, others, the machine.",
+        epilog=bench.EXAMPLES,
+        context_settings=bench.CONTEXT,
+    )(bench.bench)
+    return app
+
+
+def _common(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+) -> None:
+    if version:
+        from services.runtime.heartbeat import software_version
+
+        typer.echo(f"he3-seeker {software_version()}")
+        raise typer.Exit

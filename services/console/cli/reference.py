@@ -1,0 +1,121 @@
+"""``he3 reference``: the reference field of a region, as figures, picture or file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.console.cli.options import AsJson
+
+if TYPE_CHECKING:
+    from he3.reference import Region
+
+EXAMPLES = """\b
+Examples:
+  he3 reference show t1
+  he3 reference show t2 --png t2.png
+  he3 reference build t1 --field-seed 7 --out t1-seed7.npz
+  he3 run my.toml --in-process --set region=t1-seed7.npz
+"""
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+RegionName = Annotated[str, typer.Argument(metavar="REGION", help="t1, t2 or an .npz file.")]
+FieldSeed = Annotated[int | None, typer.Option("--field-seed", metavar="N", help="Another variation of the field.")]
+
+
+@app.command("show", epilog=EXAMPLES)
+def show(
+    region: RegionName,
+    field_seed: FieldSeed = None,
+    png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture too.")] = None,
+    json: AsJson = False,
+) -> None:
+    """What the region is: size, helium-3, slopes, closed ground, and where its data come from."""
+    import json as json_format
+
+    from services.mission.regions import load_region
+
+    loaded = load_region(region, field_seed)
+    figures = _figures(loaded)
+    if png is not None:
+        from services.console.report.pictures import region_figure, save
+
+        save(region_figure(loaded), png)
+    if json:
+        typer.echo(json_format.dumps(figures, indent=2))
+        return
+    size = f"{loaded.grid.columns} x {loaded.grid.rows} cells of {loaded.grid.resolution_m:g} m"
+    typer.echo(f"region        {loaded.title}")
+    typer.echo(f"data          {loaded.provenance}")
+    typer.echo(f"size          {size}")
+    typer.echo(
+        f"helium-3      {figures['he3_min_ppb']:.2f} to {figures['he3_max_ppb']:.2f} ppb, "
+        f"mean {figures['he3_mean_ppb']:.2f}, std {figures['he3_std_ppb']:.2f}"
+    )
+    typer.echo(f"elevation     {figures['relief_m']:.1f} m from lowest to highest")
+    typer.echo(f"slope         median {figures['slope_median_deg']:.1f} deg, most {figures['slope_max_deg']:.1f} deg")
+    typer.echo(f"closed        {figures['untraversable_fraction']:.2%} of the ground")
+    if png is not None:
+        typer.echo(f"written       {png}")
+
+
+def _figures(region: Region) -> dict[str, float | str | int | None]:
+    import numpy as np
+
+    field = region.he3_ppb
+    return {
+        "name": region.name,
+        "title": region.title,
+        "provenance": region.provenance,
+        "rows": region.grid.rows,
+        "columns": region.grid.columns,
+        "resolution_m": region.grid.resolution_m,
+        "field_seed": region.seed,
+        "he3_min_ppb": float(field.min()),
+        "he3_max_ppb": float(field.max()),
+        "he3_mean_ppb": float(field.mean()),
+        "he3_std_ppb": float(field.std()),
+        "relief_m": float(np.ptp(region.elevation_m)),
+        "slope_median_deg": float(np.median(region.slope_deg)),
+        "slope_max_deg": float(region.slope_deg.max()),
+        "untraversable_fraction": region.untraversable_fraction,
+    }
+
+
+@app.command("build", epilog=EXAMPLES)
+def build(
+    region: RegionName,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.npz", help="Where the finished region goes.")],
+    field_seed: FieldSeed = None,
+) -> None:
+    """Make a region's reference field and write it as a file that every command takes as a region."""
+    import numpy as np
+
+    from he3.errors import He3Error, InvalidInput
+    from services.mission.regions import MAX_PROVENANCE, load_region
+
+    if out.suffix != ".npz":
+        raise InvalidInput(f"--out {out}: expected a file name that ends in .npz")
+    if not out.parent.is_dir():
+        raise InvalidInput(f"--out {out}: expected a folder at {out.parent}, got none")
+    loaded = load_region(region, field_seed)
+    degrees = {"origin_lat_deg": loaded.origin_lat_deg, "origin_lon_deg": loaded.origin_lon_deg}
+    origin: dict[str, Any] = {key: np.float64(value) for key, value in degrees.items() if value is not None}
+    try:
+        with out.open("wb") as stream:
+            np.savez_compressed(
+                stream,
+                he3_ppb=loaded.he3_ppb,
+                orbital_ppb=loaded.orbital_ppb,
+                elevation_m=loaded.elevation_m,
+                traversable=loaded.traversable,
+                resolution_m=np.float64(loaded.grid.resolution_m),
+                provenance=np.str_(loaded.provenance[:MAX_PROVENANCE]),
+                **origin,
+            )
+    except OSError as error:
+        raise He3Error(f"{out}: cannot write the region: {error.strerror}") from None
+    typer.echo(f"written to {out}: {loaded.title}, {loaded.grid.rows} x {loaded.grid.columns} cells")

@@ -1,0 +1,109 @@
+"""``he3 replay``: what a recording holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.console.cli.options import AsJson
+
+if TYPE_CHECKING:
+    from schemas.ground import GroundStatus
+    from services.recorder.reader import Recorded, Recording
+
+EXAMPLES = """\b
+Examples:
+  he3 replay runs/t1/mission.mcap
+  he3 replay runs/t1/mission.mcap --topic tm/sample | head -3
+"""
+
+FileName = Annotated[Path, typer.Argument(metavar="FILE", help="A recording: mission.mcap.")]
+TopicName = Annotated[
+    str | None, typer.Option("--topic", metavar="NAME", help="Print that topic's messages, one JSON document a line.")
+]
+
+
+@dataclass
+class _Seen:
+    counts: Counter[str] = field(default_factory=Counter)
+    size_bytes: Counter[str] = field(default_factory=Counter)
+    first_ns: int | None = None
+    last_ns: int = 0
+    status: GroundStatus | None = None
+    samples: set[str] = field(default_factory=set)
+
+    def take(self, message: Recorded) -> None:
+        name = message.topic.name
+        self.counts[name] += 1
+        self.size_bytes[name] += len(message.payload)
+        self.first_ns = message.received_at if self.first_ns is None else self.first_ns
+        self.last_ns = max(self.last_ns, message.received_at)
+        if name == "tm/sample":
+            self.samples.add(message.body.sample_id)
+        elif name == "earth/ground/status":
+            self.status = message.body
+
+
+def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> None:
+    """What a recording holds; a file whose writer was killed is read as far as it goes."""
+    import json as json_format
+
+    from he3.errors import InvalidInput
+    from schemas.topics import TOPICS
+    from services.recorder.reader import Recording
+
+    names = [each.name for each in TOPICS if each.recorded]
+    if topic is not None and topic not in names:
+        raise InvalidInput(f"--topic: expected one of {', '.join(names)}; got '{topic}'")
+    recording, seen = Recording(file), _Seen()
+    for message in recording.messages():
+        seen.take(message)
+        if topic == message.topic.name:
+            typer.echo(message.payload.decode())
+    if topic is not None:
+        return
+    document = _document(recording, seen)
+    typer.echo(json_format.dumps(document, indent=2) if json else "\n".join(_lines(document, seen)))
+
+
+def _document(recording: Recording, seen: _Seen) -> dict[str, Any]:
+    span_s = 0.0 if seen.first_ns is None else (seen.last_ns - seen.first_ns) / 1e9
+    return {
+        "file": str(recording.path),
+        "mission": recording.mission,
+        "complete": recording.torn is None,
+        "torn": recording.torn,
+        "mission_over": seen.status is not None and seen.status.phase.value in ("completed", "failed"),
+        "messages": seen.counts.total(),
+        "samples": len(seen.samples),
+        "span_s": span_s,
+        "topics": {
+            name: {"messages": count, "bytes": seen.size_bytes[name]} for name, count in sorted(seen.counts.items())
+        },
+        "last_status": None if seen.status is None else seen.status.model_dump(mode="json"),
+    }
+
+
+def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
+    from services.console.report.progress import duration, moment_of, plain_line
+
+    lines = [
+        f"recording  {document['file']}: mission '{document['mission']}', {document['messages']} messages in "
+        f"{duration(document['span_s'])} of mission time",
+        f"state      {_state(document)}",
+    ]
+    if seen.status is not None:
+        lines.append(f"last word  {plain_line(moment_of(seen.status, document['span_s'], 0), 0.0)}")
+    lines.append(f"{'topic':<28} {'messages':>9} {'bytes':>12}")
+    lines += [f"{name:<28} {row['messages']:>9} {row['bytes']:>12}" for name, row in document["topics"].items()]
+    return lines
+
+
+def _state(document: dict[str, Any]) -> str:
+    if not document["complete"]:
+        return str(document["torn"])
+    return "complete" if document["mission_over"] else "the file is complete; the mission was not over"

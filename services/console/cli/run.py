@@ -1,0 +1,110 @@
+"""``he3 run``: a whole mission, from its scenario to its report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from he3.errors import He3Error, InvalidInput
+from services.console.cli.options import (
+    AsJson,
+    Lockstep,
+    OutFolder,
+    Planner,
+    Quiet,
+    Rate,
+    ReportFile,
+    ScenarioRef,
+    Seed,
+    Settings,
+)
+
+if TYPE_CHECKING:
+    from services.console.launch.scenarios import Chosen
+
+EXAMPLES = """\b
+Examples:
+  he3 run t1-nominal --in-process --out runs/t1     here, in virtual time
+  he3 run t1-nominal --lockstep --out runs/t1       five processes, virtual time
+  he3 run t1-nominal --rate 2000 --out runs/t1      five processes, wall clock
+  he3 run my.toml --in-process --planner tour --seed 7 --report tour-7.json
+  he3 run short --in-process --set link.down.loss=0.3 --json
+"""
+
+EventsFile = Annotated[
+    Path | None,
+    typer.Option("--events", metavar="FILE", help="A line for each event, in virtual time: the same for every driver."),
+]
+InProcess = Annotated[
+    bool, typer.Option("--in-process", help="All services in this process, in virtual time: exact, and the fastest.")
+]
+
+
+def run(
+    scenario: ScenarioRef,
+    in_process: InProcess = False,
+    lockstep: Lockstep = False,
+    rate: Rate = None,
+    seed: Seed = None,
+    planner: Planner = None,
+    settings: Settings = None,
+    report: ReportFile = None,
+    out: OutFolder = None,
+    events: EventsFile = None,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a whole mission and report on it."""
+    from services.console.launch.scenarios import choose
+
+    if sum((in_process, lockstep, rate is not None)) > 1:
+        raise InvalidInput("expected one of --in-process, --lockstep and --rate, got more")
+    if events is not None and not (in_process or lockstep):
+        raise InvalidInput(
+            "--events: expected it with --in-process or --lockstep, where every event has its exact time"
+        )
+    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    driver = "in-process" if in_process else "lockstep" if lockstep else "zenoh"
+    run_and_report(chosen, driver, out, report, json=json, quiet=quiet, events=events)
+
+
+def run_and_report(
+    chosen: Chosen,
+    driver: str,
+    out: Path | None,
+    report: Path | None,
+    *,
+    json: bool,
+    quiet: bool,
+    events: Path | None = None,
+) -> None:
+    """Run the chosen scenario over that driver, show its progress, write its files, print what came of it.
+
+    Raises He3Error, when all of that is done, for a mission that took no sample: it has nothing to tell of the site.
+    """
+    from services.console.report.outputs import outputs
+    from services.console.report.progress import progress_for
+    from services.console.report.summary import summary_lines
+
+    mission = chosen.scenario
+    where = outputs(out, report, events)
+    how = {
+        "in-process": "in this process, virtual time",
+        "lockstep": "separate processes, virtual time",
+        "zenoh": f"separate processes, {mission.rate:g} times as fast as life",
+    }[driver]
+    title = f"{mission.name} · {mission.region} · {mission.ground.planner} · seed {mission.seed}"
+    progress = progress_for(title, how, quiet)
+    if driver == "in-process":
+        from services.console.launch.in_process import run_in_process
+
+        done, files = run_in_process(mission, where, progress, events)
+    else:
+        from services.console.launch.separate import run_separate
+
+        done, files = run_separate(chosen, where, progress, driver == "lockstep", events)
+    typer.echo(done.model_dump_json(indent=2) if json else "\n".join(summary_lines(done, files)))
+    if done.samples == 0:
+        raise He3Error(f"the mission took no sample: {done.detail or 'the ground gives no reason'}")

@@ -1,0 +1,65 @@
+"""``he3 up``: start the services and stay, until Ctrl-C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.console.cli.options import Lockstep, OutFolder, Planner, Quiet, Rate, ScenarioRef, Seed, Settings
+
+EXAMPLES = """\b
+Examples:
+  he3 up t1-nominal                   at the pace of life, where t1-nominal says
+  he3 up t1-nominal --rate 100 &      then: he3 status; he3 map at 120 340
+  he3 up t1-nominal --lockstep &      in virtual time: he3 time pause; he3 time step; he3 time rate 100
+  he3 up t1-nominal --journal j/      stopped and started again, it goes on
+"""
+
+LOOK_EVERY_S = 0.2
+
+JournalFolder = Annotated[
+    Path | None, typer.Option("--journal", metavar="DIR", help="Keep journals there, and go on from them.")
+]
+
+
+def up(
+    scenario: ScenarioRef,
+    rate: Rate = None,
+    lockstep: Lockstep = False,
+    seed: Seed = None,
+    planner: Planner = None,
+    settings: Settings = None,
+    out: OutFolder = None,
+    journal: JournalFolder = None,
+    quiet: Quiet = False,
+) -> None:
+    """Start the services and stay up; Ctrl-C stops all. Without --out nothing is recorded."""
+    import time
+
+    from services.console.client.session import join_when_up, wait_for_ground
+    from services.console.launch.launcher import Endpoints
+    from services.console.launch.scenarios import choose
+    from services.console.launch.separate import checked_region, services_of
+    from services.console.report.outputs import clear_for, outputs
+
+    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    mission = chosen.scenario
+    where = outputs(out, None)
+    checked_region(mission)
+    clear_for(where)
+    endpoints = Endpoints(mission.network.moon, mission.network.earth)
+    services = services_of(
+        chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
+    )
+    with services as (launcher, _):
+        with join_when_up(endpoints.earth, mission.name, launcher.check) as client:
+            wait_for_ground(client, launcher.check)
+        typer.echo(
+            f"mission '{mission.name}' is up: Earth at {endpoints.earth}, Moon at {endpoints.moon}; Ctrl-C stops it",
+            err=True,
+        )
+        while True:
+            launcher.check()
+            time.sleep(LOOK_EVERY_S)

@@ -1,0 +1,63 @@
+"""A whole mission in this process, watched, and its files written."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from he3.errors import He3Error
+from schemas.ground import MissionPhase
+from services.console.report.mission_report import Run, gather
+from services.console.report.outputs import Outputs, clear_for, write_outcome
+from services.console.report.progress import Moment, Progress, moment_of
+from services.mission.in_process import RECORDING_FLUSH_S, InProcessMission, build_nodes
+from services.runtime.event_log import EventLog, merge_event_logs
+
+if TYPE_CHECKING:
+    from schemas.report import MissionReport
+    from services.mission.scenario import Scenario
+
+
+def run_in_process(
+    scenario: Scenario, where: Outputs, progress: Progress, events: Path | None = None
+) -> tuple[MissionReport, list[Path]]:
+    """The report of the mission, run to its end, and the files written. events: where the event log goes.
+
+    Raises InvalidInput before anything is written, He3Error when the mission fails.
+    """
+    from services.ground.planner_process import PlannerProcess
+    from services.mission.regions import load_region
+    from services.recorder.files import open_recording
+    from services.recorder.node import build_node as build_recorder
+    from services.recorder.writer import RecordingWriter
+
+    region = load_region(scenario.region, scenario.field.field_seed)
+    nodes = build_nodes(scenario, region=region)
+    began = time.monotonic()
+    clear_for(where, events)
+    with ExitStack() as stack:
+        if where.recording is not None:
+            stream = stack.enter_context(open_recording(where.recording))
+            sink = stack.enter_context(RecordingWriter(stream, scenario.name))
+            nodes = (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
+        planners = stack.enter_context(PlannerProcess())
+        log = None if events is None else stack.enter_context(closing(EventLog(events)))
+        mission = InProcessMission(scenario, planners, None, log, nodes)
+        stack.enter_context(progress)
+        end = mission.run(lambda: progress.show(lambda: _moment(mission)))
+        if log is not None and events is not None:
+            log.close()  # what is asked below for the report is no part of the mission
+            merge_event_logs([events], events)
+        if mission.status is None or end is not MissionPhase.COMPLETED:
+            raise He3Error(f"the mission failed {mission.mission_time_s:.0f} s after its beginning: {mission.why()}")
+        run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
+        outcome = gather(mission.ask, scenario, mission.status, run)
+    files = write_outcome(outcome, region, where)
+    return outcome.report, files if events is None else [*files, events]
+
+
+def _moment(mission: InProcessMission) -> Moment:
+    in_flight = 0 if mission.link is None else mission.link.up.in_flight + mission.link.down.in_flight
+    return moment_of(mission.status, mission.mission_time_s, in_flight)

@@ -1,0 +1,47 @@
+"""The scenario that a command means, with what its flags change, and the same flags for the services' processes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from services.mission.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A scenario as chosen on the command line."""
+
+    scenario: Scenario
+    path: Path
+    flags: tuple[str, ...]
+    """What a service must be given, after the path, to see the same scenario."""
+
+
+def choose(
+    reference: str,
+    *,
+    seed: int | None = None,
+    planner: str | None = None,
+    rate: float | None = None,
+    settings: Iterable[str] = (),
+) -> Chosen:
+    """The scenario of a file or of a shipped name, with seed, planner, rate and ``section.key=value`` changed.
+
+    Raises InvalidInput with one line for a scenario, a key or a value that is not right.
+    """
+    from services.mission.deployment import find_scenario
+    from services.mission.scenario import load_scenario
+    from services.runtime.options import parse_setting, with_settings
+
+    path = find_scenario(reference)
+    texts = [*settings]
+    for key, value in (("seed", seed), ("ground.planner", planner), ("rate", rate)):
+        if value is not None:
+            texts.append(f"{key}={json.dumps(value)}")
+    scenario = with_settings(load_scenario(path), [parse_setting(text) for text in texts])
+    return Chosen(scenario, path.resolve(), tuple(word for text in texts for word in ("--set", text)))

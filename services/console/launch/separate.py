@@ -1,0 +1,157 @@
+"""A whole mission in separate processes over Zenoh: started, watched to its end, reported, ended."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from he3.errors import He3Error
+from schemas.ground import GroundStatus, MissionPhase
+from services.console.client.run_file import RunningMission, announced
+from services.console.client.session import Watcher, join_when_up
+from services.console.launch.launcher import SERVICES, Endpoints, Launcher, endpoints_near
+from services.console.report.mission_report import Outcome, Run, gather
+from services.console.report.outputs import Outputs, clear_for, make_folder, write_outcome
+from services.console.report.progress import Progress
+from services.mission.in_process import build_nodes
+from services.mission.regions import load_region
+from services.runtime.event_log import merge_event_logs
+
+if TYPE_CHECKING:
+    from he3.reference import Region
+    from schemas.report import MissionReport
+    from services.console.launch.scenarios import Chosen
+    from services.mission.scenario import Scenario
+
+ACTING = tuple(name for name in SERVICES if name != "recorder")
+"""The services whose events make the mission; the recorder only looks on."""
+
+LOOK_EVERY_S = 0.1
+"""How long the end of a service or of the mission may go unnoticed."""
+
+
+def run_separate(
+    chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool = False, events: Path | None = None
+) -> tuple[MissionReport, list[Path]]:
+    """The report of the mission, run to its end in separate processes, and the files written.
+
+    events: where the merged event logs of all services go.
+    Raises InvalidInput before anything is started or removed, He3Error when a service dies or the mission fails.
+    """
+    region = checked_region(chosen.scenario)
+    clear_for(where, events)
+    if events is None:
+        return _run_separate(chosen, region, where, progress, lockstep, None)
+    with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
+        report, files = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
+        merge_event_logs(Path(parts).iterdir(), events)
+    return report, [*files, events]
+
+
+def _run_separate(
+    chosen: Chosen, region: Region, where: Outputs, progress: Progress, lockstep: bool, events: Path | None
+) -> tuple[MissionReport, list[Path]]:
+    scenario = chosen.scenario
+    began = time.monotonic()
+    wanted = Endpoints(scenario.network.moon, scenario.network.earth)
+    with (  # noqa: SIM117 - two things end apart
+        endpoints_near(wanted) as near,
+        services_of(chosen, where, near, lockstep=lockstep, events=events) as (launcher, endpoints),
+    ):
+        with join_when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
+            try:
+                watcher = Watcher(client, scenario.start_ns)
+                watcher.catch_up()
+                status = _watched_to_its_end(watcher, launcher, progress)
+                wall_time_s = time.monotonic() - began
+                if status.phase is not MissionPhase.COMPLETED:
+                    at = f"{watcher.status_time_s:.0f} s after its beginning"
+                    raise He3Error(f"the mission failed {at}: {status.detail}")
+                driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
+                run = Run(driver, rate, region.provenance, watcher.status_time_s, wall_time_s)
+                outcome: Outcome = gather(client.query, scenario, status, run)
+            finally:
+                launcher.tell_to_end()  # they end while this session closes, which takes a second if a router is gone
+    return outcome.report, write_outcome(outcome, region, where)
+
+
+def checked_region(scenario: Scenario) -> Region:
+    """The region of that scenario, which a mission can have: its nodes were built here, as its services will.
+
+    Raises InvalidInput, in one line, for a scenario that one of the services would refuse.
+    """
+    region = load_region(scenario.region, scenario.field.field_seed)
+    build_nodes(scenario, region=region)
+    return region
+
+
+@contextmanager
+def services_of(
+    chosen: Chosen,
+    where: Outputs,
+    endpoints: Endpoints,
+    *,
+    lockstep: bool = False,
+    pace: float | None = None,
+    events: Path | None = None,
+    journal: Path | None = None,
+    log_to_terminal: bool = False,
+) -> Iterator[tuple[Launcher, Endpoints]]:
+    """All services of the scenario, running and announced on this machine; all gone afterwards.
+
+    pace: in lockstep, mission seconds a wall second at most. Their logs go to the terminal, beside the other files,
+    or into a temporary folder that an error's line quotes from.
+    """
+    with ExitStack() as stack:
+        logs: Path | None
+        if log_to_terminal:
+            logs = None
+        elif where.folder is None:
+            logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="he3-logs-")))
+        else:
+            logs = make_folder(where.folder / "logs")
+            for old in logs.glob("*.log"):
+                old.unlink()
+        flags = (*chosen.flags, *(("--lockstep",) if lockstep else ()))
+        service_flags = _service_flags(lockstep, pace, events, journal)
+        launcher = stack.enter_context(
+            Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs, service_flags=service_flags)
+        )
+        running = RunningMission(
+            chosen.scenario.name, str(chosen.path), endpoints.moon, endpoints.earth, launcher.own_pid, launcher.pids
+        )
+        stack.enter_context(announced(running))
+        yield launcher, endpoints
+
+
+def _service_flags(
+    lockstep: bool, pace: float | None, events: Path | None, journal: Path | None
+) -> dict[str, Sequence[str]]:
+    """What only some services are told: who ends the mission in lockstep, who writes what of events and journals."""
+    flags: dict[str, list[str]] = {name: [] for name in ACTING}
+    if lockstep:
+        flags["link"] += ["--stop-when", "ground"]
+    if lockstep and pace is not None:
+        flags["link"] += ["--pace", str(pace)]
+    if events is not None:
+        for name in ACTING:
+            flags[name] += ["--events", str(events / f"{name}.log")]
+    if journal is not None:
+        for name in ACTING:
+            flags[name] += ["--journal", str(journal)]
+    return dict(flags)
+
+
+def _watched_to_its_end(watcher: Watcher, launcher: Launcher, progress: Progress) -> GroundStatus:
+    while True:
+        status = watcher.status
+        if status is not None and status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED):
+            return status
+        launcher.check()
+        progress.show(watcher.moment)
+        watcher.changed.wait(LOOK_EVERY_S)
+        watcher.changed.clear()

@@ -1,0 +1,148 @@
+"""The mission's report from what operators can ask: the same questions to one process and to many."""
+
+from __future__ import annotations
+
+import base64
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import He3Error
+from schemas.commands import NoParameters
+from schemas.ground import GroundStatus, MissionPhase, MissionTrack
+from schemas.link import LinkChange, LinkStatus
+from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
+from schemas.report import MessageCounts, MissionReport, ReportSample
+from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK, Topic
+from schemas.wire import Wire
+from services.mission.scenario import Scenario
+from services.runtime.heartbeat import software_version
+from services.runtime.node import SECOND
+
+Ask = Callable[[Topic, Wire], Any]
+"""Puts a question to the running mission; raises He3Error with the refusal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """How a mission was run: what its nodes cannot know."""
+
+    driver: str
+    """in-process, zenoh or lockstep."""
+    rate: float | None
+    region_note: str
+    mission_time_s: float
+    wall_time_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """A finished mission: its report and its map."""
+
+    report: MissionReport
+    track: MissionTrack
+    mean_ppb: NDArray[np.float32]
+    """(rows, columns) belief."""
+    std_ppb: NDArray[np.float32]
+    """(rows, columns) its standard deviation."""
+    resolution_m: float
+
+
+def gather(ask: Ask, scenario: Scenario, status: GroundStatus, run: Run) -> Outcome:
+    """Report and map of the mission that answers `ask`; raises He3Error when it refuses a question."""
+    track: MissionTrack = ask(TRACK, NoParameters())
+    link: LinkStatus = ask(LINK_SET, LinkChange())
+    mean: MapRaster = ask(MAP_LAYER, MapLayerQuery(layer=MapLayer.MEAN))
+    std: MapRaster = ask(MAP_LAYER, MapLayerQuery(layer=MapLayer.STD))
+    score: MapScore | None = ask(MAP_SCORE, NoParameters()) if scenario.ground.score else None
+    report = build_report(scenario, run, status, track, link, score)
+    return Outcome(report, track, array_of(mean), array_of(std), mean.resolution_m)
+
+
+def build_report(
+    scenario: Scenario,
+    run: Run,
+    status: GroundStatus,
+    track: MissionTrack,
+    link: LinkStatus,
+    score: MapScore | None,
+) -> MissionReport:
+    """The report; everything but `wall_time_s` and `host` follows from scenario, seed and driver."""
+    samples = tuple(
+        ReportSample(
+            sample_id=sample.sample_id,
+            round=sample.round,
+            x_m=sample.x_m,
+            y_m=sample.y_m,
+            helium3_ppb=sample.helium3_ppb,
+            measured_at_s=(sample.measured_at - scenario.start_ns) / SECOND,
+        )
+        for sample in track.samples
+    )
+    return MissionReport(
+        scenario=scenario.name,
+        region=scenario.region,
+        region_note=run.region_note,
+        planner=scenario.ground.planner,
+        kernel=scenario.ground.kernel if status.kernel is None else status.kernel.name,
+        seed=scenario.seed,
+        driver=run.driver,
+        rate=run.rate,
+        completed=status.phase is MissionPhase.COMPLETED,
+        detail=status.detail,
+        rounds=status.round,
+        samples=status.samples,
+        samples_wanted=status.samples_total,
+        rmse_ppb=None if score is None else score.rmse_ppb,
+        rmse_history=track.score_history,
+        coverage_68=None if score is None else score.coverage_68,
+        coverage_95=None if score is None else score.coverage_95,
+        path_length_m=status.driven_m,
+        drilled_m=round(sum(sample.depth_m for sample in track.samples), 9),
+        mission_time_s=run.mission_time_s,
+        wall_time_s=run.wall_time_s,
+        messages=count_messages(link),
+        sample_table=samples,
+        path_m=track.driven_path_m,
+        one_way_light_time_s=link.conditions.down.one_way_light_time_s,
+        version=software_version(),
+        host=platform.node(),
+    )
+
+
+def count_messages(link: LinkStatus) -> MessageCounts:
+    """What the link carried, both directions together."""
+    both = (link.up, link.down)
+    return MessageCounts(
+        sent=sum(counts.offered for counts in both),
+        delivered=sum(counts.delivered for counts in both),
+        retransmitted=sum(counts.repeated for counts in both),
+        lost=sum(counts.lost + counts.dropped_out_of_contact + counts.dropped_queue_full for counts in both),
+        up=link.up,
+        down=link.down,
+    )
+
+
+def array_of(raster: MapRaster) -> NDArray[Any]:
+    """The layer as an array (rows, columns), row 0 in the south; raises He3Error when its bytes do not fill it."""
+    data = base64.b64decode(raster.data_base64, validate=True)
+    values = np.frombuffer(data, dtype=np.dtype(raster.dtype))
+    if values.size != raster.rows * raster.columns:
+        raise He3Error(
+            f"layer {raster.layer.value}: expected {raster.rows} x {raster.columns} cells, got {values.size} values"
+        )
+    return values.reshape(raster.rows, raster.columns)
+
+
+def write_report(report: MissionReport, path: Path) -> None:
+    """Write the report as one JSON document; raises He3Error when that cannot be done."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(report.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise He3Error(f"{path}: cannot write the report: {error.strerror}") from None

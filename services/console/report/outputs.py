@@ -1,0 +1,134 @@
+"""What a finished mission leaves behind: report, pictures, recording; checked before the mission, written after it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from he3.errors import He3Error, InvalidInput
+
+if TYPE_CHECKING:
+    from he3.reference import Region
+    from schemas.report import MissionReport
+    from services.console.report.mission_report import Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """Where things go; None: nowhere."""
+
+    folder: Path | None
+    report: Path | None
+
+    @property
+    def recording(self) -> Path | None:
+        return None if self.folder is None else self.folder / "mission.mcap"
+
+    def wanted(self) -> tuple[Path, ...]:
+        """Every file that will be written."""
+        in_folder = () if self.folder is None else tuple(self.folder / name for name in ("map.png", "rmse.png"))
+        return (*in_folder, *((self.report,) if self.report is not None else ()))
+
+
+def outputs(folder: Path | None, report: Path | None, events: Path | None = None) -> Outputs:
+    """Where a mission's files go, after checking that they can go there; nothing is created.
+
+    Raises InvalidInput for a folder that is a file, or a place where nothing may be written.
+    """
+    if folder is not None:
+        if folder.exists() and not folder.is_dir():
+            raise InvalidInput(f"--out {folder}: expected a folder, got a file")
+        _check_writable("--out", folder)
+    for flag, file in (("--report", report), ("--events", events)):
+        if file is not None:
+            if file.is_dir():
+                raise InvalidInput(f"{flag} {file}: expected a file, got a folder")
+            _check_writable(flag, file)
+    return Outputs(folder, report if report is not None or folder is None else folder / "report.json")
+
+
+def _check_writable(flag: str, path: Path) -> None:
+    place = path
+    while not place.exists():
+        place = place.parent
+    if place != path and not place.is_dir():
+        raise InvalidInput(f"{flag} {path}: expected a folder at {place}, got a file")
+    if not os.access(place, os.W_OK):
+        raise InvalidInput(f"{flag} {path}: expected a place to write to, got no permission at {place}")
+
+
+def make_folder(folder: Path) -> Path:
+    """The folder, made if need be; raises He3Error when that cannot be done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise He3Error(f"{folder}: cannot make the folder: {error.strerror}") from None
+    return folder
+
+
+def clear_for(where: Outputs, events: Path | None = None) -> None:
+    """Make way for a mission that begins: what an earlier one has left would otherwise pass for this one's.
+
+    Report, pictures and event log go; a recording stays, and is set aside by whoever writes the next. Raises He3Error
+    when that cannot be done.
+    """
+    stale = [*where.wanted(), *(() if events is None else (events,))]
+    if where.folder is not None:
+        make_folder(where.folder)
+        stale.append(where.folder / "report.json")
+    for path in stale:
+        if path.is_file():
+            try:
+                path.unlink()
+            except OSError as error:
+                raise He3Error(f"{path}: cannot remove what an earlier mission left: {error.strerror}") from None
+
+
+def write_outcome(outcome: Outcome, region: Region, where: Outputs) -> list[Path]:
+    """Write everything that is wanted; returns the files, in order."""
+    from services.console.report.mission_report import write_report
+
+    if where.report is not None:
+        write_report(outcome.report, where.report)
+    if where.folder is not None:
+        _write_pictures(outcome, region, where.folder)
+    return [path for path in (where.report, *where.wanted()[:-1], where.recording) if path is not None]
+
+
+def _write_pictures(outcome: Outcome, region: Region, folder: Path) -> None:
+    import numpy as np
+
+    from services.console.report.pictures import MapPicture, map_figure, rmse_figure, save
+
+    report = outcome.report
+    samples = np.array([(sample.x_m, sample.y_m) for sample in report.sample_table], dtype=np.float64).reshape(-1, 2)
+    path = np.array(report.path_m, dtype=np.float64).reshape(-1, 2)
+    picture = MapPicture(
+        title=f"{region.title} · {report.planner} · {report.samples} samples",
+        note=caption(report),
+        reference_ppb=region.he3_ppb,
+        mean_ppb=outcome.mean_ppb,
+        std_ppb=outcome.std_ppb,
+        traversable=region.traversable,
+        resolution_m=outcome.resolution_m,
+        path_m=path,
+        samples_m=samples,
+        start_m=tuple(path[0]) if len(path) else (0.0, 0.0),
+    )
+    save(map_figure(picture), folder / "map.png")
+    save(
+        rmse_figure(f"Error of the map · {region.title}", caption(report), report.rmse_history),
+        folder / "rmse.png",
+    )
+
+
+def caption(report: MissionReport) -> str:
+    """One line under a picture: what it shows, of which mission, on which data."""
+    error = "" if report.rmse_ppb is None else f"RMSE {report.rmse_ppb:.4f} ppb, "
+    return (
+        f"{report.scenario}, seed {report.seed}, kernel {report.kernel}: {error}"
+        f"{report.path_length_m:,.0f} m driven, one-way light time {report.one_way_light_time_s:g} s. "
+        f"{report.region_note}"
+    )

@@ -1,0 +1,48 @@
+"""A report on the terminal: the figures that somebody asks for first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from services.console.report.progress import duration
+
+if TYPE_CHECKING:
+    from schemas.report import MissionReport
+
+
+def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str]:
+    """The report in a few aligned lines of plain text."""
+    counts = report.messages
+    rows = [
+        ("mission", f"{report.scenario}, region {report.region}, planner {report.planner}, kernel {report.kernel}, "
+                    f"seed {report.seed}, {report.driver}"),
+        _end(report),
+        ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
+        *_accuracy(report),
+        ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
+        ("mission time", f"{duration(report.mission_time_s)} ({report.mission_time_s:,.0f} s), "
+                         f"one-way light time {report.one_way_light_time_s:g} s"),
+        ("wall time", duration(report.wall_time_s)),
+        ("messages", f"{counts.sent} sent, {counts.delivered} delivered, {counts.retransmitted} retransmitted, "
+                     f"{counts.lost} lost"),
+        ("data", report.region_note),
+    ]  # fmt: skip
+    rows += [("written" if index == 0 else "", str(path)) for index, path in enumerate(files)]
+    return [f"{name:<13} {value}" for name, value in rows]
+
+
+def _end(report: MissionReport) -> tuple[str, str]:
+    why = report.detail or "the ground gives no reason"
+    if not report.completed:
+        return "ended", f"NOT COMPLETED: {why}"
+    return ("ended early:", why) if report.samples < report.samples_wanted else ("ended", "completed")
+
+
+def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
+    if report.rmse_ppb is None or report.coverage_68 is None or report.coverage_95 is None:
+        return [("RMSE", "not known: nobody has compared the map with the truth")]
+    one, two = f"{report.coverage_68:.1%} within 1 std", f"{report.coverage_95:.1%} within 2 std"
+    within = f"{one} (nominal 68.3 %), {two} (nominal 95.4 %)"
+    return [("RMSE", f"{report.rmse_ppb:.4f} ppb over all cells"), ("coverage", within)]

@@ -1,0 +1,116 @@
+"""How many samples and metres the rest of the mission may take, from budgets in metres, hours or both."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from math import ceil, inf, pi, radians, tan
+
+from services.mission.scenario import Scenario
+from services.runtime.node import SECOND, MissionTime
+
+TOUR_CONSTANT = 0.7124
+"""Length of the shortest tour through n random places in an area A is about this times sqrt(n A)
+(Beardwood, Halton & Hammersley 1959)."""
+
+J_PER_WH = 3600.0
+LEAST_M = 1e-6
+"""To this the metres that fit into hours are found out [m]."""
+
+ROUNDING_M = 0.05
+"""Paths go up rounded to the millimetre; so much may be lost by it in a round [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Committed:
+    """What is already promised to rounds that are planned and not over."""
+
+    metres: float
+    samples: int
+    rounds: int
+
+
+@dataclass(frozen=True, slots=True)
+class Allowance:
+    """What is left beyond that; with no samples left, `why` says what ran out."""
+
+    samples: int
+    metres: float
+    why: str = ""
+
+
+class Budget:
+    """The scenario's budgets, ready to be asked; climbs are those on a plane of the mean slope, on any heading."""
+
+    def __init__(self, scenario: Scenario, open_area_m2: float, mean_slope_deg: float) -> None:
+        rover, ground, link = scenario.rover, scenario.ground, scenario.link
+        self._metres = ground.budget_m
+        self._ends: MissionTime | None = None
+        if ground.budget_h is not None:
+            self._ends = scenario.start_ns + round(ground.budget_h * 3600 * SECOND)
+        self._hours = ground.budget_h
+        drill_s = scenario.sample_depth_m * rover.drill_s_per_m
+        self._sample_s = drill_s + rover.analysis_s
+        self._speed_m_s = rover.speed_m_s / (1 + rover.slope_slowdown * mean_slope_deg / rover.slope_limit_deg)
+        self._sample_j = drill_s * rover.drill_w + rover.analysis_s * rover.analysis_w
+        self._metre_j = rover.traction_j_per_m + rover.climb_j_per_m * tan(radians(mean_slope_deg)) / pi
+        self._surplus_w = rover.solar_w - rover.base_load_w
+        self._capacity_wh = rover.capacity_wh
+        self._reserve_wh = rover.reserve * rover.capacity_wh
+        self._charged_j = (rover.resume_charge - rover.reserve) * rover.capacity_wh * J_PER_WH
+        self._charge_wh = rover.initial_charge * rover.capacity_wh
+        self._leg_m = TOUR_CONSTANT * (open_area_m2 / scenario.samples) ** 0.5
+        self._per_round = scenario.samples_per_round
+        # Stop-and-wait pays planning and a round trip for every round; a pipeline hides them.
+        idle = ground.planning_s + link.up.one_way_light_time_s + link.down.one_way_light_time_s
+        self._round_s = idle if ground.pipeline == 0 else 0.0
+
+    def heard(self, charge_wh: float) -> None:
+        """The rover's battery holds that much [Wh], as last heard."""
+        self._charge_wh = min(charge_wh, self._capacity_wh)
+
+    def lasts_s(self, committed: Committed) -> float:
+        """How long that is going to take at the pace to be expected on this terrain, charging counted in [s].
+
+        When the battery is down to its reserve the rover stands and charges, each time up to the same level; infinite
+        if the sun never charges it.
+        """
+        work_s = committed.metres / self._speed_m_s + committed.samples * self._sample_s
+        need_j = committed.metres * self._metre_j + committed.samples * self._sample_j
+        usable_j = max(0.0, self._charge_wh - self._reserve_wh) * J_PER_WH
+        missing_j = need_j - self._surplus_w * work_s - usable_j
+        if missing_j <= 0:
+            return work_s
+        if self._surplus_w <= 0:
+            return inf
+        return work_s + ceil(missing_j / self._charged_j) * self._charged_j / self._surplus_w
+
+    def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> Allowance:
+        """What may still be planned, of the samples that are still wanted.
+
+        Hours are turned into metres at the pace to be expected on this terrain, less the time for charging; where they
+        do not suffice for all samples, as many are planned as fit with legs of a good tour between them.
+        """
+        metres = inf
+        if self._metres is not None:
+            metres = self._metres - driven_m - committed.metres - ROUNDING_M
+            if metres <= 0:
+                return Allowance(0, 0.0, f"the budget of {self._metres:g} m is spent or promised")
+        if self._ends is None:
+            return Allowance(samples_wanted, metres)
+        time_s = (self._ends - now) / SECOND
+
+        def fits(more_m: float, more: int) -> bool:
+            planned = Committed(committed.metres + more_m, committed.samples + more, committed.rounds)
+            waits_s = (committed.rounds + more / self._per_round) * self._round_s
+            return self.lasts_s(planned) + waits_s <= time_s
+
+        counts = range(1, samples_wanted + 1)
+        samples = bisect_left(counts, True, key=lambda count: not fits(count * self._leg_m, count))
+        if samples < 1:
+            return Allowance(0, 0.0, f"the budget of {self._hours:g} h is spent or promised")
+        least, most = samples * self._leg_m, time_s * self._speed_m_s
+        while most - least > LEAST_M:
+            half = (least + most) / 2
+            least, most = (half, most) if fits(half, samples) else (least, half)
+        return Allowance(samples, min(metres, least))

@@ -1,0 +1,86 @@
+"""Which earlier maps are held, and which of them is meant by `as_of`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from he3.errors import InvalidInput
+from services.ground.map.snapshot import MapSnapshot
+from services.runtime.node import SECOND, MissionTime
+
+MOST_BYTES = 256 * 1024 * 1024
+"""Of arrays in all that is held. When it is exceeded, every second revision of the older half is let go."""
+FEWEST_HELD = 4
+
+LARGEST_REVISION = 10**12
+"""A larger number is a time [ns]: that moment was 17 minutes into 1970."""
+
+
+def remembering(shown: MapSnapshot, before: MapSnapshot | None) -> MapSnapshot:
+    """The snapshot that is shown now, holding what the one before held, and that one too if the map has changed."""
+    if before is None:
+        return shown
+    # What both have is held once.
+    if np.array_equal(shown.traversable, before.traversable):
+        shown = replace(shown, traversable=before.traversable)
+    known = len(before.samples)
+    if shown.samples[:known] == before.samples:
+        shown = replace(shown, samples=(*before.samples, *shown.samples[known:]))
+    held = before.earlier
+    if before.revision != shown.revision:
+        held = _thinned((*held, replace(before, earlier=())))
+    return replace(shown, earlier=held)
+
+
+def _thinned(held: tuple[MapSnapshot, ...]) -> tuple[MapSnapshot, ...]:
+    each = held[-1].mean_ppb.nbytes + held[-1].std_ppb.nbytes
+    if len(held) <= max(FEWEST_HELD, MOST_BYTES // each):
+        return held
+    half = len(held) // 2
+    return (*held[:half:2], *held[half:])
+
+
+def revisions(snapshot: MapSnapshot) -> tuple[MapSnapshot, ...]:
+    """Every revision that is held, oldest first; the last is the map as it is."""
+    return (*snapshot.earlier, snapshot)
+
+
+def as_of(snapshot: MapSnapshot, when: str | None) -> MapSnapshot:
+    """The last revision that is held and not later than `when` (see schemas.maps.AsOf); None means now.
+
+    Raises InvalidInput when everything that is held is later.
+    """
+    if when is None:
+        return snapshot
+    held = revisions(snapshot)
+    number = int(when) if when.isdigit() else None
+    if number is not None and number < LARGEST_REVISION:
+        found = [each for each in held if each.revision <= number]
+        if not found:
+            raise InvalidInput(f"as_of: expected a revision of {held[0].revision} to {snapshot.revision}, got {when}")
+        return found[-1]
+    time = _mission_time(when) if number is None else number
+    found = [each for each in held if each.mission_time_ns <= time]
+    if not found:
+        raise InvalidInput(
+            f"as_of: expected a mission time from {iso(held[0].mission_time_ns)} on, got {when}: no map is held of it"
+        )
+    return found[-1]
+
+
+def iso(time: MissionTime) -> str:
+    """Mission time as people write it."""
+    return datetime.fromtimestamp(time // SECOND, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _mission_time(when: str) -> MissionTime:
+    text = when.removesuffix("Z")
+    whole, _, fraction = text.partition(".")
+    try:
+        moment = datetime.fromisoformat(whole).replace(tzinfo=UTC)
+    except ValueError:
+        raise InvalidInput(f"as_of: expected a revision or a time such as 2030-01-01T06:00:00Z, got '{when}'") from None
+    return int(moment.timestamp()) * SECOND + int((fraction + "000000000")[:9])

@@ -1,0 +1,99 @@
+"""How much helium-3 there is in an area, with what the joint posterior knows about it."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from he3.constants import REGOLITH_BULK_DENSITY_KG_M3
+from he3.errors import InvalidInput, OutsideRegion
+from he3.frames import SiteGrid
+from he3.resource import area_mean, share_above
+from schemas.maps import Interval, ResourceEstimate, ResourceQuery
+from services.ground.map.layers import exceedance
+from services.ground.map.snapshot import MapSnapshot
+from services.ground.terrain import inside
+
+PPB = 1e-9
+DRAWS = 2000
+MOST_CORNERS = 256
+
+Place = tuple[float, float]
+
+
+def corners_of(text: str) -> tuple[Place, ...]:
+    """The corners of 'x,y,x,y,...' [m]; raises InvalidInput for fewer than three, too many, or half a corner."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InvalidInput(f"polygon: expected numbers as x,y,x,y,..., got '{text[:60]}'") from None
+    if len(numbers) % 2 or not 3 <= len(numbers) // 2 <= MOST_CORNERS or not np.isfinite(numbers).all():
+        raise InvalidInput(
+            f"polygon: expected 3 to {MOST_CORNERS} corners as x,y,x,y,... [m], got {len(numbers)} numbers"
+        )
+    return tuple(zip(numbers[::2], numbers[1::2], strict=True))
+
+
+def area_of(text: str | None, grid: SiteGrid) -> NDArray[np.bool_]:
+    """The cells (rows, columns) whose centre lies in the polygon; all of them without one."""
+    if text is None:
+        return np.ones(grid.shape, dtype=np.bool_)
+    corners = corners_of(text)
+    outside = ~grid.contains(np.array(corners))
+    if outside.any():
+        x, y = corners[int(np.argmax(outside))]
+        raise OutsideRegion(
+            f"polygon: expected corners within 0..{grid.width_m:g} m east and 0..{grid.height_m:g} m north, "
+            f"got ({x:g}, {y:g})"
+        )
+    area = inside(grid, corners)
+    if not area.any():
+        raise InvalidInput("polygon: expected one that holds the centre of a cell at least, got a smaller one")
+    return area
+
+
+def estimate(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
+    """Mean, mass a metre and area above the cut-off, each with its credible interval."""
+    if snapshot.process is None:
+        raise InvalidInput("map resource: there is no belief yet to integrate; ask again in a moment")
+    grid = snapshot.grid
+    area = area_of(request.polygon, grid)
+    over = area_mean(snapshot.process, grid, snapshot.mean_ppb, area)
+    area_m2 = over.cells * grid.resolution_m**2
+    # kg of helium-3 in a metre of ground, for each ppb by mass of its mean
+    kg_per_ppb = PPB * REGOLITH_BULK_DENSITY_KG_M3 * area_m2
+    reach = float(ndtri(0.5 + request.probability / 2)) * over.std_ppb
+    low, high = over.mean_ppb - reach, over.mean_ppb + reach
+    above = exceedance(snapshot.mean_ppb[area], snapshot.std_ppb[area], request.cutoff_ppb)
+    # The same question about the same map has the same answer: the draws are seeded by both.
+    seed = zlib.crc32(f"{snapshot.revision} {request.polygon}".encode())
+    shares = share_above(snapshot.process, grid, area, request.cutoff_ppb, np.random.default_rng(seed), DRAWS)
+    tail = (1 - request.probability) / 2
+    share_low, share_high = np.quantile(shares, (tail, 1 - tail))
+    expected_share = float(above.mean(dtype=np.float64))
+    return ResourceEstimate(
+        area_m2=area_m2,
+        cells=over.cells,
+        mean_ppb=Interval(expected=over.mean_ppb, low=low, high=high),
+        mean_std_ppb=over.std_ppb,
+        mass_kg_per_m=Interval(
+            expected=kg_per_ppb * over.mean_ppb, low=kg_per_ppb * max(0.0, low), high=kg_per_ppb * high
+        ),
+        bulk_density_kg_m3=REGOLITH_BULK_DENSITY_KG_M3,
+        cutoff_ppb=request.cutoff_ppb,
+        area_above_m2=Interval(
+            expected=area_m2 * expected_share,
+            low=area_m2 * min(float(share_low), expected_share),
+            high=area_m2 * max(float(share_high), expected_share),
+        ),
+        confident_area_m2=float((above >= request.probability).sum()) * grid.resolution_m**2,
+        probability=request.probability,
+        quadrature_m=over.spacing_m,
+        quadrature_error_ppb=over.std_error_ppb,
+        revision=snapshot.revision,
+        samples=len(snapshot.samples),
+        mission_time_ns=snapshot.mission_time_ns,
+    )

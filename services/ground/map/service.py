@@ -1,0 +1,169 @@
+"""Answers to operators' queries of the live map, each a pure function of the request and one snapshot."""
+
+from __future__ import annotations
+
+import math
+from base64 import b64encode
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from he3.errors import InvalidInput, OutsideRegion
+from schemas.ground import MissionTrack
+from schemas.maps import (
+    MapBoxQuery,
+    MapHistory,
+    MapLayerQuery,
+    MapPoint,
+    MapPointQuery,
+    MapRaster,
+    MapRevision,
+    MapScore,
+    MapSite,
+    ResourceEstimate,
+    ResourceQuery,
+)
+from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
+from schemas.wire import Wire
+from services.ground.map.history import as_of, revisions
+from services.ground.map.layers import Cells, box, whole_layer
+from services.ground.map.resources import estimate
+from services.ground.map.snapshot import MapSnapshot
+
+MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX, MAP_RESOURCE, MAP_HISTORY)
+"""The topics that are answered from a snapshot, by whichever thread holds one."""
+
+
+def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
+    """The reply to a request of one of the topics in `MAP_TOPICS`.
+
+    Raises InvalidInput, or OutsideRegion for a place that the region does not contain, each with one line.
+    """
+    if snapshot is None:
+        raise InvalidInput("map: there is none yet; ask again when the ground has begun")
+    how = _ANSWERS.get(topic)
+    if how is None:
+        raise InvalidInput(
+            f"map: expected a query of {', '.join(known.name for known in MAP_TOPICS)}, got {topic.name}"
+        )
+    reply: Wire = how(request, as_of(snapshot, getattr(request, "as_of", None)))
+    return reply
+
+
+def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
+    """The posterior at the centre of the cell that holds the place: cells are not interpolated between."""
+    grid = snapshot.grid
+    x, y = request.x, request.y
+    if not (0.0 <= x <= grid.width_m and 0.0 <= y <= grid.height_m):
+        raise OutsideRegion(
+            f"map: expected a place within 0..{grid.width_m:g} m east and 0..{grid.height_m:g} m north, "
+            f"got ({x:g}, {y:g})"
+        )
+    row = min(int(y / grid.resolution_m), grid.rows - 1)
+    column = min(int(x / grid.resolution_m), grid.columns - 1)
+    mean, std = snapshot.mean_ppb.item(row, column), snapshot.std_ppb.item(row, column)
+    above = None
+    if request.threshold is not None:
+        above = 0.5 * math.erfc((request.threshold - mean) / (max(std, 1e-12) * math.sqrt(2)))
+    return MapPoint(
+        x_m=x,
+        y_m=y,
+        mean_ppb=mean,
+        std_ppb=std,
+        traversable=snapshot.traversable.item(row, column),
+        revision=snapshot.revision,
+        samples=len(snapshot.samples),
+        mission_time_ns=snapshot.mission_time_ns,
+        information_nats=0.5 * math.log1p((std / snapshot.noise_std_ppb) ** 2),
+        exceedance=above,
+    )
+
+
+def layer(request: MapLayerQuery, snapshot: MapSnapshot) -> MapRaster:
+    """A layer, or every `step`-th cell of it from the south-west corner on, as little-endian numbers in base64."""
+    return raster(whole_layer(request, snapshot), snapshot)
+
+
+def part(request: MapBoxQuery, snapshot: MapSnapshot) -> MapRaster:
+    """A part of a layer at the resolution asked for, as little-endian numbers in base64."""
+    return raster(box(request, snapshot), snapshot)
+
+
+def raster(cells: Cells, snapshot: MapSnapshot) -> MapRaster:
+    """Those cells as a message."""
+    rows, columns = cells.values.shape
+    return MapRaster(
+        layer=cells.layer,
+        rows=rows,
+        columns=columns,
+        resolution_m=cells.resolution_m,
+        dtype="|u1" if cells.values.dtype == np.uint8 else "<f4",
+        data_base64=b64encode(cells.values.tobytes()).decode("ascii"),
+        unit=cells.unit,
+        revision=snapshot.revision,
+        samples=len(snapshot.samples),
+        mission_time_ns=snapshot.mission_time_ns,
+        x_min_m=cells.x_min_m,
+        y_min_m=cells.y_min_m,
+        threshold_ppb=cells.threshold_ppb,
+    )
+
+
+def score(snapshot: MapSnapshot) -> MapScore:
+    """How the map compares with the reference field."""
+    if snapshot.score is None:
+        raise InvalidInput("map: there is no score: this mission has no reference field to compare with")
+    return snapshot.score
+
+
+def track(snapshot: MapSnapshot) -> MissionTrack:
+    """Samples, driven and planned path, and how the score went."""
+    return MissionTrack(
+        samples=snapshot.samples,
+        driven_path_m=snapshot.driven_path_m,
+        planned_path_m=snapshot.planned_path_m,
+        score_history=snapshot.score_history,
+        plan_ends=snapshot.plan_ends,
+    )
+
+
+def resource(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
+    """Helium-3 in an area."""
+    return estimate(request, snapshot)
+
+
+def history(snapshot: MapSnapshot) -> MapHistory:
+    """The site, and the revisions that can be asked for."""
+    grid = snapshot.grid
+    lat, lon = snapshot.origin_deg or (None, None)
+    return MapHistory(
+        site=MapSite(
+            rows=grid.rows,
+            columns=grid.columns,
+            resolution_m=grid.resolution_m,
+            origin_lat_deg=lat,
+            origin_lon_deg=lon,
+            noise_std_ppb=snapshot.noise_std_ppb,
+        ),
+        revisions=tuple(
+            MapRevision(
+                revision=each.revision,
+                samples=len(each.samples),
+                mission_time_ns=each.mission_time_ns,
+                mean_std_ppb=each.mean_std_ppb,
+            )
+            for each in revisions(snapshot)
+        ),
+    )
+
+
+_ANSWERS: Final[Mapping[Topic, Callable[[Any, MapSnapshot], Wire]]] = {
+    MAP_POINT: point,
+    MAP_LAYER: layer,
+    MAP_BOX: part,
+    MAP_RESOURCE: resource,
+    MAP_SCORE: lambda _, snapshot: score(snapshot),
+    TRACK: lambda _, snapshot: track(snapshot),
+    MAP_HISTORY: lambda _, snapshot: history(snapshot),
+}

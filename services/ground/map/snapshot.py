@@ -1,0 +1,61 @@
+"""The map as operators see it at one moment: immutable, so that any thread may answer from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.frames import SiteGrid
+from he3.gp import GaussianProcess
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
+from schemas.maps import MapScore
+from schemas.plans import Waypoint
+from schemas.telemetry import SampleReport
+from services.runtime.node import MissionTime
+
+
+@dataclass(frozen=True, eq=False)
+class MapSnapshot:
+    """One revision of the map with what a picture of the mission needs. Arrays are (rows, columns), read-only."""
+
+    grid: SiteGrid
+    mean_ppb: NDArray[np.float32]
+    std_ppb: NDArray[np.float32]
+    traversable: NDArray[np.bool_]
+    """Where the rover's centre may be, as far as the ground knows."""
+    samples: tuple[SampleReport, ...]
+    """Every measurement in the map, in the order in which they arrived."""
+    driven_path_m: tuple[Waypoint, ...]
+    """The parts of planned paths that the rover is known to have driven."""
+    planned_path_m: tuple[Waypoint, ...]
+    """What is planned and not over, from where the rover is known to be."""
+    plan_ends: MissionTime | None
+    """When the rover will have done what is planned, as the ground expects."""
+    revision: int
+    """Grows by one with every change of the map; track and plan may change without."""
+    mission_time_ns: MissionTime
+    """Mission time of that revision."""
+    score: MapScore | None
+    score_history: tuple[MapScore, ...]
+    """One entry a round."""
+    process: GaussianProcess | None = None
+    """The belief that the arrays were computed from, for what a single cell does not tell."""
+    origin_deg: tuple[float, float] | None = None
+    """Latitude and longitude of the site's south-west corner; None where the region does not say."""
+    earlier: tuple[MapSnapshot, ...] = ()
+    """Revisions before this one that are still held, oldest first; they hold none themselves."""
+
+    @cached_property
+    def mean_std_ppb(self) -> float:
+        """Mean over the cells of the standard deviation [ppb]."""
+        return float(self.std_ppb.mean(dtype=np.float64))
+
+    @property
+    def noise_std_ppb(self) -> float:
+        """Standard deviation of a measurement, as the belief has it."""
+        if self.process is None:
+            return DEFAULT_NOISE_STD_PPB
+        return float(self.process.hyperparameters.noise_variance_ppb2**0.5)

@@ -1,0 +1,144 @@
+"""The published planners, as a faithful baseline: drive to the most uncertain place, along a tree's path as it grew.
+
+The target is the most uncertain cell that the rover can reach, at least ``clearance_m`` from every sample. A tree of
+at most ``max_iterations`` iterations grows from the rover, by steps of 10 m, until a node lies within 10 m of the
+target; its path is driven as it is, neither smoothed nor cut short at corners, and the samples are taken at equal
+distances along it, the last at its end. Information enters by the target alone.
+
+`rrtstar` rewires within min(50 m, 150 m sqrt(log n / n)), exactly (see ``trees``), and like `rrt` it ends when the
+target is reached. That is after 900 iterations as a rule (450 to 2600), of the 5000 that are allowed; the setting
+``refine_iterations`` goes on to so many, for shorter paths.
+
+Three cases the paper does not speak of. Far from all samples the uncertainty is the prior's, to the last digits of a
+float32; of places that are so far equally uncertain, the one farthest from all samples is the target, as it would be
+with more digits (in the first round, the one farthest from the rover). Where a tree does not reach its target within
+the bound, the next two most uncertain targets are tried, then the longest of the paths that came nearest is driven.
+Under a finite budget, targets lie no further than the round's even share of it, and a path ends after ``PACE`` times
+that share.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from he3.errors import InvalidInput, NoRoute
+from he3.frames import FloatArray, SiteGrid, path_length
+from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
+from services.ground.planners.rounds import PACE, budget_share_m, cut, places_along, planned
+from services.ground.planners.traversability import OpenGround
+from services.ground.planners.trees import Growth, Place, tree_path
+
+TARGETS_TRIED = 3
+TIE = 1e-4
+"""Relative difference of uncertainty below which two targets are equally good: float32 noise, with a margin."""
+SETTINGS = ("refine_iterations",)
+
+
+def rrt(request: PlanningRequest) -> PlannedRound:
+    """The round that the paper's RRT would drive. Raises NoRoute, or InvalidInput for a request that makes no sense."""
+    return _towards_most_uncertain(request, optimal=False)
+
+
+def rrtstar(request: PlanningRequest) -> PlannedRound:
+    """The round that the paper's RRT* would drive. Raises NoRoute, or InvalidInput for a request that makes no
+    sense."""
+    return _towards_most_uncertain(request, optimal=True)
+
+
+def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> PlannedRound:
+    options = checked(request).options
+    if unknown := set(options.extra) - set(SETTINGS):
+        raise InvalidInput(f"rrt and rrtstar know the settings {', '.join(SETTINGS)}; got {', '.join(sorted(unknown))}")
+    share_m = budget_share_m(request)
+    ground = OpenGround(request.grid, request.traversable)
+    start = ground.footing(request.start_m)
+    limit_m = min(request.budget_m, PACE * share_m) - path_length(np.array([request.start_m, start]))
+    growth = Growth(step_m=options.step_m, goal_tolerance_m=options.goal_tolerance_m)
+    rng = np.random.default_rng(request.seed)
+    candidates = _candidates(request, ground.connected_to(start), start, share_m)
+    best = np.array([start])
+    for _ in range(TARGETS_TRIED):
+        target = _most_uncertain(request, candidates, rng)
+        if target is None:
+            break
+        path, reached = tree_path(
+            ground, start, target, optimal=optimal, iterations=options.max_iterations, seed=request.seed, growth=growth,
+            refine=int(options.extra.get("refine_iterations", 0)),
+        )  # fmt: skip
+        if reached or path_length(path) > path_length(best):
+            best = path
+        if reached:
+            break
+        _close_disc(candidates, request.grid, target, options.goal_tolerance_m)
+    best = cut(best, limit_m)
+    if path_length(best) <= 0.0:
+        raise NoRoute(
+            f"no target was reached from ({start[0]:g}, {start[1]:g}) m within {options.max_iterations} iterations "
+            f"and {limit_m:g} m"
+        )
+    return planned(request, best, places_along(best, request.samples))
+
+
+def _candidates(
+    request: PlanningRequest, connected: NDArray[np.bool_], start: Place, share_m: float
+) -> NDArray[np.bool_]:
+    """(rows, columns): cells that may be a target: reachable, clear of samples, neither here nor out of budget."""
+    grid, options = request.grid, request.options
+    candidates = connected.copy()
+    for x, y in request.observed_m:
+        _close_disc(candidates, grid, (float(x), float(y)), options.clearance_m)
+    _close_disc(candidates, grid, start, options.goal_tolerance_m)
+    if isfinite(share_m):
+        distance = np.hypot(grid.x_m[None, :] - start[0], grid.y_m[:, None] - start[1])
+        near = candidates & (distance <= share_m)
+        # With a share too small for any target, the rover heads for one as far as the share goes.
+        candidates = near if near.any() else candidates
+    if not candidates.any():
+        raise NoRoute(
+            f"no target from ({start[0]:g}, {start[1]:g}) m: none of the {int(connected.sum())} cells that can be "
+            f"reached lies {options.goal_tolerance_m:g} m from there and {options.clearance_m:g} m from every sample"
+        )
+    return candidates
+
+
+def _most_uncertain(request: PlanningRequest, candidates: NDArray[np.bool_], rng: np.random.Generator) -> Place | None:
+    """The centre [m] of the candidate cell with the most uncertainty, weighted by interest; None if there is none."""
+    cells = np.flatnonzero(candidates.ravel())
+    if not cells.size:
+        return None
+    worth: FloatArray = request.std_ppb.ravel()[cells].astype(np.float64)
+    if request.interest is not None:
+        worth *= request.interest.ravel()[cells]
+    equally_good = cells[worth >= worth.max() * (1.0 - TIE)]
+    if equally_good.size > 1:
+        equally_good = _farthest(equally_good, request)
+    row, column = divmod(int(rng.choice(equally_good)), request.grid.columns)
+    size = request.grid.resolution_m
+    return (column + 0.5) * size, (row + 0.5) * size
+
+
+def _farthest(cells: NDArray[np.intp], request: PlanningRequest) -> NDArray[np.intp]:
+    """Those of the cells that lie farthest from all samples, or from the rover as long as there is none."""
+    grid = request.grid
+    known = request.observed_m if request.observed_m.size else np.array([request.start_m])
+    elsewhere = np.ones(grid.shape, dtype=np.bool_)
+    elsewhere[grid.cells_of(known)] = False
+    distance = ndimage.distance_transform_edt(elsewhere).ravel()[cells]
+    farthest: NDArray[np.intp] = cells[distance >= distance.max()]
+    return farthest
+
+
+def _close_disc(mask: NDArray[np.bool_], grid: SiteGrid, centre_m: Place, radius_m: float) -> None:
+    """Clear the mask at cells whose centre lies nearer than the radius [m] to the place."""
+    if radius_m == inf:
+        mask[:] = False
+        return
+    x, y, size = centre_m[0], centre_m[1], grid.resolution_m
+    rows = slice(max(int((y - radius_m) / size) - 1, 0), max(int((y + radius_m) / size) + 2, 0))
+    columns = slice(max(int((x - radius_m) / size) - 1, 0), max(int((x + radius_m) / size) + 2, 0))
+    near = (grid.x_m[None, columns] - x) ** 2 + (grid.y_m[rows, None] - y) ** 2 < radius_m**2
+    mask[rows, columns] &= ~near

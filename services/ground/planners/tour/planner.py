@@ -1,0 +1,132 @@
+"""The whole rest of the mission as one design and one tour; the round is its first piece.
+
+All samples and metres that are left are planned together: places that make the average of the field as certain as
+possible (``he3.i_optimal_design``), on a tour that is short and within the budget (``tour_design``). The first plan
+begins several designs and draws the best on for long, which is worth 1 % of RMSE where the budget binds; later ones
+begin from what the last one expected to do and let it move with what the hyperparameters have become, so that rounds
+agree with one another and no holes are left to come back for. A request without that outlook is planned afresh.
+
+A mission without a budget gets one: metres beyond those of a tour through an even lattice buy next to nothing.
+Hyperparameters that say nothing about where to go, because they let a sample know only its own spot or all of the site,
+are brought to the nearest that do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isfinite, sqrt
+
+import numpy as np
+
+from he3.errors import InvalidInput, NoRoute
+from he3.frames import FloatArray, path_length
+from he3.i_optimal_design import AverageVariance, field_nodes
+from he3.kernels import Kernel, kernel_from
+from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
+from services.ground.planners.rounds import cut, planned
+from services.ground.planners.tour.design import drawn_taut, first_design, fitted, tour_of, worth
+from services.ground.planners.tour.route import route_through
+from services.ground.planners.tour.site import Site, site_about
+
+THRIFT = 0.03
+"""Per cent of variance that one per cent of the tour has to be worth, whatever the budget."""
+LEG_CONSTANT = 1.02
+"""Metres a sample that a mission without a budget may drive, as the crow flies, in units of sqrt(reachable area /
+samples), the spacing of a square lattice. The shortest tour through places at random takes 0.7124 (Beardwood, Halton &
+Hammersley 1959), one through a lattice 1; near it, the variance hardly depends on the metres."""
+DESIGNS = 8
+"""Designs that a plan without an outlook begins with."""
+FINALISTS = 2
+"""Designs that are drawn on for long; the best of them is taken."""
+FIRST_STEPS = 40
+FINAL_STEPS = 300
+STEPS = 10
+"""Steps of the places: of every design, of a finalist, and of an outlook."""
+STEP_ON_M = 1.5
+"""Root mean square step [m] with which the places of an outlook begin to move on."""
+KICKS = 20
+MOST_REFITTED = 0.34
+"""An outlook over more or fewer samples is used as long as the difference is at most this share of them."""
+ROUNDING = 1e-9
+"""Share of the budget that is left alone, so that sums of legs in another order do not exceed it."""
+SETTINGS = ("thrift", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks")
+SHORTEST_IN_SPACINGS = 0.5
+LONGEST_IN_SPACINGS = 6.0
+"""Length scales that a design uses, in spacings of an even lattice of all samples over the site."""
+
+
+def tour(request: PlanningRequest) -> PlannedRound:
+    """The first piece of one tour through one design for all samples that are left, and the rest as its outlook.
+
+    Raises NoRoute where nothing can be reached or no metre is left, InvalidInput for a request that makes no sense.
+    """
+    extra = checked(request).options.extra
+    if unknown := set(extra) - set(SETTINGS):
+        raise InvalidInput(f"tour knows the settings {', '.join(SETTINGS)}; got {', '.join(sorted(unknown))}")
+    nodes = field_nodes(request.grid, request.interest)
+    site = site_about(request.grid, request.traversable, request.start_m, nodes)
+    budget_m = request.budget_m - path_length(np.array([request.start_m, site.start_m]))
+    if not budget_m > 0:
+        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m are left for {request.samples_left} samples")
+    places = site.settle_in_cells(_design(request, site, budget_m, extra))
+    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed).within(
+        budget_m * (1.0 - ROUNDING)
+    )
+    now, later = route.places_m[: request.samples], route.places_m[request.samples :]
+    path = cut(route.path_m, float(route.at_m[request.samples - 1]))
+    path[-1] = now[-1]
+    return replace(planned(request, path, now), outlook_m=later)
+
+
+def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[str, float]) -> FloatArray:
+    """Places (samples_left, 2) [m] in the order of their tour: the outlook's, moved on, or the best of a few."""
+    left, samples = request.samples_left, request.samples_left + len(request.observed_m)
+    variance = _average_variance(request, site)
+    leg_m = LEG_CONSTANT * sqrt(site.area_m2 / samples)
+    thrift = float(extra.get("thrift", THRIFT)) / (samples * leg_m)
+    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MOST_REFITTED * left:
+        places = fitted(site, request.observed_m, request.outlook_m, left)
+        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
+        price = thrift * variance(places)
+        return drawn_taut(site, variance, places, price, metres, int(extra.get("steps", STEPS)), STEP_ON_M)
+    rng = np.random.default_rng(request.seed)
+
+    def drawn(places: FloatArray, steps: int) -> tuple[float, FloatArray]:
+        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
+        price = thrift * variance(places)
+        places = drawn_taut(site, variance, places, price, metres, steps)
+        return worth(site, variance, places, price, metres), places
+
+    designs = []
+    for _ in range(max(1, int(extra.get("designs", DESIGNS)))):
+        first_node = int(rng.integers(len(site.nodes.weights)))
+        places = first_design(site, request.observed_m, left, budget_m, first_node)
+        designs.append(drawn(places, int(extra.get("first_steps", FIRST_STEPS))))
+    designs.sort(key=lambda design: design[0])
+    if (final_steps := int(extra.get("final_steps", FINAL_STEPS))) > 0:
+        finalists = designs[: max(1, int(extra.get("finalists", FINALISTS)))]
+        designs = sorted([*designs, *(drawn(places, final_steps) for _, places in finalists)], key=lambda one: one[0])
+    return designs[0][1]
+
+
+def _metres_without_budget(site: Site, places: FloatArray, leg_m: float) -> float:
+    """What the tour through the places (n, 2) [m] may grow or has to shrink to, if nobody says: so many usual legs,
+    and the ways round obstacles."""
+    round_obstacles, as_the_crow_flies = tour_of(site, places)
+    return len(places) * leg_m * max(round_obstacles, leg_m) / max(as_the_crow_flies, leg_m)
+
+
+def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:
+    hyperparameters, grid = request.hyperparameters, request.grid
+    spacing_m = sqrt(grid.width_m * grid.height_m / (request.samples_left + len(request.observed_m)))
+    kernel = telling(hyperparameters.kernel, SHORTEST_IN_SPACINGS * spacing_m, LONGEST_IN_SPACINGS * spacing_m)
+    return AverageVariance(kernel.of_squared_distance, hyperparameters.noise_variance, site.nodes, request.observed_m)
+
+
+def telling(kernel: Kernel, shortest_m: float, longest_m: float) -> Kernel:
+    """The kernel with its length scales within these bounds [m]: itself, where they are."""
+    parameters = {
+        name: min(max(value, shortest_m), longest_m) if name.endswith("length_scale_m") else value
+        for name, value in kernel.parameters().items()
+    }
+    return kernel_from(kernel.name, parameters)

@@ -1,0 +1,132 @@
+"""The site as a tour sees it: where a rover can be, which cell it would rather stand in, how large it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from he3.errors import NoRoute
+from he3.frames import FloatArray, SiteGrid
+from he3.i_optimal_design import FieldNodes
+from services.ground.planners.routes import Routes
+from services.ground.planners.tour.legs import LegTable, leg_table
+from services.ground.planners.traversability import OpenGround
+
+LANDMARKS = 3
+"""Places from which the distance to everywhere is found, to tell legs that walls make long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """What a design has to know about the ground, and where its tour begins."""
+
+    ground: OpenGround
+    nodes: FieldNodes
+    start_m: FloatArray
+    """(2,) [m], a place from which legs can be checked."""
+    nearest: NDArray[np.int32]
+    """(2, rows, columns): row and column of the reachable cell that is nearest to each cell."""
+    part: int
+    """Number of the connected part of the ground that can be reached."""
+
+    def settle(self, places_m: FloatArray) -> FloatArray:
+        """The places (n, 2) [m] where they can be reached, the centre of the nearest cell that can be where not."""
+        grid = self.ground.grid
+        size = grid.resolution_m
+        columns = np.clip((places_m[:, 0] / size).astype(np.intp), 0, grid.columns - 1)
+        rows = np.clip((places_m[:, 1] / size).astype(np.intp), 0, grid.rows - 1)
+        to_row, to_column = self.nearest[0, rows, columns], self.nearest[1, rows, columns]
+        stays = (to_row == rows) & (to_column == columns) & grid.contains(places_m)
+        centres = (np.column_stack((to_column, to_row)) + 0.5) * size
+        return np.where(stays[:, None], places_m, centres)
+
+    def settle_in_cells(self, places_m: FloatArray) -> FloatArray:
+        """The same, every place at the centre of its cell: clear of edges that other cells share."""
+        rows, columns = self.ground.grid.cells_of(self.settle(places_m))
+        cells = np.column_stack((columns, rows)).astype(np.float64)
+        centres: FloatArray = (cells + 0.5) * self.ground.grid.resolution_m
+        return centres
+
+    def legs(self, places_m: FloatArray) -> LegTable:
+        """The legs between the places (n, 2) [m], each of them reachable."""
+        return leg_table(self.ground, places_m, self._least_lengths)
+
+    def _least_lengths(self, places_m: FloatArray) -> FloatArray:
+        """(n, n) [m]: no way is shorter than the difference of its ends' distances from any landmark."""
+        grid = self.ground.grid
+        rows, columns = grid.cells_of(places_m)
+        fields = _landmarks(grid, self.ground.open.tobytes(), self.part)
+        at = np.stack([field[rows, columns] for field in fields])
+        bounds: FloatArray = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0)
+        return bounds
+
+    @property
+    def area_m2(self) -> float:
+        """Area that is both reachable and of interest [m^2]; of less interest counts as less area."""
+        grid = self.ground.grid
+        rows, columns = np.arange(grid.rows)[:, None], np.arange(grid.columns)[None, :]
+        reachable = float(np.count_nonzero((self.nearest[0] == rows) & (self.nearest[1] == columns)))
+        # Cells that would weigh as much if all weighed the same: (sum w)^2 / sum w^2.
+        weights = self.nodes.weights
+        of_interest = float(weights.sum() ** 2 / (weights * weights).sum()) * self.nodes.spacing_m**2
+        return min(reachable * grid.resolution_m**2, of_interest)
+
+
+def site_about(grid: SiteGrid, traversable: NDArray[np.bool_], start_m: tuple[float, float], nodes: FieldNodes) -> Site:
+    """The site around a rover that stands at the start. Raises NoRoute if it is walled in or on closed ground."""
+    cells = traversable.astype(np.bool_).tobytes()
+    ground, labels = _parts(grid, cells)
+    start = np.array(ground.footing(start_m))
+    row, column = grid.cells_of(start[None])
+    part = int(labels[row[0], column[0]])
+    return Site(ground, nodes, start, _nearest(grid, cells, part), part)
+
+
+@lru_cache(maxsize=4)
+def _parts(grid: SiteGrid, traversable: bytes) -> tuple[OpenGround, NDArray[np.int32]]:
+    """Open ground, and the number of the connected part (rows, columns) that each open cell is in. Remembered."""
+    ground = OpenGround(grid, np.frombuffer(traversable, dtype=np.bool_).reshape(grid.shape))
+    return ground, ndimage.label(ground.open)[0]
+
+
+@lru_cache(maxsize=4)
+def _nearest(grid: SiteGrid, traversable: bytes, part: int) -> NDArray[np.int32]:
+    """Row and column (2, rows, columns) of the cell of that part that is nearest to each cell. Remembered.
+
+    Raises NoRoute if the part is a single cell: whoever stands there is walled in.
+    """
+    _, labels = _parts(grid, traversable)
+    within = labels == part
+    if np.count_nonzero(within) < 2:
+        row, column = np.argwhere(within)[0]
+        x, y = (column + 0.5) * grid.resolution_m, (row + 0.5) * grid.resolution_m
+        raise NoRoute(f"walled in at ({x:g}, {y:g}) m: no other cell can be reached from there")
+    return np.asarray(ndimage.distance_transform_edt(~within, return_distances=False, return_indices=True))
+
+
+@lru_cache(maxsize=2)
+def _landmarks(grid: SiteGrid, traversable: bytes, part: int) -> tuple[FloatArray, ...]:
+    """Lengths (rows, columns) [m] of the ways from each landmark to each cell of that part: ends of the longest ways.
+
+    Remembered. From them follow bounds for all pairs of places (Goldberg & Harrelson 2005). Along a corridor, they are
+    exact but for the eight directions of the ways.
+    """
+    ground, labels = _parts(grid, traversable)
+    within = labels == part
+    routes = Routes(ground)
+    row, column = np.argwhere(within)[0]
+    nearest = np.full(grid.shape, np.inf)
+    fields = []
+    for _ in range(LANDMARKS + 1):
+        field = routes.distances_from(((column + 0.5) * grid.resolution_m, (row + 0.5) * grid.resolution_m))
+        fields.append(np.where(within, field, 0.0))
+        # The first field serves to find the landmarks only: it is from anywhere.
+        nearest = np.minimum(nearest, fields[-1]) if len(fields) > 1 else fields[-1]
+        row, column = np.unravel_index(int(np.argmax(np.where(within, nearest, -1.0))), grid.shape)
+        if len(fields) == 1:
+            nearest = np.full(grid.shape, np.inf)
+    return tuple(fields[1:])

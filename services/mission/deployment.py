@@ -1,0 +1,33 @@
+"""Where scenarios and Zenoh configurations are found: in the checkout, or in the installed package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from he3.errors import InvalidInput
+
+_INSTALLED = Path(__file__).parent / "deploy"
+_CHECKOUT = Path(__file__).parents[2] / "deploy"
+
+
+def deployment(*parts: str) -> Path:
+    """Path of a file that ships with the system, such as ``deployment("zenoh", "moon-client.json5")``."""
+    return (_INSTALLED if _INSTALLED.is_dir() else _CHECKOUT).joinpath(*parts)
+
+
+def shipped_scenarios() -> list[str]:
+    """Names of the scenarios that ship with the system."""
+    return sorted(path.stem for path in deployment("scenarios").glob("*.toml"))
+
+
+def find_scenario(reference: str) -> Path:
+    """Path of the scenario that a user means: a file, or the name of a shipped one; raises InvalidInput."""
+    path = Path(reference)
+    if path.suffix == ".toml" or path.exists():
+        return path
+    shipped = deployment("scenarios", f"{reference}.toml")
+    if shipped.is_file():
+        return shipped
+    raise InvalidInput(
+        f"{reference}: expected a scenario file or one of {', '.join(shipped_scenarios())}; found neither"
+    )

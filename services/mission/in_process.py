@@ -1,0 +1,119 @@
+"""A whole mission in this process: all nodes of a scenario over the simulation driver, and its questions answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from he3.errors import He3Error
+from he3.reference import Region
+from schemas.ground import GroundStatus, MissionPhase
+from schemas.link import LinkStatus
+from schemas.topics import GROUND_STATUS, LINK_STATUS, SAMPLE, Side, Topic
+from schemas.wire import Refused, Wire, decode
+from services.mission.scenario import Scenario
+from services.recorder.node import Sink
+from services.runtime.drivers.simulation import Simulation
+from services.runtime.host import Trace
+from services.runtime.node import SECOND, MissionTime, Node
+from services.runtime.scheduler import Executor
+
+ENDED = frozenset({MissionPhase.COMPLETED, MissionPhase.FAILED})
+
+RECORDING_FLUSH_S = 3600.0
+"""Mission time between flushes of an in-process recording: nobody else depends on it while it runs."""
+
+
+def build_nodes(scenario: Scenario, sink: Sink | None = None, region: Region | None = None) -> tuple[Node, ...]:
+    """The nodes of that scenario, as each of their processes would build its own; with a sink, the recorder too.
+
+    region: the scenario's, where it is loaded already. Raises InvalidInput for a scenario that no mission can have.
+    """
+    from services.field.node import build_node as build_field
+    from services.ground.node import build_node as build_ground
+    from services.link.node import build_node as build_link
+    from services.recorder.node import build_node as build_recorder
+    from services.rover.node import build_node as build_rover
+
+    nodes: tuple[Node, ...] = (
+        build_field(scenario, region),
+        build_rover(scenario, None if region is None else region.grid),
+        build_link(scenario),
+        build_ground(scenario, region),
+    )
+    return nodes if sink is None else (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
+
+
+class InProcessMission:
+    """A mission in virtual time. Step it or run it; ask it what an operator would ask."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        executor: Executor | None = None,
+        sink: Sink | None = None,
+        trace: Trace | None = None,
+        nodes: Iterable[Node] | None = None,
+    ) -> None:
+        self.scenario = scenario
+        self.status: GroundStatus | None = None
+        """What the ground last said."""
+        self.link: LinkStatus | None = None
+        """What the link last said."""
+        self.samples_on_earth = 0
+        """Sample reports that came down the link, repetitions included."""
+        built = build_nodes(scenario, sink) if nodes is None else tuple(nodes)
+        self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, trace, scenario.link)
+        self.simulation.tap(self._listen)
+
+    @property
+    def mission_time_s(self) -> float:
+        """Seconds since the mission began."""
+        return (self.simulation.now - self.scenario.start_ns) / SECOND
+
+    @property
+    def end(self) -> MissionPhase | None:
+        """How the mission ended: completed or failed; None while it goes on."""
+        return None if self.status is None or self.status.phase not in ENDED else self.status.phase
+
+    def run(self, watch: Callable[[], None] = lambda: None, until_s: float | None = None) -> MissionPhase:
+        """How the mission ended, after running it until the ground says so; `watch` is called after every instant.
+
+        Raises He3Error when the mission stands still, or is not over `until_s` seconds after its beginning.
+        """
+        while self.end is None:
+            if not self.simulation.step():
+                raise He3Error(
+                    f"the mission stands still {self.mission_time_s:.0f} s after its beginning: {self.why()}"
+                )
+            if until_s is not None and self.mission_time_s > until_s:
+                raise He3Error(f"the mission is not over {until_s:.0f} s after its beginning: {self.why()}")
+            watch()
+        return self.end
+
+    def why(self) -> str:
+        """Where the mission is, in a few words, for an error's line."""
+        if self.status is None:
+            return "the ground has not said anything"
+        detail = f" ({self.status.detail})" if self.status.detail else ""
+        return f"{self.status.phase.value}, {self.status.samples} of {self.status.samples_total} samples{detail}"
+
+    def ask(self, topic: Topic, request: Wire) -> Any:
+        """The answer to an operator's question; raises He3Error with the refusal."""
+        return self.simulation.ask(topic, request)
+
+    def _listen(self, topic: Topic, side: Side, payload: bytes, now: MissionTime) -> None:
+        if side is not Side.EARTH:
+            return
+        if topic is SAMPLE:
+            self.samples_on_earth += 1
+        if topic is not GROUND_STATUS and topic is not LINK_STATUS:
+            return
+        try:
+            said = decode(topic, payload, self.scenario.name)[1]
+        except Refused:
+            return  # a stranger's; the nodes count those, an onlooker passes over them
+        if topic is GROUND_STATUS:
+            self.status = said
+        else:
+            self.link = said

@@ -1,0 +1,203 @@
+"""Regions, loaded: the embedded ones by name, anybody's from a file. This is where rasters are flipped, once."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.constants import HELIUM3_MAX_PPB, RELIEF_WINDOW_M
+from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+from he3.reference import OrbitalWindow, Region, orbital_view, reference
+from he3.terrain import relief_m, slope_deg, traversable
+
+FloatArray = NDArray[np.float64]
+
+# Name of a region -> its coarse rasters in this package. They are synthetic stand-ins, and their file names say so.
+EMBEDDED: Final[Mapping[str, str]] = {
+    "t1": "t1_taurus_littrow_synthetic_standin.npz",
+    "t2": "t2_hadley_rille_synthetic_standin.npz",
+}
+MAX_CELLS: Final = 4_000_000  # a region of 2 km at 1 m; more would not be a region but a mistake
+MAX_FILE_BYTES: Final = 512 * 1024 * 1024
+MAX_LATITUDE_DEG: Final = 89.0  # beyond it a region is no plane of east and north
+MAX_PROVENANCE: Final = 500  # characters
+_LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable")
+_FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_deg")
+
+
+def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
+    """The finished region of an embedded name (``t1``, ``t2``) or of an .npz file.
+
+    A seed makes another variation of an embedded region; without one it is the region's own, under which its published
+    figures hold. A file is finished already, and a seed changes nothing in it: it holds he3_ppb (rows, columns) with
+    row 0 in the south, resolution_m, and elevation_m [m] or traversable (bool) or both, and may hold orbital_ppb,
+    provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner.
+    Raises InvalidInput, in one line that names file, key and expectation.
+    """
+    if str(name_or_path) in EMBEDDED:
+        return reference(load_window(str(name_or_path)), seed)
+    path = Path(name_or_path)
+    if path.suffix != ".npz":
+        raise InvalidInput(f"expected a region out of {', '.join(EMBEDDED)} or an .npz file, got {str(name_or_path)!r}")
+    return _region_from_file(path)
+
+
+def load_window(name: str) -> OrbitalWindow:
+    """The orbital window, here a synthetic stand-in, that an embedded region is made from, flipped to row 0 south."""
+    source = resources.files("services.mission").joinpath("region_data", EMBEDDED[name])
+    with source.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+        arrays: dict[str, NDArray[Any]] = {key: archive[key] for key in archive.files}
+    metadata: dict[str, Any] = json.loads(str(arrays.pop("metadata")))
+    rows = arrays["iron_wt"].shape[0]
+    south = metadata.pop("north_deg") - rows / metadata["pixels_per_degree"]
+    layers: dict[str, Any] = {key: np.flipud(layer).astype(np.float64, order="C") for key, layer in arrays.items()}
+    return OrbitalWindow(south_deg=south, **layers, **metadata)
+
+
+def _region_from_file(path: Path) -> Region:
+    arrays = _read_layers(path)
+    he3 = _layer(path, arrays, "he3_ppb", None)
+    if he3 is None:
+        raise InvalidInput(f"{path}: expected key he3_ppb, got {', '.join(sorted(arrays)) or 'no keys'}")
+    low, high = float(he3.min()), float(he3.max())
+    if not 0 <= low <= high <= HELIUM3_MAX_PPB:
+        raise InvalidInput(f"{path}: key he3_ppb: expected 0 to {HELIUM3_MAX_PPB:g} ppb, got {low:g} to {high:g}")
+    resolution_m = _resolution_m(path, arrays)
+    grid = SiteGrid(he3.shape[0], he3.shape[1], resolution_m)
+    elevation = _layer(path, arrays, "elevation_m", he3.shape)
+    open_cells = _open_cells(path, arrays, he3.shape)
+    orbital = _layer(path, arrays, "orbital_ppb", he3.shape)
+    latitude, longitude = _origin_deg(path, arrays)
+    if elevation is None and open_cells is None:
+        raise InvalidInput(f"{path}: expected key elevation_m or traversable, got {', '.join(sorted(arrays))}")
+    slope = np.zeros(he3.shape) if elevation is None else slope_deg(elevation, resolution_m)
+    if open_cells is None:
+        assert elevation is not None  # one of the two is there, see above
+        if resolution_m >= RELIEF_WINDOW_M:
+            raise InvalidInput(f"{path}: expected key traversable, as elevation_m in cells of {RELIEF_WINDOW_M:g} m or "
+                               f"more tells no hollow or hummock, got resolution_m {resolution_m:g}")  # fmt: skip
+        open_cells = traversable(slope, relief_m(elevation, resolution_m))
+    return Region(
+        name=path.stem,
+        title=path.stem,
+        provenance=_provenance(path, arrays),
+        grid=grid,
+        he3_ppb=he3,
+        orbital_ppb=orbital_view(he3, grid) if orbital is None else orbital,
+        elevation_m=np.zeros(he3.shape) if elevation is None else elevation,
+        slope_deg=slope,
+        traversable=open_cells,
+        origin_lat_deg=latitude,
+        origin_lon_deg=longitude,
+    )
+
+
+def _read_layers(path: Path) -> dict[str, NDArray[Any]]:
+    """The known arrays of an .npz file, nothing executed; unknown keys are left alone."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_FILE_BYTES:
+            raise InvalidInput(f"{path}: expected at most {MAX_FILE_BYTES} bytes of arrays, got {size}")
+        with np.load(path, allow_pickle=False) as arrays:
+            return {key: arrays[key] for key in arrays.files if key in (*_LAYERS, *_FURTHER)}
+    except FileNotFoundError:
+        raise InvalidInput(f"{path}: expected a region file, got no such file") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+        if isinstance(error, InvalidInput):
+            raise
+        raise InvalidInput(f"{path}: expected an .npz file of plain numeric arrays, got {error}") from None
+
+
+def _layer(
+    path: Path, arrays: Mapping[str, NDArray[Any]], key: str, shape: tuple[int, ...] | None
+) -> FloatArray | None:
+    """A layer as float64 (rows, columns), checked; None if the file does not hold it."""
+    values = arrays.get(key)
+    if values is None:
+        return None
+    if values.dtype.kind not in "fiu":
+        raise InvalidInput(f"{path}: key {key}: expected real numbers, got dtype {values.dtype}")
+    _expect_shape(path, key, values.shape, shape)
+    layer = np.array(values, dtype=np.float64, order="C")
+    if not bool(np.isfinite(layer).all()):
+        bad = int(layer.size - np.count_nonzero(np.isfinite(layer)))
+        raise InvalidInput(f"{path}: key {key}: expected finite values, got NaN or infinity in {bad} cells")
+    return layer
+
+
+def _open_cells(path: Path, arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    values = arrays.get("traversable")
+    if values is None:
+        return None
+    _expect_shape(path, "traversable", values.shape, shape)
+    if values.dtype.kind not in "bui" or not bool(np.isin(values, (0, 1)).all()):
+        raise InvalidInput(f"{path}: key traversable: expected booleans, got dtype {values.dtype} with values "
+                           f"{values.min()} to {values.max()}")  # fmt: skip
+    if not bool(values.any()):
+        raise InvalidInput(f"{path}: key traversable: expected at least one open cell, got none")
+    return values.astype(np.bool_)
+
+
+def _expect_shape(path: Path, key: str, got: tuple[int, ...], wanted: tuple[int, ...] | None) -> None:
+    if wanted is not None and got != wanted:
+        raise InvalidInput(f"{path}: key {key}: expected the shape of he3_ppb, {wanted}, got {got}")
+    if len(got) != 2 or min(got) < 4:
+        raise InvalidInput(f"{path}: key {key}: expected (rows, columns) of at least 4 x 4, got shape {got}")
+    if got[0] * got[1] > MAX_CELLS:
+        raise InvalidInput(f"{path}: key {key}: expected at most {MAX_CELLS} cells, got {got[0] * got[1]}")
+
+
+def _provenance(path: Path, arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Where the data come from, as the file says, and which file that is."""
+    values = arrays.get("provenance")
+    if values is None:
+        return f"given as {path.name}"
+    text = str(values.reshape(())) if values.dtype.kind == "U" and values.size == 1 else None
+    if text is None or not text.isprintable() or len(text) > MAX_PROVENANCE:
+        got = f"dtype {values.dtype} of shape {values.shape}" if text is None else f"{len(text)}: {text[:40]!r}"
+        raise InvalidInput(f"{path}: key provenance: expected up to {MAX_PROVENANCE} printable characters, got {got}")
+    return f"{text} (from {path.name})" if text else f"given as {path.name}"
+
+
+def _origin_deg(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[float, float] | tuple[None, None]:
+    """Latitude and longitude [deg] of the south-west corner, if the file says them."""
+    latitude = _number(path, arrays, "origin_lat_deg", -MAX_LATITUDE_DEG, MAX_LATITUDE_DEG, "deg")
+    longitude = _number(path, arrays, "origin_lon_deg", -360.0, 360.0, "deg")
+    if latitude is None and longitude is None:
+        return None, None
+    if latitude is None or longitude is None:
+        raise InvalidInput(f"{path}: expected both of origin_lat_deg and origin_lon_deg or none, got one")
+    return latitude, longitude
+
+
+def _resolution_m(path: Path, arrays: Mapping[str, NDArray[Any]]) -> float:
+    resolution = _number(path, arrays, "resolution_m", 0.01, 1000.0, "m")
+    if resolution is None:
+        raise InvalidInput(f"{path}: expected key resolution_m, got {', '.join(sorted(arrays))}")
+    return resolution
+
+
+def _number(
+    path: Path, arrays: Mapping[str, NDArray[Any]], key: str, low: float, high: float, unit: str
+) -> float | None:
+    """One number within bounds; None if the file does not hold it."""
+    values = arrays.get(key)
+    if values is None:
+        return None
+    if values.dtype.kind not in "fiu" or values.size != 1:
+        raise InvalidInput(
+            f"{path}: key {key}: expected one number [{unit}], got dtype {values.dtype} of shape {values.shape}"
+        )
+    number = float(values.reshape(()))
+    if not low <= number <= high:
+        raise InvalidInput(f"{path}: key {key}: expected {low:g} to {high:g} {unit}, got {number}")
+    return number

@@ -1,0 +1,329 @@
+"""All nodes and the link in one process, in virtual time, as fast as the CPU allows.
+
+Time jumps from event to event. What happens at one instant happens in rounds: in each, every node handles what the
+previous round sent it, in a fixed order (messages by sender and order of sending, then questions, answers, results and
+timers), and what it sends is there in the next. So the order of the nodes does not matter, and a mission is the same,
+event for event, whether its nodes share a process or run lockstep in many.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+from he3.errors import He3Error
+from schemas.link import LinkConditions
+from schemas.topics import Side, Topic
+from schemas.wire import Header, Wire, decode_reply, encode
+from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.custody.endpoint import custody_config
+from services.runtime.host import Host, Input, Trace
+from services.runtime.journal import JournalReader, JournalWriter, Mark
+from services.runtime.node import SECOND, Finish, Level, MissionTime, Node, Note, Show, Silence, seconds
+from services.runtime.scheduler import Executor, InlineExecutor, Kind, Seat
+
+Tap = Callable[[Topic, Side, bytes, MissionTime], None]
+"""Called with every message published, on the side where it was, at its time."""
+
+NOBODY = ""
+"""The sender of what the outside world injects."""
+
+
+class Simulation:
+    """A mission's nodes on their two sides, and virtual time."""
+
+    def __init__(
+        self,
+        nodes: Iterable[Node],
+        mission: str,
+        start_ns: MissionTime,
+        executor: Executor | None = None,
+        trace: Trace | None = None,
+        link: LinkConditions | None = None,
+    ) -> None:
+        """link: what the nodes' custody expects of the link between them; None: its ordinary conditions."""
+        self._link = link or LinkConditions()
+        self._trace = trace
+        self._journals: dict[str, list[SimulatedJournal]] = {}
+        self._starts: dict[str, int] = {}
+        self._crashing: set[str] = set()
+        self.now: MissionTime = start_ns
+        self.snapshots: dict[str, object] = {}
+        """The latest snapshot that each node showed."""
+        self.notes: list[tuple[MissionTime, str, Note]] = []
+        self.finished: dict[str, Finish] = {}
+        """Which nodes said that they have nothing left to do."""
+        self.messages = 0
+        """Messages published so far."""
+        self._mission = mission
+        self._executor = executor or InlineExecutor()
+        self._seats: dict[str, Seat] = {}
+        self._taps: list[Tap] = []
+        self._order = 0
+        self._questions: dict[int, tuple[str, str]] = {}
+        self._outside: dict[int, list[bytes | str]] = {}
+        self._served_by: dict[int, str] = {}
+        for node in nodes:
+            host = Host(node, mission, trace, custody_config(self._link, node.interface))
+            self._take_seat(Seat(host, self._executor))
+
+    # --- driving ------------------------------------------------------------------------------------------------
+
+    def step(self) -> bool:
+        """Advance to the next instant at which something happens and let it all happen; False if nothing is left."""
+        instant = self._next_instant()
+        if instant is None:
+            return False
+        self.now = instant
+        while self._next_instant() == self.now:
+            self._round()
+        return True
+
+    def run(self, until: MissionTime | None = None, stop: Callable[[], bool] = lambda: False) -> None:
+        """Step until `stop()` holds, nothing is left, or the next event lies beyond `until` [ns]."""
+        while not stop():
+            instant = self._next_instant()
+            if instant is None or (until is not None and instant > until):
+                break
+            self.step()
+        if until is not None and not stop():
+            self.now = max(self.now, until)
+
+    def run_for(self, duration_s: float) -> None:
+        """Step through that many seconds of mission time."""
+        self.run(until=self.now + seconds(duration_s))
+
+    def tap(self, tap: Tap) -> None:
+        """Call `tap` with every message from now on."""
+        self._taps.append(tap)
+
+    # --- faults -------------------------------------------------------------------------------------------------
+
+    def keep_journals(self, names: Iterable[str], identity: dict[str, str]) -> None:
+        """Let those nodes keep journals from now on; to be called before the first step."""
+        for name in names:
+            journal = SimulatedJournal(identity)
+            self._journals[name] = [journal]
+            self._seats[name] = Seat(self._seats[name].host, self._executor, journal)
+            self._seats[name].put((Kind.MESSAGE, NOBODY, 0), Input("start", (1,)))
+
+    def alive(self, name: str) -> bool:
+        """Whether that node's process runs."""
+        return name in self._seats
+
+    def crash_next(self, name: str) -> None:
+        """Let that node's process end the next time it acts: after its journal, before anything that follows."""
+        if name in self._seats:
+            self._crashing.add(name)
+
+    def kill(self, name: str) -> None:
+        """End a node's process at this instant; what waited for it is lost, and who asked it learns so."""
+        if self._seats.pop(name, None) is None:
+            return
+        self._crashing.discard(name)
+        self.finished.pop(name, None)
+        for token, server in list(self._served_by.items()):
+            if server == name:
+                self._answer(NOBODY, token, Silence.NO_ROUTE)
+
+    def restart(self, node: Node, torn_tail: bytes = b"") -> None:
+        """Start a node's process again, from its journals if it keeps any.
+
+        torn_tail: the beginning of a record that its last start could not finish, as a dying process may leave it.
+        """
+        name = node.interface.name
+        host = Host(node, self._mission, self._trace, custody_config(self._link, node.interface))
+        journals = self._journals.get(name)
+        if journals is None:
+            self._take_seat(Seat(host, self._executor))
+            return
+        journals[-1].tear(torn_tail)
+        # Whoever dies in the middle of a record may lose the checkpoint as well: then the journals tell everything.
+        latest = next((n for n in reversed(range(len(journals))) if journals[n].state is not None), None)
+        state = None if latest is None or torn_tail else journals[latest].state
+        if latest is None or state is None:
+            kept = [entry for journal in journals for entry in journal.entries()]
+        else:
+            later = [entry for journal in journals[latest + 1 :] for entry in journal.entries()]
+            kept = [*journals[latest].entries(since_checkpoint=True), *later]
+        journals.append(SimulatedJournal(journals[-1].identity))
+        seat = Seat(host, self._executor, journals[-1])
+        remaining = seat.replay(kept, state)
+        self._take_seat(seat)
+        for action in remaining:
+            self._perform(seat, action)
+
+    def replayed_snapshot(self, node: Node) -> object | None:
+        """The snapshot that a fresh node of that name shows after its journals, leaving this mission alone."""
+        name = node.interface.name
+        host = Host(node, self._mission, None, custody_config(self._link, node.interface))
+        kept = [entry for journal in self._journals[name] for entry in journal.entries()]
+        shown = [action.snapshot for action in Seat(host, _Idle()).replay(kept) if isinstance(action, Show)]
+        return shown[-1] if shown else None
+
+    def _take_seat(self, seat: Seat) -> None:
+        starts = self._starts.get(seat.name, 0) + 1
+        self._starts[seat.name] = starts
+        self._seats[seat.name] = seat
+        seat.put((Kind.MESSAGE, NOBODY, 0), Input("start", (starts,)))
+
+    # --- the outside world --------------------------------------------------------------------------------------
+
+    def inject(self, topic: Topic, side: Side, payload: bytes) -> None:
+        """Publish bytes as any stranger on that side could; they are handled at the next step."""
+        self._publish(Publish(topic, side, payload), NOBODY, self._next_order())
+
+    def ask(self, topic: Topic, request: Wire, source: str = "operator") -> Any:
+        """The body of the answer to a question that an operator puts; raises He3Error with the refusal."""
+        header = Header(mission=self._mission, source=source, incarnation=0, sequence=0, made_at=self.now)
+        answer = self.ask_raw(topic, encode(header, request))
+        if isinstance(answer, str):
+            raise He3Error(answer)
+        return decode_reply(topic, answer, self._mission)[1]
+
+    def ask_raw(self, topic: Topic, payload: bytes) -> bytes | str:
+        """The answer to a question put in bytes: bytes, or the one line of the refusal."""
+        token = self._next_order()
+        answers: list[bytes | str] = []
+        self._outside[token] = answers
+        self._route_question(topic, topic.sides[0], payload, token, NOBODY)
+        while not answers:
+            if self._next_instant() != self.now:
+                raise He3Error(f"{topic.name}: no answer")
+            self._round()
+        return answers[0]
+
+    def seat(self, name: str) -> Host:
+        """The host of that node."""
+        return self._seats[name].host
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _next_order(self) -> int:
+        self._order += 1
+        return self._order
+
+    def _next_instant(self) -> MissionTime | None:
+        """Never before now: what was due earlier is due now."""
+        if any(seat.waiting for seat in self._seats.values()):
+            return self.now
+        times = [wake for seat in self._seats.values() if (wake := seat.next_wake()) is not None]
+        return max(self.now, min(times)) if times else None
+
+    def _round(self) -> None:
+        """Every node handles what was there when the round began."""
+        ready = [seat for seat in self._seats.values() if seat.waiting or self._is_due(seat)]
+        for seat, actions in [(seat, seat.run(self.now)) for seat in ready]:
+            if seat.name in self._crashing:
+                self.kill(seat.name)
+                continue
+            for action in actions:
+                self._perform(seat, action)
+
+    def _is_due(self, seat: Seat) -> bool:
+        wake = seat.next_wake()
+        return wake is not None and wake <= self.now
+
+    def _perform(self, seat: Seat, action: Action) -> None:
+        match action:
+            case Publish():
+                seat.emitted += 1
+                self._publish(action, seat.name, seat.emitted)
+            case PutQuestion(topic, side, payload, question, _):
+                token = self._next_order()
+                self._questions[token] = (seat.name, question)
+                self._route_question(topic, side, payload, token, seat.name)
+            case Reply(token, _, payload):
+                self._answer(seat.name, token, payload)
+            case ReplyError(token, _, why):
+                self._answer(seat.name, token, why)
+            case Show(snapshot):
+                self.snapshots[seat.name] = snapshot
+            case Note():
+                self.notes.append((self.now, seat.name, action))
+            case Finish():
+                self.finished[seat.name] = action
+
+    def _publish(self, action: Publish, sender: str, emission: int) -> None:
+        self.messages += 1
+        for tap in self._taps:
+            tap(action.topic, action.side, action.payload, self.now)
+        for name, seat in self._seats.items():
+            if name != sender and seat.host.hears(action.topic, action.side):
+                seat.put((Kind.MESSAGE, sender, emission), Input("deliver", (action.topic, action.payload)))
+
+    def _route_question(self, topic: Topic, side: Side, payload: bytes, token: int, asker: str) -> None:
+        for seat in self._seats.values():
+            if (topic, side) in seat.host.served_topics():
+                seat.put((Kind.QUESTION, asker, token), Input("ask", (topic, payload, token)))
+                self._served_by[token] = seat.name
+                return
+        self._answer(NOBODY, token, Silence.NO_ROUTE)
+
+    def _answer(self, answerer: str, token: int, answer: bytes | str | Silence) -> None:
+        self._served_by.pop(token, None)
+        if token in self._outside:
+            self._outside.pop(token).append(answer.value if isinstance(answer, Silence) else answer)
+            return
+        name, question = self._questions.pop(token, (NOBODY, ""))
+        seat = self._seats.get(name)
+        if seat is None:
+            return  # its asker is gone, or it was asked of an earlier start of the one who answers
+        order = (Kind.ANSWER, answerer, token)
+        match answer:
+            case bytes():
+                seat.put(order, Input("answered", (question, answer)))
+            case Silence():
+                seat.put(order, Input("unanswered", (question, answer, "")))
+            case _:
+                seat.put(order, Input("unanswered", (question, Silence.REFUSED, answer)))
+
+
+class _Idle:
+    """An executor for a node that is only looked at: it computes nothing."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        return Future()
+
+
+class SimulatedJournal:
+    """A journal in memory, in the very bytes that a process would write."""
+
+    def __init__(self, identity: dict[str, str]) -> None:
+        self.identity = identity
+        self._stream = io.BytesIO()
+        self._writer = JournalWriter(self._stream, identity, self._keep)
+        self._torn = b""
+        self._mark = Mark()
+        self.state: bytes | None = None
+        """What the last checkpoint kept."""
+
+    def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
+        self._writer.append(now, inputs)
+
+    def checkpoint(self, state: bytes) -> None:
+        self._writer.checkpoint(state)
+
+    def _keep(self, mark: Mark, _starts: int, state: bytes) -> None:
+        self._mark, self.state = mark, state
+
+    def tear(self, tail: bytes) -> None:
+        """Leave the beginning of an unfinished record at the end."""
+        self._torn = tail
+
+    def entries(self, since_checkpoint: bool = False) -> list[tuple[MissionTime, Input]]:
+        """What is kept, or what came after the last checkpoint, read back from the bytes."""
+        stream = io.BytesIO(self._stream.getvalue() + self._torn)
+        mark = self._mark if since_checkpoint else Mark()
+        return list(JournalReader(stream, self.identity, "journal", mark))
+
+
+def warnings_of(simulation: Simulation) -> list[str]:
+    """Texts of all warnings and errors so far, with node and seconds of mission time since 1970."""
+    return [
+        f"{at / SECOND:.3f} {name}: {note.text}"
+        for at, name, note in simulation.notes
+        if note.level in (Level.WARNING, Level.ERROR)
+    ]

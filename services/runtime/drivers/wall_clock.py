@@ -1,0 +1,371 @@
+"""One node in a process of its own, over Zenoh, on the wall clock: at rate 1 or faster.
+
+The main loop is the only thread that touches the node. Zenoh's callbacks put what came into a queue; operators'
+questions about the map are answered by other threads from the latest snapshot, and never wait for the node.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+from he3.errors import He3Error
+from schemas.link import ClockState
+from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
+from schemas.wire import Refused, Wire, decode
+from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.clock import mission_time, newer, wall_time
+from services.runtime.custody.endpoint import custody_config
+from services.runtime.event_log import EventLog
+from services.runtime.heartbeat import Heartbeat
+from services.runtime.host import Host, Input
+from services.runtime.journal import JournalFolder, identity_of
+from services.runtime.lockstep.stamp import read_stamp
+from services.runtime.log import Log
+from services.runtime.node import Finish, MissionTime, Node, Note, Show, Silence
+from services.runtime.options import Options
+from services.runtime.queries.process import AnsweringProcess
+from services.runtime.queries.server import SnapshotServer, SnapshotService, request_of
+from services.runtime.scheduler import Executor, InlineExecutor, Kind, Seat
+from services.runtime.transport.session import Bus, Question, close_all, open_client
+
+CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
+ONLOOKERS = "onlooker"
+"""Register of those for whom virtual time never waits."""
+IDLE_S = 0.5
+"""The longest that the loop sleeps: it looks at the parent and the clock at least as often."""
+
+
+class OwnedExecutor(Executor, Protocol):
+    """An executor with a process of its own to end."""
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """What distinguishes one service's process from another's."""
+
+    name: str
+    build: Callable[[Options], Node]
+    executor: Callable[[], OwnedExecutor] | None = None
+    answers: SnapshotService | None = None
+    """Which questions are answered from snapshots, and how."""
+    journals: bool = False
+    """Whether it goes on from a journal after a restart; who keeps none has nothing to forget."""
+    onlooker: bool = False
+    """It only listens: virtual time never waits for it."""
+
+
+class Stop:
+    """Set once, by a signal; wakes the loop."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+
+    def __call__(self, *_: Any) -> None:
+        self.event.set()
+        self.inbox.put(lambda: None)
+
+
+class Process:
+    """A service's process: its sessions, its queue, its clock, its node."""
+
+    def __init__(self, service: Service, options: Options, stop: Stop) -> None:
+        self._service = service
+        self.options = options
+        self.stop = stop
+        self.name = service.name
+        self.mission = options.scenario.name
+        self.clock: ClockState | None = None
+        self._last: MissionTime = 0
+        self.buses: dict[Side, Bus] = {}
+        self._tokens: dict[int, Question] = {}
+        self._resume: list[Action] = []
+        self._incarnation = 1
+        self._counter = 0
+        self.events: EventLog | None = None
+        self.log = Log(service.name, self._now_or_none, options.level, options.log_json)
+        self._answers = self._answering(service)
+
+    def _answering(self, service: Service) -> SnapshotServer | AnsweringProcess | None:
+        """Who answers operators, if anybody is to."""
+        if service.answers is None:
+            return None
+        if service.answers.module is None:
+            return SnapshotServer(service.answers, service.name, self.mission, self._now_or_none)
+        earth = self.options.scenario.network.earth
+        return AnsweringProcess(service.answers.module, Side.EARTH, earth, self.mission, self.log.warning)
+
+    # --- life ---------------------------------------------------------------------------------------------------
+
+    def run(self) -> int:
+        executor: OwnedExecutor | InlineExecutor | None = None
+        try:
+            executor = self._service.executor() if self._service.executor else InlineExecutor()
+            node = self._service.build(self.options)
+            self.events = EventLog(self.options.events) if self.options.events else None
+            host = Host(node, self.mission, self.events, custody_config(self.options.scenario.link, node.interface))
+            self.seat = self._seated(host, _Waking(executor, self.stop.inbox))
+            if not self._connect(host):
+                return 0
+            self.heartbeat = Heartbeat(host, self._publish_quietly)
+            self._loop()
+            return 0
+        finally:
+            if self.events is not None:
+                self.events.close()
+            if self._answers is not None:
+                self._answers.close()
+            close_all(self.buses.values())
+            if executor is not None and not isinstance(executor, InlineExecutor):
+                executor.close()
+
+    def _seated(self, host: Host, executor: Executor) -> Seat:
+        """The seat of that host, where its journal says that it was."""
+        if self.options.journal is None or not self._service.journals:
+            # Without a journal a start must still differ from an earlier one: the other side remembers what it had.
+            self._incarnation = 1 if self.options.lockstep else int(time.time())
+            return Seat(host, executor)
+        folder = JournalFolder(self.options.journal, self.name, identity_of(self.options.scenario))
+        history = folder.history()
+        seat = Seat(host, executor, folder.begin(history))
+        began = time.monotonic()
+        self._resume = seat.replay(history.inputs, history.state)
+        self._incarnation = history.starts + 1
+        if history.starts:
+            self._last = seat.last
+            self.log.info(
+                "restarted from its journal",
+                inputs=len(history.inputs),
+                torn_bytes=history.torn_bytes,
+                seconds=f"{time.monotonic() - began:.3f}",
+            )
+        return seat
+
+    def _connect(self, host: Host) -> bool:
+        """Join both networks the node stands on, and learn the time; False when told to stop first."""
+        endpoints = {Side.MOON: self.options.scenario.network.moon, Side.EARTH: self.options.scenario.network.earth}
+        interface = host.interface
+        for side in interface.sides:
+            bus = self.open(side, endpoints[side])
+            if bus is None:
+                return False
+            self.buses[side] = bus
+            self._listen(host, side, bus)
+        if not self.learn_time():
+            return False
+        if isinstance(self._answers, AnsweringProcess) and not self._resume:
+            # Nobody waits for a process that goes on; for a new one the mission waits, and so may operators.
+            self._answers.wait_until_ready(self.stop.event)
+        for side, bus in self.buses.items():
+            bus.announce(interface.name, side)
+            if self._service.onlooker:
+                bus.announce(interface.name, side, ONLOOKERS)
+        self.log.info("ready", sides="+".join(side.value for side in interface.sides), pid=os.getpid())
+        return True
+
+    def _listen(self, host: Host, side: Side, bus: Bus) -> None:
+        for topic, where in host.heard_topics():
+            if where is side:
+                bus.subscribe(self.heard_as(topic), partial(self._came, topic))
+        for topic in host.interface.serves:
+            if side in topic.sides:
+                if self._answers is not None and self._service.answers and topic in self._service.answers.topics:
+                    if isinstance(self._answers, SnapshotServer):
+                        self._answers.serve(topic, bus)
+                else:
+                    bus.serve(topic, partial(self._asked, topic))
+
+    def heard_as(self, topic: Topic) -> Topic:
+        """On which topic's key that topic's messages reach this process."""
+        return topic
+
+    def open(self, side: Side, endpoint: str) -> Bus | None:
+        """A bus on that side, as soon as its router is there; None when told to stop first."""
+        return open_client(side, endpoint, self.mission, self.stop.event, self.log.warning)
+
+    def learn_time(self) -> bool:
+        """Ask the time keeper until it answers; a subscription brings every later change. False when told to stop."""
+        side, bus = next(iter(self.buses.items()))
+        topic = CLOCKS[side]
+        bus.subscribe(topic, lambda payload, _attachment: self.later(partial(self.set_clock, side, payload)))
+        told = False
+        while self.clock is None and not self.stop.event.is_set():
+            bus.ask(topic, b"", 2.0, lambda answer, *_: self.later(partial(self.set_clock, side, answer)))
+            try:
+                self.stop.inbox.get(timeout=IDLE_S)()
+            except queue.Empty:
+                if not told:
+                    self.log.warning(f"no time keeper answers on {topic.key(self.mission)}; still trying")
+                    told = True
+        return not self.stop.event.is_set()
+
+    # --- the loop -----------------------------------------------------------------------------------------------
+
+    def _loop(self) -> None:
+        now = self._now()
+        self.seat.put((Kind.MESSAGE, "", 0), Input("start", (self._incarnation,)))
+        self.perform_all(self._resume)
+        self._run_seat(now)
+        while not self.stop.event.is_set():
+            self._run_due()
+            with contextlib.suppress(queue.Empty):
+                self.stop.inbox.get(timeout=self._patience_s())()
+            self._drain()
+            self.heartbeat.beat(time.monotonic(), self._last)
+
+    def _drain(self) -> None:
+        """Take in everything that waits, timers first: what is due is handled at the time it was due."""
+        while not self.stop.event.is_set():
+            if self.seat.waiting:
+                self._run_seat(self._now())
+            try:
+                take_in = self.stop.inbox.get_nowait()
+            except queue.Empty:
+                return
+            self._run_due()
+            take_in()
+
+    def _run_due(self) -> None:
+        while not self.stop.event.is_set():
+            wake = self.seat.next_wake(wait=False)
+            if wake is None or wake > self._now():
+                return
+            self._run_seat(max(wake, self._last))
+
+    def _run_seat(self, now: MissionTime) -> None:
+        self._last = max(self._last, now)
+        self.perform_all(self.seat.run(self._last, wait=False))
+
+    def perform_all(self, actions: Iterable[Action]) -> None:
+        for action in actions:
+            self._perform(action)
+
+    def _patience_s(self) -> float:
+        wake = self.seat.next_wake(wait=False)
+        if wake is None or self.clock is None:
+            return IDLE_S
+        at = wall_time(self.clock, wake)
+        return IDLE_S if at is None else min(IDLE_S, max(0.0, (at - time.time_ns()) / 1e9))
+
+    def _perform(self, action: Action) -> None:
+        match action:
+            case Publish(topic, side, payload):
+                self.buses[side].publish(topic, payload)
+            case PutQuestion(topic, side, payload, question, timeout_s):
+                on_end = partial(self._answer_came, question)
+                self.buses[side].ask(topic, payload, timeout_s, on_end)
+            case Reply(token, _, payload):
+                self._question_of(token, lambda question: question.reply(payload))
+            case ReplyError(token, _, why):
+                self._question_of(token, lambda question: question.refuse(why))
+            case Show(snapshot, awaited):
+                if self._answers is not None:
+                    self._answers.show(snapshot)
+                if awaited and isinstance(self._answers, AnsweringProcess):
+                    self._answers.settle()
+            case Note():
+                self.log.write(action, self._last)
+            case Finish(ok, why):
+                self.log.info(f"finished: {why}", ok=ok)
+
+    def _question_of(self, token: int, answer: Callable[[Question], None]) -> None:
+        question = self._tokens.pop(token, None)
+        if question is not None:  # else it was asked of an earlier start of this process, and its asker is gone
+            answer(question)
+
+    # --- what comes in, in other threads ------------------------------------------------------------------------
+
+    def later(self, take_in: Callable[[], None]) -> None:
+        self.stop.inbox.put(take_in)
+
+    def _came(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
+        self.later(partial(self._take_message, Input("deliver", (topic, payload)), attachment))
+
+    def _take_message(self, given: Input, attachment: bytes) -> None:
+        stamp = read_stamp(attachment)
+        if stamp is not None:  # an onlooker's time in lockstep is that of what it sees
+            self._last = max(self._last, stamp.at)
+        self._put(Kind.MESSAGE, given)
+
+    def _asked(self, topic: Topic, question: Question) -> None:
+        self.later(partial(self._take_question, topic, question))
+
+    def _answer_came(self, question: str, answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
+        if isinstance(answer, bytes):
+            self.later(partial(self._put, Kind.QUESTION, Input("answered", (question, answer))))
+        else:
+            self.later(partial(self._put, Kind.QUESTION, Input("unanswered", (question, answer, detail))))
+
+    # --- taking it in, in the loop ------------------------------------------------------------------------------
+
+    def _put(self, kind: Kind, given: Input) -> None:
+        self._counter += 1
+        self.seat.put((kind, "", self._counter), given)
+
+    def _take_question(self, topic: Topic, question: Question) -> None:
+        self._counter += 1
+        token = self._counter
+        self._tokens[token] = question
+        payload = question.payload
+        if payload is not None:
+            self._put(Kind.QUESTION, Input("ask", (topic, payload, token)))
+            return
+        try:
+            request: Wire = request_of(topic, question.parameters)
+        except He3Error as error:
+            self._tokens.pop(token).refuse(str(error))
+            self.refused(str(error))
+            return
+        self._put(Kind.QUESTION, Input("ask_checked", (topic, request, token)))
+
+    def set_clock(self, side: Side, payload: bytes | Silence) -> None:
+        if isinstance(payload, Silence):
+            return
+        try:
+            _, state = decode(CLOCKS[side], payload, self.mission)
+        except Refused as refusal:
+            self.refused(str(refusal))
+            return
+        # An answer may have been on its way while the clock changed: it comes later and is older.
+        self.clock = newer(self.clock, state)
+
+    def refused(self, why: str) -> None:
+        """Count and log something from outside that never reached the node."""
+        self.log.write(self.seat.host.refuse(why))
+
+    # --- time ---------------------------------------------------------------------------------------------------
+
+    def _now(self) -> MissionTime:
+        """Mission time; it never runs backwards."""
+        assert self.clock is not None, "the loop runs only when the time is known"
+        return max(self._last, mission_time(self.clock, time.time_ns()))
+
+    def _now_or_none(self) -> MissionTime | None:
+        return None if self.clock is None else self._now()
+
+    def _publish_quietly(self, topic: Topic, side: Side, payload: bytes) -> None:
+        self.buses[side].publish(topic, payload)
+
+
+class _Waking:
+    """An executor that wakes the loop when a computation ends."""
+
+    def __init__(self, executor: Executor, inbox: queue.SimpleQueue[Callable[[], None]]) -> None:
+        self._executor = executor
+        self._inbox = inbox
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        future = self._executor.submit(function, *arguments)
+        future.add_done_callback(lambda _: self._inbox.put(lambda: None))
+        return future

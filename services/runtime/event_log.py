@@ -1,0 +1,62 @@
+"""The event log: a line for each event that a node handled, the same in every driver that keeps virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from he3.errors import InvalidInput
+from services.runtime.node import MissionTime
+
+
+class EventLog:
+    """Writes 'mission time [ns], node, what' as lines of a file; buffered, complete once closed."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise InvalidInput(f"{path}: cannot write the event log: {error.strerror}") from None
+        self.active = True
+        """Whether events are written. What is asked once the mission is over, for its report, is no part of it."""
+
+    def __call__(self, now: MissionTime, name: str, what: str) -> None:
+        if self.active:
+            self._file.write(f"{now}\t{name}\t{what}\n")
+
+    def close(self) -> None:
+        """Write what is left; nothing is written afterwards."""
+        self.active = False
+        self._file.close()
+
+
+def merge_event_logs(parts: Iterable[Path], into: Path) -> int:
+    """How many lines stand in `into`, which now holds those of all parts in one order: time, node, order of handling.
+
+    That order is the same for one log of many nodes and for many logs of one node each; so equal missions have equal
+    merged logs, to the byte. Raises InvalidInput for a line that is no event.
+    """
+    entries: list[tuple[int, str, str]] = []
+    for part in parts:
+        try:
+            with part.open(encoding="utf-8", newline="\n") as lines:
+                entries.extend(_entry(line, part) for line in lines)
+        except OSError as error:
+            raise InvalidInput(f"{part}: cannot read the event log: {error.strerror}") from None
+    entries.sort(key=lambda entry: entry[:2])  # a stable sort: what a node handled at one time stays in its order
+    try:
+        into.parent.mkdir(parents=True, exist_ok=True)
+        with into.open("w", encoding="utf-8", newline="\n") as merged:
+            merged.writelines(line for _, _, line in entries)
+    except OSError as error:
+        raise InvalidInput(f"{into}: cannot write the event log: {error.strerror}") from None
+    return len(entries)
+
+
+def _entry(line: str, where: Path) -> tuple[int, str, str]:
+    time, _, rest = line.partition("\t")
+    node, tab, _ = rest.partition("\t")
+    if not tab or not time.isdigit() or not line.endswith("\n"):
+        raise InvalidInput(f"{where}: expected lines of time, node and event, got {line[:60]!r}")
+    return int(time), node, line

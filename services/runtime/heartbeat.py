@@ -1,0 +1,64 @@
+"""The heartbeat of a process: a liveliness token says that a transport lives, this says that the process works."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+
+from schemas.ground import Presence
+from schemas.topics import EARTH_PRESENCE, MOON_PRESENCE, Side, Topic
+from schemas.wire import Header, encode
+from services.runtime.host import Host
+
+PERIOD_S = 2.0
+"""Between two heartbeats [s of wall time]."""
+
+TOPICS = {Side.MOON: MOON_PRESENCE, Side.EARTH: EARTH_PRESENCE}
+
+
+def software_version() -> str:
+    """Version of the installed system."""
+    try:
+        return version("he3-seeker")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+class Heartbeat:
+    """Publishes a process's presence on every side it stands on, every two seconds."""
+
+    def __init__(self, host: Host, publish: Callable[[Topic, Side, bytes], None]) -> None:
+        self._host = host
+        self._publish = publish
+        self._version = software_version()
+        self._beats = 0
+        self._next = 0.0
+
+    def beat(self, monotonic_s: float, now: int) -> None:
+        """Publish if it is time again; `now` is the mission time that goes with it."""
+        if monotonic_s < self._next:
+            return
+        self._next = monotonic_s + PERIOD_S
+        interface = self._host.interface
+        for side in interface.sides:
+            body = Presence(
+                name=interface.name,
+                side=side.value,
+                incarnation=self._host.incarnation,
+                software=self._version,
+                pid=os.getpid(),
+                host=platform.node()[:100],
+                refused=self._host.refused,
+                events=self._host.events,
+            )
+            header = Header(
+                mission=self._host.mission,
+                source=interface.name,
+                incarnation=self._host.incarnation,
+                sequence=self._beats,
+                made_at=now,
+            )
+            self._publish(TOPICS[side], side, encode(header, body))
+        self._beats += 1

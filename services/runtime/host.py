@@ -1,0 +1,296 @@
+"""What stands between a node and any driver: headers stamped, messages checked, events counted, still without I/O.
+
+A driver hands in what came (bytes, times, names) and carries out the actions that come back. Everything that all
+drivers must do alike is done here, so that a mission is the same in one process, in many, and after a restart.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from schemas.topics import Crosses, Side, Topic
+from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
+from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyDesk
+from services.runtime.custody.protocol import CustodyConfig, under_custody
+from services.runtime.node import (
+    Answer,
+    Answered,
+    Ask,
+    Asked,
+    Computed,
+    Due,
+    Effect,
+    Event,
+    Forward,
+    Interface,
+    Level,
+    MissionTime,
+    Node,
+    Note,
+    Overheard,
+    Received,
+    Refuse,
+    Send,
+    Silence,
+    Started,
+    Unanswered,
+)
+
+
+def origin(topic: Topic) -> Side:
+    """The side on which messages of that topic are made."""
+    if topic.crosses is Crosses.NEVER:
+        return topic.sides[0]
+    return Side.EARTH if topic.crosses is Crosses.UP else Side.MOON
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """Something that a driver reports to a host: the name of the host's method and its arguments but the time.
+
+    A value, so that it can be kept in a journal before it is acted on, and handled again after a restart.
+    """
+
+    what: str
+    arguments: tuple[Any, ...]
+
+
+Trace = Callable[[MissionTime, str, str], None]
+"""Called with mission time, node and a line for each event handled: the event log."""
+
+_OF_THE_PROCESS = frozenset({"_trace", "_queue_depth"})
+
+
+class Host:
+    """One node, ready to be driven."""
+
+    def __init__(
+        self, node: Node, mission: str, trace: Trace | None = None, custody: CustodyConfig | None = None
+    ) -> None:
+        self._node = node
+        self._interface = node.interface
+        self._mission = mission
+        self._trace = trace
+        self._incarnation = 0
+        self._sequences: dict[str, int] = {}
+        self._asked: dict[int, Topic] = {}
+        self._questions: dict[str, PutQuestion] = {}
+        self._refused = 0
+        self._events = 0
+        interface = self._interface
+        self._desk: CustodyDesk | None = None
+        if interface.custody and any(under_custody(topic) for topic in interface.subscribes):
+            self._desk = CustodyDesk(interface.name, interface.sides[0], custody)
+        self._queue_depth: Callable[[int], None] | None = getattr(node, "queue_depth_is", None)
+
+    @property
+    def interface(self) -> Interface:
+        return self._interface
+
+    @property
+    def mission(self) -> str:
+        return self._mission
+
+    @property
+    def incarnation(self) -> int:
+        return self._incarnation
+
+    @property
+    def refused(self) -> int:
+        """Messages from outside that were refused since the start."""
+        return self._refused
+
+    @property
+    def retransmitted(self) -> int:
+        """Messages under custody that were sent again."""
+        return 0 if self._desk is None else self._desk.retransmitted
+
+    @property
+    def events(self) -> int:
+        """Events handled since the start."""
+        return self._events
+
+    def hears(self, topic: Topic, side: Side) -> bool:
+        """Whether a message published on that side is for this node.
+
+        A topic that crosses is carried from where it is made only: nobody makes telemetry on Earth.
+        """
+        if side not in self._interface.sides:
+            return False
+        if topic in self._interface.overhears:
+            return side is origin(topic)
+        return topic in self._interface.subscribes or (self._desk is not None and topic is self._desk.hears)
+
+    def heard_topics(self) -> list[tuple[Topic, Side]]:
+        """Everything that reaches this node, and where."""
+        interface = self._interface
+        topics = [*interface.subscribes, *interface.overhears, *([self._desk.hears] if self._desk is not None else [])]
+        return [(topic, side) for side in interface.sides for topic in topics if self.hears(topic, side)]
+
+    def served_topics(self) -> list[tuple[Topic, Side]]:
+        """The questions that this node answers, and where they can be put."""
+        interface = self._interface
+        return [(topic, side) for side in interface.sides for topic in interface.serves if side in topic.sides]
+
+    def open_questions(self) -> list[PutQuestion]:
+        """Questions of this node that have not been answered: to be put again after a restart."""
+        return list(self._questions.values())
+
+    # --- what a checkpoint keeps --------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """The node and all that stands around it, to be pickled at once; not what this process alone has."""
+        return {name: value for name, value in vars(self).items() if name not in _OF_THE_PROCESS}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Become the host that had this state."""
+        vars(self).update(state)
+        self._queue_depth = getattr(self._node, "queue_depth_is", None)
+
+    # --- what a driver reports ----------------------------------------------------------------------------------
+
+    def take(self, given: Input, now: MissionTime) -> list[Action]:
+        """Actions upon that input: the method that it names, with its arguments and the time."""
+        handle: Callable[..., list[Action]] = getattr(self, given.what)
+        actions = handle(*given.arguments, now)
+        if self._desk is not None:
+            actions += self._desk.timer()
+        return actions
+
+    def start(self, incarnation: int, now: MissionTime) -> list[Action]:
+        """Actions of the node's start; to be called once a start, before anything else."""
+        self._incarnation = incarnation
+        self._sequences = {}
+        self._asked = {}
+        if self._desk is not None:
+            self._desk.starts(self._mission, incarnation)
+        return self._handle(Started(incarnation), now, f"started {incarnation}")
+
+    def deliver(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
+        """Actions upon a message that came; one that is not what its topic asks for is refused and counted."""
+        what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}"
+        if topic in self._interface.overhears:
+            return self._handle(Overheard(topic, payload), now, what)
+        try:
+            header, body = decode(topic, payload, self._mission)
+        except Refused as refusal:
+            return [self.refuse(str(refusal))]
+        desk = self._desk
+        if desk is None or topic.direction is None:
+            return self._handle(Received(topic, header, body), now, what)
+        if topic is desk.hears:
+            return desk.acknowledged(body, header, now)
+        letters, actions = desk.received(topic, header, body, len(payload), now)
+        for letter in letters:
+            actions += self._handle(Received(*letter), now, what)
+        return actions
+
+    def ask(self, topic: Topic, payload: bytes, token: int, now: MissionTime) -> list[Action]:
+        """Actions upon a question put to this node; a bad one is answered with its refusal."""
+        try:
+            _, body = decode(topic, payload, self._mission)
+        except Refused as refusal:
+            return [self.refuse(str(refusal)), ReplyError(token, topic, str(refusal))]
+        return self.ask_checked(topic, body, token, now)
+
+    def ask_checked(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
+        """Like `ask`, with a request that was made from selector parameters and is checked already."""
+        self._asked[token] = topic
+        return self._handle(Asked(topic, request, token), now, f"asked {topic.name}")
+
+    def answered(self, question: str, payload: bytes, now: MissionTime) -> list[Action]:
+        """Actions upon the answer to this node's question."""
+        put = self._questions.pop(question, None)
+        if put is None:
+            return []
+        topic = put.topic
+        try:
+            _, reply = decode_reply(topic, payload, self._mission)
+        except Refused as refusal:
+            unanswered = Unanswered(topic, question, Silence.REFUSED, str(refusal))
+            return [self.refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
+        return self._handle(
+            Answered(topic, question, reply), now, f"answered {topic.name} {zlib.crc32(payload):08x} {question}"
+        )
+
+    def unanswered(self, question: str, why: Silence, detail: str, now: MissionTime) -> list[Action]:
+        """Actions upon the news that a question of this node has no answer."""
+        put = self._questions.pop(question, None)
+        if put is None:
+            return []
+        topic = put.topic
+        return self._handle(
+            Unanswered(topic, question, why, detail), now, f"unanswered {topic.name} {why.name} {question}"
+        )
+
+    def due(self, timer: str, now: MissionTime) -> list[Action]:
+        """Actions upon a timer."""
+        if self._desk is not None and timer == CUSTODY_TIMER:
+            return self._desk.due(now)
+        return self._handle(Due(timer), now, f"due {timer}")
+
+    def computed(self, job: str, result: Any, error: Exception | None, now: MissionTime) -> list[Action]:
+        """Actions upon the end of a computation."""
+        return self._handle(Computed(job, result, error), now, f"computed {job}{' failed' if error else ''}")
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _handle(self, event: Event, now: MissionTime, what: str) -> list[Action]:
+        self._events += 1
+        if self._trace is not None:
+            self._trace(now, self._interface.name, what)
+        actions = list(self._actions(self._node.handle(event, now), now))
+        if self._desk is not None and self._queue_depth is not None:
+            self._queue_depth(self._desk.depth)
+        return actions
+
+    def _actions(self, effects: Iterable[Effect], now: MissionTime) -> Iterable[Action]:
+        for effect in effects:
+            match effect:
+                case Send(topic, body):
+                    header = self._header(topic, now)
+                    if self._desk is not None and under_custody(topic):
+                        yield from self._desk.offer(topic, header, body, now)
+                    else:
+                        yield Publish(topic, self._side_of(topic), encode(header, body))
+                case Forward(topic, payload, side):
+                    yield Publish(topic, side, payload)
+                case Ask(topic, request, question, timeout_s):
+                    payload = encode(self._header(topic, now), request)
+                    put = PutQuestion(topic, self._side_of(topic), payload, question, timeout_s)
+                    self._questions[question] = put
+                    yield put
+                case Answer(token, reply):
+                    asked = self._asked.pop(token, None)
+                    if asked is not None:
+                        yield Reply(token, asked, encode(self._header(asked, now), reply))
+                case Refuse(token, why):
+                    asked = self._asked.pop(token, None)
+                    if asked is not None:
+                        yield ReplyError(token, asked, why)
+                case _:
+                    yield effect
+
+    def _side_of(self, topic: Topic) -> Side:
+        sides = self._interface.sides
+        return sides[0] if len(sides) == 1 else topic.sides[0]
+
+    def _header(self, topic: Topic, now: MissionTime) -> Header:
+        sequence = self._sequences.get(topic.name, 0)
+        self._sequences[topic.name] = sequence + 1
+        return Header(
+            mission=self._mission,
+            source=self._interface.name,
+            incarnation=self._incarnation,
+            sequence=sequence,
+            made_at=now,
+        )
+
+    def refuse(self, why: str) -> Note:
+        """The line for the log about something from outside that was refused, which is counted."""
+        self._refused += 1
+        return Note(Level.WARNING, f"refused: {why}", {"refused": self._refused})

@@ -1,0 +1,131 @@
+"""The command line that every service understands: ``python -m services.NAME SCENARIO [options]``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from he3.errors import InvalidInput
+from services.mission.deployment import find_scenario
+from services.mission.scenario import Scenario, load_scenario
+from services.runtime.node import Level
+
+EXAMPLES = """examples:
+  python -m services.{name} t1-nominal
+  python -m services.{name} deploy/scenarios/t1-nominal.toml --seed 7 --set ground.planner='"tour"'
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a service was started with."""
+
+    scenario: Scenario
+    scenario_path: Path
+    level: Level
+    log_json: bool
+    wait_for: tuple[str, ...]
+    """The link starts mission time when these are alive; empty: at once."""
+    out: Path | None
+    """Where the recorder writes."""
+    journal: Path | None
+    """Folder of the journals; None: nothing survives a restart."""
+    lockstep: bool
+    stop_when: str | None
+    """The link in lockstep: once this service has nothing left to do, mission time stands."""
+    pace: float | None
+    """The link in lockstep: mission seconds a wall second at most, until an operator says otherwise; None: no limit."""
+    events: Path | None
+    """File that gets a line for each event handled."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage text."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InvalidInput(f"{self.prog}: {message} (see --help)")
+
+
+def parse_options(name: str, arguments: Sequence[str]) -> Options:
+    """The options of a service; raises InvalidInput with one line. ``--help`` prints and exits."""
+    parser = _Parser(
+        prog=f"python -m services.{name}",
+        description=f"The {name} service of a helium-3 mission, as a process of its own.",
+        epilog=EXAMPLES.format(name=name),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, or the name of a shipped one")
+    parser.add_argument("--seed", type=int, help="instead of the scenario's")
+    parser.add_argument("--rate", type=float, help="mission seconds a wall second; the link's word counts")
+    parser.add_argument("--moon", metavar="ENDPOINT", help="the Moon router, e.g. tcp/127.0.0.1:7447")
+    parser.add_argument("--earth", metavar="ENDPOINT", help="the Earth router, e.g. tcp/127.0.0.1:7448")
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], help="another value, such as ground.pipeline=2"
+    )
+    parser.add_argument("--log-level", choices=[level.value for level in Level], default="info")
+    parser.add_argument("--log-json", action="store_true", help="log lines as JSON")
+    parser.add_argument("--wait-for", metavar="NAMES", default="", help="link: start time when these are alive")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="recorder: file to write (default: mission.mcap)")
+    parser.add_argument("--journal", type=Path, metavar="FOLDER", help="keep a journal there, and go on from it")
+    parser.add_argument("--lockstep", action="store_true", help="virtual time, granted by the link")
+    parser.add_argument("--stop-when", metavar="NAME", help="link in lockstep: stop time when this one is finished")
+    parser.add_argument("--pace", type=float, metavar="R", help="link in lockstep: no faster, until told otherwise")
+    parser.add_argument("--events", type=Path, metavar="FILE", help="write a line for each event handled")
+    given = parser.parse_args(arguments)
+    if given.pace is not None and not 0 < given.pace <= 1e9:
+        parser.error(f"--pace: expected a number over 0 and up to 1e9, got {given.pace:g}")
+    path = find_scenario(given.scenario)
+    changes = [parse_setting(text) for text in given.set]
+    for key, value in (("seed", given.seed), ("rate", given.rate)):
+        if value is not None:
+            changes.append(("top", key, value))
+    endpoints = (("moon", given.moon), ("earth", given.earth))
+    changes += [("network", key, endpoint) for key, endpoint in endpoints if endpoint is not None]
+    return Options(
+        scenario=with_settings(load_scenario(path), changes),
+        scenario_path=path,
+        level=Level(given.log_level),
+        log_json=given.log_json,
+        wait_for=tuple(part for part in given.wait_for.split(",") if part),
+        out=given.out,
+        journal=given.journal,
+        lockstep=given.lockstep,
+        stop_when=given.stop_when,
+        pace=given.pace,
+        events=given.events,
+    )
+
+
+def parse_setting(text: str) -> tuple[str, str, Any]:
+    """Section, key and value of ``section.key=value`` (``key=value`` at the top); raises InvalidInput.
+
+    The value is read as JSON where it is JSON, else as text; deeper keys go on with dots: ``link.up.loss=0.3``.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise InvalidInput(f"--set {text}: expected KEY=VALUE, such as ground.pipeline=2")
+    section, dot, rest = key.partition(".")
+    try:
+        parsed = json.loads(value)
+    except ValueError:
+        parsed = value
+    return (section, rest, parsed) if dot else ("top", section, parsed)
+
+
+def with_settings(scenario: Scenario, settings: Sequence[tuple[str, str, Any]]) -> Scenario:
+    """The scenario with those values, checked again; raises InvalidInput for keys or values it does not know."""
+    document = scenario.model_dump(mode="json")
+    for section, key, value in settings:
+        place = document if section == "top" else document.get(section)
+        parts = key.split(".")
+        for part in parts[:-1]:
+            place = place.get(part) if isinstance(place, dict) else None
+        if not isinstance(place, dict) or parts[-1] not in place:
+            name = key if section == "top" else f"{section}.{key}"
+            raise InvalidInput(f"expected a key of the scenario, got '{name}', which it does not have")
+        place[parts[-1]] = value
+    return scenario.replaced(document)

@@ -1,0 +1,105 @@
+"""The floor, and missions without services, on a small region that is somebody's own file."""
+
+import json
+import subprocess
+import sys
+from math import inf
+
+import numpy as np
+import pytest
+
+from benchmarks.floor import NODES, floor, true_covariance
+from benchmarks.missions import run_mission, without_arrays
+from he3.errors import InvalidInput
+from he3.i_optimal_design import AverageVariance, field_nodes
+from services.ground.planners.interface import PlannerOptions
+from services.mission.regions import load_region
+
+QUICK = PlannerOptions(extra={"designs": 1.0, "final_steps": 0.0, "first_steps": 10.0, "steps": 4.0, "kicks": 2.0})
+
+
+@pytest.fixture(scope="module")
+def region(quarter_of_t1):
+    return load_region(quarter_of_t1)
+
+
+def test_the_floor_lies_below_a_mission_and_above_nothing(region):
+    lowest = floor(region, samples=40, designs=1, steps=30, cells=200)
+    assert 0 < lowest.rmse_ppb < region.he3_ppb.std()
+    # What is achieved on the one field that there is depends on luck; what is to be expected of a design does not.
+    truth = true_covariance(region, cells=200)
+    nodes, none = field_nodes(region.grid, None, NODES), np.zeros((0, 2))
+    variance = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, nodes, none)
+    mission = run_mission(region, "tour", "matern12", 1, rounds=8, options=QUICK)
+    of_mission = truth.scale_ppb * np.sqrt(truth.kernel.prior_variance * variance(mission.samples_m))
+    assert lowest.expected_rmse_ppb < of_mission < region.he3_ppb.std()
+    assert 0.7 < lowest.length_m / (0.9 * np.sqrt(40) * 250) < 1.5
+    assert lowest.expected_rmse_ppb == pytest.approx(lowest.rmse_ppb, rel=0.35)
+
+
+def test_a_floor_within_a_budget_keeps_to_it_and_lies_higher(region):
+    held, free = (floor(region, samples=40, designs=1, steps=30, cells=200, budget_m=metres) for metres in (700.0, inf))
+    assert held.length_m <= 700.0 < free.length_m
+    assert held.expected_rmse_ppb > free.expected_rmse_ppb
+
+
+def test_the_true_covariance_is_that_of_the_reference_field(region):
+    truth = true_covariance(region, cells=300)
+    apart = np.mean((region.he3_ppb[:, 5:] - region.he3_ppb[:, :-5]) ** 2) / 2  # 10 m
+    unlike = truth.kernel.prior_variance - truth.kernel.of_squared_distance(np.array([10.0**2]))[0]
+    assert truth.scale_ppb**2 * unlike == pytest.approx(apart, rel=0.3)
+
+
+def test_a_mission_without_services_fills_its_row(region):
+    mission = run_mission(region, "tour", "matern12", 3, rounds=3, samples=4, budget_m=400.0, options=QUICK)
+    row = mission.row
+    assert set(row) == {
+        "region", "planner", "kernel", "prior", "budget_m", "seed", "samples", "rmse_ppb", "path_length_m",
+        "coverage_68", "coverage_95", "plan_time_s", "wall_time_s",
+    }  # fmt: skip
+    assert (row["region"], row["planner"], row["samples"], row["budget_m"]) == ("quarter", "tour", 12, 400.0)
+    assert 0 < row["path_length_m"] <= 400.0
+    assert len(mission.rmse_history) == len(mission.metres_history) == 12
+    assert mission.rmse_history[-1] == row["rmse_ppb"]
+    assert np.hypot(*np.diff(mission.path_m, axis=0).T).sum() == pytest.approx(row["path_length_m"])
+    assert json.loads(json.dumps(row)) == row
+    assert without_arrays(mission).mean_ppb.size == 0
+
+
+def test_a_mission_is_a_function_of_its_seed(region):
+    def flown(seed):
+        mission = run_mission(region, "tour", "matern12", seed, rounds=2, options=QUICK)
+        return mission.row["rmse_ppb"], mission.samples_m.tobytes(), mission.values_ppb.tobytes()
+
+    assert flown(5) == flown(5)
+    assert flown(5) != flown(6)
+
+
+def test_a_mission_whose_budget_runs_out_says_why(region):
+    def wasteful(request):
+        from dataclasses import replace
+
+        from services.ground.planners.tour.planner import tour
+
+        answer = tour(request)
+        return replace(answer, path_m=np.vstack((answer.path_m, answer.path_m[::-1], answer.path_m)))
+
+    mission = run_mission(region, wasteful, "matern12", 1, rounds=6, budget_m=300.0, options=QUICK)
+    assert mission.row["samples"] < 30
+    assert "budget is spent" in mission.ended
+
+
+def test_a_prior_that_nobody_has_is_refused(region):
+    with pytest.raises(InvalidInput, match="orbital"):
+        run_mission(region, "tour", "matern12", 1, rounds=1, prior="radar")
+
+
+def test_the_floor_is_printed_and_written(quarter_of_t1, tmp_path):
+    out = tmp_path / "floor.json"
+    quick = ["--designs", "1", "--steps", "20", "--cells", "200", "--budget", "900"]
+    command = [sys.executable, "-m", "benchmarks.floor", "--region", str(quarter_of_t1), "--json", str(out), *quick]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
+    assert "quarter: floor" in done.stdout
+    (row,) = json.loads(out.read_text())["rows"]
+    assert row["region"] == "quarter"
+    assert row["length_m"] <= 900

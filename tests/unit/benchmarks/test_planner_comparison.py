@@ -1,0 +1,119 @@
+"""The comparison of planners and of kernels, on a small region that is somebody's own file."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import calibration, flights, frontier, paper
+from benchmarks.flights import Flight, flown, fly
+from benchmarks.floor import Floor
+from benchmarks.missions import start_of
+from he3.errors import He3Error, InvalidInput
+from he3.kernels import KERNELS
+from services.ground.planner_process import PlannerProcess
+from services.mission.regions import load_region
+
+
+def test_the_paper_s_table_is_printed_written_and_held_against_the_yardstick(quarter_of_t1, tmp_path):
+    said, out = [], tmp_path / "rows.json"
+    rows = paper.run(
+        seeds=1, region=quarter_of_t1, planners=("rrtstar", "tour"), jobs=1, floor=False, json=out, say=said.append
+    )
+    assert [(row["planner"], row["samples"]) for row in rows] == [("rrtstar", 150), ("tour", 150)]
+    document = json.loads(out.read_text())
+    assert document["rows"] == rows
+    assert document["floors"] == []
+    by_name = {row["planner"]: row for row in rows}
+    ratio = by_name["tour"]["path_length_m"] / by_name["rrtstar"]["path_length_m"]
+    assert ratio < 0.6
+    line = next(line for line in said if line.startswith("tour "))
+    assert f"{ratio:.3f}" in line
+
+
+def test_each_planner_is_also_held_against_the_harder_yardstick(quarter_of_t1):
+    said: list[str] = []
+    rows = paper.run(seeds=1, region=quarter_of_t1, planners=("rrtstar", "rrtstar-matern52"), jobs=1, floor=False,
+                     say=said.append)  # fmt: skip
+    assert [(row["label"], row["kernel"]) for row in rows] == [("rrtstar", "se"), ("rrtstar-matern52", "matern52")]
+    stated, harder = (row["rmse_ppb"] for row in rows)
+    line = next(line for line in said if line.startswith("rrtstar  "))
+    assert f"1.000  1.000  {stated / harder:.3f}" in line
+
+
+def test_the_floors_stand_in_the_table_each_under_its_name():
+    floors = [Floor("t1", 150, None, 0.7, 0.69, 6000.0, 3, 1.0), Floor("t1", 150, 2900.0, 0.9, 0.88, 2890.0, 3, 1.0)]
+    lines = paper.table({}, "t1", ("tour",), floors)
+    assert any(line.startswith("floor ") and "0.7000" in line and "6000" in line for line in lines)
+    assert any(line.startswith("floor-fifth ") and "0.9000" in line and "2890" in line for line in lines)
+
+
+def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marked(quarter_of_t1):
+    rows = calibration.coverage(Flight(str(quarter_of_t1), "rrtstar", "matern52", 1))
+    assert [row["kernel"] for row in rows] == [*KERNELS, "auto"]
+    assert rows[-1]["chosen"] in KERNELS
+    assert {row["kernel"] for row in rows if row["mismatched"]} == {"se", "matern12", "matern32", "matern52"}
+    assert all(0.2 < row["coverage_68"] < row["coverage_95"] <= 1.0 for row in rows)
+    likelihood = {row["kernel"]: row["log_likelihood"] for row in rows}
+    assert likelihood["matern12"] > likelihood["se"], "the field's covariance is exponential, and the samples tell"
+    lines = calibration.table([{**row, "region": "t1"} for row in rows], "t1")
+    assert any("smooth+rough " in line for line in lines)
+    assert any("matern12+" in line for line in lines)
+    assert any("se*" in line for line in lines)
+
+
+def test_missions_begin_where_the_ground_is_open(quarter_of_t1):
+    region = load_region(quarter_of_t1)
+    assert start_of(region) == (25.0, 25.0)
+    closed = region.traversable.copy()
+    closed[:40, :40] = False
+    x, y = start_of(replace(region, traversable=closed))
+    assert max(x, y) > 40.0
+    assert region.traversable[int(y), int(x)]
+    with pytest.raises(InvalidInput, match="expected some traversable ground"):
+        start_of(replace(region, traversable=np.zeros_like(closed)))
+
+
+def test_a_mission_that_ends_early_is_told_from_the_others(quarter_of_t1):
+    flight = Flight(str(quarter_of_t1), "tour", "matern12", 1, budget_m=60.0)
+    whole = fly(flight)
+    short = replace(whole, row={**whole.row, "samples": 12}, ended="no place left to go to")
+    assert not any(" of 150 samples" in line for line in paper.table({flight: whole}, flight.region, ("tour",)))
+    lines = paper.table({flight: short}, flight.region, ("tour",))
+    assert "tour, seed 1: 12 of 150 samples: no place left to go to" in lines
+
+
+def test_a_mission_that_fails_does_not_take_the_others_with_it(quarter_of_t1, tmp_path, monkeypatch):
+    (tmp_path / "failing.py").write_text("def planner(request):\n    return None\n")
+    monkeypatch.chdir(tmp_path)
+    said, out = [], tmp_path / "rows.json"
+    expected = r"1 of the missions failed, the first: failing:planner on .* a PlannedRound, got NoneType"
+    with PlannerProcess(parallel=1) as planners:
+        monkeypatch.setattr(flights, "_process", lambda: planners)
+        with pytest.raises(He3Error, match=expected):
+            paper.run(seeds=1, region=quarter_of_t1, planners=("tour", "failing:planner"), jobs=1, floor=False,
+                      json=out, out=tmp_path, say=said.append)  # fmt: skip
+    assert [row["planner"] for row in json.loads(out.read_text())["rows"]] == ["tour"]
+    assert any(line.startswith("tour ") for line in said)
+    assert (tmp_path / "paper-maps.png").stat().st_size > 10_000
+
+
+def test_missions_are_in_the_order_in_which_they_were_asked_for(quarter_of_t1):
+    slow, quick = (Flight(str(quarter_of_t1), "tour", "matern12", 1), Flight(str(quarter_of_t1), "rrt", "matern52", 1))
+    landed, failures = flown([slow, quick], 2, lambda line: None)
+    assert list(landed) == [slow, quick]
+    assert failures == []
+
+
+@pytest.mark.parametrize("budgets", [(float("nan"),), (0.0,), ()])
+def test_a_frontier_without_a_budget_is_refused(quarter_of_t1, budgets):
+    with pytest.raises(InvalidInput, match="positive budgets"):
+        frontier.run(seeds=1, region=quarter_of_t1, budgets=budgets)
+
+
+def test_a_comparison_of_planners_that_nobody_has_is_refused(quarter_of_t1):
+    with pytest.raises(InvalidInput, match="expected planners among"):
+        paper.run(seeds=1, region=quarter_of_t1, planners=("teleport",))
+    with pytest.raises(InvalidInput, match="expected one seed"):
+        calibration.run(seeds=0, region=quarter_of_t1)

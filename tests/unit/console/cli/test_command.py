@@ -1,0 +1,56 @@
+"""Waiting for a telecommand: until the stage that is wanted, or until nothing more can come of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from he3.errors import He3Error
+from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
+from services.console.cli.command import fail_if_it_failed, has_come_to
+
+Stage = CommandStage
+ENDS = (Stage.REJECTED, Stage.COMPLETED, Stage.FAILED, Stage.EXPIRED, Stage.LOST)
+
+
+def status(*stages: CommandStage) -> CommandStatus:
+    return CommandStatus(
+        command=Telecommand(command_id="r1", kind=CommandKind.RESUME),
+        stages=tuple(
+            CommandReport(command_id="r1", stage=stage, at=number, why="it is not paused" if stage in ENDS else "")
+            for number, stage in enumerate(stages)
+        ),
+    )
+
+
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("wanted", list(Stage))
+def test_an_end_of_whatever_kind_ends_the_waiting_for_any_stage(end: CommandStage, wanted: CommandStage) -> None:
+    assert has_come_to(status(Stage.QUEUED, end), wanted)
+
+
+def test_a_command_under_way_has_come_to_its_stages_and_to_those_that_it_went_past() -> None:
+    under_way = status(Stage.QUEUED, Stage.RELEASED, Stage.RECEIVED)
+    assert has_come_to(under_way, Stage.RELEASED)
+    assert has_come_to(under_way, Stage.RADIATED)
+    assert not has_come_to(under_way, Stage.ACCEPTED)
+    assert not any(has_come_to(under_way, end) for end in ENDS)
+    assert not has_come_to(status(), Stage.QUEUED)
+
+
+@pytest.mark.parametrize("end", [end for end in ENDS if end is not Stage.COMPLETED])
+def test_a_command_that_did_not_complete_is_a_failure_with_its_stage_and_reason(end: CommandStage) -> None:
+    for wanted in (None, Stage.RECEIVED, Stage.COMPLETED):
+        with pytest.raises(He3Error, match=f"^command r1: {end.value}: it is not paused$"):
+            fail_if_it_failed(status(Stage.QUEUED, end), wanted)
+
+
+def test_a_command_that_ended_as_it_was_waited_for_or_is_under_way_is_no_failure() -> None:
+    for end in ENDS:
+        fail_if_it_failed(status(Stage.QUEUED, end), end)
+    fail_if_it_failed(status(Stage.QUEUED, Stage.COMPLETED), None)
+    fail_if_it_failed(status(Stage.QUEUED), Stage.COMPLETED)
+
+
+def test_a_command_that_completed_while_a_failure_was_waited_for_is_not_what_was_wanted() -> None:
+    with pytest.raises(He3Error, match="completed"):
+        fail_if_it_failed(status(Stage.QUEUED, Stage.COMPLETED), Stage.FAILED)

@@ -1,0 +1,82 @@
+"""Shipped scenarios: each loads, and the reference among them names every key with its default."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from services.console.launch.scenarios import choose
+from services.mission.deployment import deployment, shipped_scenarios
+from services.mission.scenario import Scenario, load_scenario
+
+REFERENCE = deployment("scenarios", "t1-nominal.toml")
+DOCUMENTATION = Path(__file__).parents[4] / "docs" / "scenarios.md"
+
+
+def keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from keys(kind, f"{prefix}{name}.")
+        else:
+            yield prefix + name
+
+
+def uncommented() -> str:
+    """The reference with its optional keys switched on."""
+    return re.sub(r"^# (\w+ = )", r"\1", REFERENCE.read_text(), flags=re.MULTILINE)
+
+
+def named(table: dict[str, object], prefix: str = "") -> Iterator[str]:
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield f"{prefix}{name}"
+            yield from named(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_every_shipped_scenario_loads_under_its_own_name_and_is_documented(name: str) -> None:
+    scenario = choose(name).scenario
+    assert scenario.name == name
+    assert scenario.description
+    assert f"`{name}`" in DOCUMENTATION.read_text()
+
+
+def test_the_nominal_scenario_is_what_every_default_says() -> None:
+    reference = load_scenario(REFERENCE)
+    assert reference == Scenario(name="t1-nominal", region="t1", description=reference.description)
+
+
+def test_the_nominal_scenario_names_every_key_that_there_is() -> None:
+    text = uncommented()
+    # Windows and a duty cycle exclude one another, so the text as a whole is TOML, though no scenario.
+    assert set(keys(Scenario)) <= set(named(tomllib.loads(text)))
+
+
+@pytest.mark.parametrize("absent", ["windows", "duty_cycle"])
+def test_its_optional_keys_are_right_when_they_are_switched_on(absent: str, tmp_path: Path) -> None:
+    path = tmp_path / "all.toml"
+    path.write_text(re.sub(rf"^{absent} = .*$", "", uncommented(), flags=re.MULTILINE))
+    scenario = load_scenario(path)
+    assert scenario.ground.interest
+    assert scenario.ground.budget_m is not None
+    assert bool(scenario.link.windows) != (scenario.link.duty_cycle is not None)
+
+
+def test_flags_change_the_scenario_and_are_handed_on_to_the_services() -> None:
+    chosen = choose("short", seed=7, planner="tour", rate=50.0, settings=["link.down.loss=0.25", "region=t2"])
+    scenario = chosen.scenario
+    assert (scenario.seed, scenario.ground.planner, scenario.rate, scenario.region) == (7, "tour", 50.0, "t2")
+    assert scenario.link.down.loss == 0.25
+    assert scenario.link.up.loss == 0.0
+
+    from services.runtime.options import parse_options
+
+    assert parse_options("ground", [str(chosen.path), *chosen.flags]).scenario == scenario

@@ -1,0 +1,67 @@
+"""Run files: how commands find a mission that runs on this machine."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from he3.errors import InvalidInput, PeerUnreachable
+from services.console.client.run_file import RunningMission, announced, find, folder, running_missions
+
+
+@pytest.fixture(autouse=True)
+def _runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+def mission(name: str = "m", pid: int | None = None, earth: str = "tcp/127.0.0.1:1") -> RunningMission:
+    return RunningMission(name, "m.toml", "tcp/127.0.0.1:2", earth, pid or os.getpid(), {"link": 1})
+
+
+def test_a_running_mission_is_found_by_itself_by_name_and_by_endpoint_until_it_ends() -> None:
+    with announced(mission()) as path:
+        assert find() == ("tcp/127.0.0.1:1", "m")
+        assert find(mission="m") == ("tcp/127.0.0.1:1", "m")
+        assert find(earth="tcp/127.0.0.1:1") == ("tcp/127.0.0.1:1", "m")
+        assert path.parent == folder()
+    assert running_missions() == []
+
+
+def test_flags_alone_are_enough_for_a_mission_on_another_machine() -> None:
+    assert find("far", "tcp/10.0.0.2:7448") == ("tcp/10.0.0.2:7448", "far")
+
+
+def test_with_several_missions_one_must_be_named() -> None:
+    with announced(mission("a")), announced(mission("b", earth="tcp/127.0.0.1:3")):
+        with pytest.raises(InvalidInput, match=r"several missions run \(a, b\)"):
+            find()
+        assert find("b") == ("tcp/127.0.0.1:3", "b")
+
+
+def test_nobody_is_found_where_nothing_runs() -> None:
+    with pytest.raises(PeerUnreachable, match="no running mission found"):
+        find()
+    with announced(mission("a")), pytest.raises(PeerUnreachable, match="no running mission 'b' found"):
+        find("b")
+
+
+def test_the_file_of_a_mission_whose_starter_was_killed_is_passed_over_and_removed() -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    with announced(mission(pid=ended.pid)) as path:
+        assert running_missions() == []
+        assert not path.exists()
+
+
+def test_a_file_that_is_no_run_file_is_passed_over() -> None:
+    (folder() / "x.json").write_text("{}")
+    (folder() / "y.json").write_text("nonsense")
+    assert running_missions() == []
+
+
+def test_the_folder_is_this_user_s_alone() -> None:
+    assert folder().stat().st_mode & 0o077 == 0

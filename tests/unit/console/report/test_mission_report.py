@@ -1,0 +1,135 @@
+"""The report: what it counts and where each figure comes from."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import pytest
+
+from he3.errors import He3Error
+from schemas.ground import GroundStatus, MissionPhase, MissionTrack
+from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
+from schemas.maps import MapLayer, MapRaster, MapScore
+from schemas.report import MissionReport
+from schemas.telemetry import SampleReport
+from services.console.report.mission_report import Run, array_of, build_report
+from services.console.report.outputs import caption
+from services.console.report.summary import summary_lines
+from services.mission.scenario import Scenario
+
+SCENARIO = Scenario(name="m", region="t1", rounds=1, samples_per_round=2)
+START = SCENARIO.start_ns
+
+
+def sample(number: int) -> SampleReport:
+    return SampleReport(
+        sample_id=f"s{number}", round=1, plan_revision=1, x_m=10.0 * number, y_m=5.0, depth_m=0.1, helium3_ppb=8.5,
+        noise_std_ppb=0.1, measured_at=START + number * 1_500_000_000, driven_m=10.0 * number,
+    )  # fmt: skip
+
+
+def score(samples: int) -> MapScore:
+    return MapScore(
+        rmse_ppb=1.0 / samples, coverage_68=0.7, coverage_95=0.95, mean_std_ppb=0.9, revision=samples, samples=samples,
+        mission_time_ns=START,
+    )  # fmt: skip
+
+
+def status(phase: MissionPhase, samples: int = 2) -> GroundStatus:
+    return GroundStatus(
+        phase=phase, planner="rrtstar", round=1, rounds=1, samples=samples, samples_total=2, driven_m=42.5,
+        budget_m=None, plan_revision=1, plans_in_work=0, map_revision=2, mean_std_ppb=0.9, kernel=None, score=score(2),
+        rover=None, rover_made_at=None, detail=f"{samples} of 2 samples are in the map",
+    )  # fmt: skip
+
+
+def link() -> LinkStatus:
+    return LinkStatus(
+        conditions=LinkConditions(down=DirectionConditions(one_way_light_time_s=3.0)),
+        contact=True,
+        contact_changes_at=None,
+        up=DirectionCounts(offered=10, repeated=4, delivered=8, lost=1, dropped_queue_full=1),
+        down=DirectionCounts(offered=20, delivered=15, lost=2, dropped_out_of_contact=3),
+        in_flight=(),
+        incarnation=1,
+    )
+
+
+def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True, samples: int = 2) -> MissionReport:
+    track = MissionTrack(
+        samples=(sample(1), sample(2)),
+        driven_path_m=((25.0, 25.0), (10.0, 5.0), (20.0, 5.0)),
+        planned_path_m=(),
+        score_history=(score(2),),
+    )
+    run = Run("in-process", None, "made up", 123.5, 0.25)
+    return build_report(SCENARIO, run, status(phase, samples), track, link(), score(2) if scored else None)
+
+
+def test_the_report_says_what_the_mission_did() -> None:
+    made = report()
+    assert made.completed
+    assert (made.scenario, made.region, made.planner, made.kernel, made.seed) == ("m", "t1", "rrtstar", "matern52", 1)
+    assert (made.rounds, made.samples, made.path_length_m, made.drilled_m) == (1, 2, 42.5, 0.2)
+    assert (made.rmse_ppb, made.coverage_68, made.coverage_95) == (0.5, 0.7, 0.95)
+    assert (made.mission_time_s, made.wall_time_s, made.one_way_light_time_s) == (123.5, 0.25, 3.0)
+    assert [(row.sample_id, row.measured_at_s) for row in made.sample_table] == [("s1", 1.5), ("s2", 3.0)]
+    assert made.region_note == "made up"
+
+
+def test_messages_of_both_directions_are_counted_together_and_what_is_dropped_is_lost() -> None:
+    counts = report().messages
+    assert (counts.sent, counts.delivered, counts.retransmitted, counts.lost) == (30, 23, 4, 7)
+    assert counts.up.lost == 1
+
+
+def test_a_mission_that_failed_is_not_reported_as_completed() -> None:
+    made = report(MissionPhase.FAILED)
+    assert not made.completed
+    assert any("NOT COMPLETED" in line for line in summary_lines(made))
+
+
+def test_a_mission_with_every_sample_that_was_wanted_is_completed() -> None:
+    made = report()
+    assert (made.samples, made.samples_wanted, made.detail) == (2, 2, "2 of 2 samples are in the map")
+    lines = summary_lines(made)
+    assert "ended         completed" in lines
+    assert "samples       2 of 2 in 1 rounds" in lines
+
+
+def test_a_mission_with_fewer_samples_than_wanted_ended_early_and_says_why() -> None:
+    made = report(samples=1)
+    assert (made.completed, made.samples, made.samples_wanted) == (True, 1, 2)
+    lines = summary_lines(made)
+    assert "ended early:  1 of 2 samples are in the map" in lines
+    assert "samples       1 of 2 in 1 rounds" in lines
+
+
+def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None:
+    made = report(scored=False)
+    assert (made.rmse_ppb, made.coverage_68, made.coverage_95) == (None, None, None)
+    assert any("not known" in line for line in summary_lines(made))
+    assert "RMSE" not in caption(made)
+
+
+def test_the_report_is_one_json_document_that_reads_back_equal() -> None:
+    made = report()
+    assert MissionReport.model_validate_json(made.model_dump_json()) == made
+
+
+def raster(cells: int) -> MapRaster:
+    values = np.arange(cells, dtype="<f4")
+    return MapRaster(
+        layer=MapLayer.MEAN, rows=2, columns=3, resolution_m=1.0, dtype="<f4", unit="ppb", revision=1, samples=0,
+        data_base64=base64.b64encode(values.tobytes()).decode(), mission_time_ns=0,
+    )  # fmt: skip
+
+
+def test_a_layer_becomes_an_array_with_row_0_in_the_south() -> None:
+    assert array_of(raster(6)).tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_a_layer_that_does_not_fill_its_cells_is_refused() -> None:
+    with pytest.raises(He3Error, match="expected 2 x 3 cells, got 5 values"):
+        array_of(raster(5))

@@ -1,0 +1,641 @@
+"""Both halves of custody, joined through the real link: each message once, in order, whatever happens between."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from he3.errors import He3Error, InvalidInput
+from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
+from schemas.link import Acknowledgement, AtEdge, Direction, DirectionConditions, LinkChange, LinkConditions
+from schemas.telemetry import EventKind, RoverEvent
+from schemas.topics import COMMAND, COMMAND_REPORT, EVENT, MEASURE, PLAN, STATE, Topic
+from schemas.wire import Header, Refused, Wire, decode, encode
+from services.link.relay import Relay
+from services.mission.link_presets import PRESETS
+from services.runtime.custody.protocol import (
+    TRANSITIONS,
+    CustodyConfig,
+    OutboxFull,
+    RoundTrip,
+    Signal,
+    State,
+    acknowledged_on,
+    following,
+    under_custody,
+)
+from services.runtime.custody.receiver import Ack, Inbox
+from services.runtime.custody.sender import Outbox, Transmit
+
+START = 1_893_456_000_000_000_000
+S = 1_000_000_000
+HOUR = 3600 * S
+
+
+def body_of(topic: Topic, number: int, size: int = 0) -> Wire:
+    if topic is COMMAND:
+        return Telecommand(command_id=f"c{number}", kind=CommandKind.PAUSE)
+    if topic is COMMAND_REPORT:
+        return CommandReport(command_id=f"c{number}", stage=CommandStage.RECEIVED, at=START, why="x" * size)
+    return RoverEvent(kind=EventKind.PARKED, at=START, x_m=0.0, y_m=0.0, round=number, detail="x" * size)
+
+
+@dataclass
+class Station:
+    """One side: an outbox, an inbox, and a journal that survives both."""
+
+    name: str
+    sends: Direction
+    config: CustodyConfig
+    publish: Callable[[Topic, bytes], None]
+    incarnation: int = 0
+    journal_sent: list[tuple[Topic, Header, bytes]] = field(default_factory=list)
+    journal_got: list[tuple[Topic, Header, Any]] = field(default_factory=list)
+    repeated: int = 0
+    sent: int = 0
+
+    def start(self, now: int) -> None:
+        if self.incarnation:
+            self.sent += self.outbox.counts.sent
+            self.repeated += self.outbox.counts.repeated
+        self.incarnation += 1
+        self.sequences: Counter[str] = Counter()
+        self.outbox = Outbox(self.name, self.config)
+        self.inbox = Inbox(self.config)
+        for topic, header, payload in self.journal_sent:
+            self.outbox.restore(topic, header, payload)
+        for topic, header, _ in self.journal_got:
+            self.inbox.delivered(topic, header)
+        self.transmit(self.outbox.resume(now))
+
+    def header(self, topic: Topic, now: int, held_from: int | None = None) -> Header:
+        sequence = self.sequences[topic.name]
+        self.sequences[topic.name] += 1
+        return Header(
+            mission="m",
+            source=self.name,
+            incarnation=self.incarnation,
+            sequence=sequence,
+            made_at=now,
+            held_from=held_from,
+        )
+
+    def offer(self, topic: Topic, now: int, size: int = 0) -> None:
+        held_from = self.outbox.held_from(topic, self.incarnation, self.sequences[topic.name])
+        header = self.header(topic, now, held_from)
+        payload = encode(header, body_of(topic, len(self.journal_sent), size))
+        self.journal_sent.append((topic, header, payload))
+        self.transmit(self.outbox.offer(topic, header, payload, now))
+
+    def transmit(self, transmits: list[Transmit]) -> None:
+        for transmit in transmits:
+            self.publish(transmit.topic, transmit.payload)
+
+    def acknowledge(self, acks: list[Ack], now: int) -> None:
+        for topic, body in acks:
+            self.publish(topic, encode(self.header(topic, now), body))
+
+    def receive(self, topic: Topic, payload: bytes, now: int) -> None:
+        try:
+            header, body = decode(topic, payload, "m")
+        except Refused:
+            return
+        if isinstance(body, Acknowledgement):
+            self.transmit(self.outbox.acknowledged(body, header, now))
+            return
+        self.transmit(self.outbox.heard(now))
+        if under_custody(topic):
+            letters, acks = self.inbox.received(topic, header, body, len(payload), now)
+            self.journal_got += [(letter.topic, letter.header, letter.body) for letter in letters]
+            self.acknowledge(acks, now)
+
+    def next_due(self) -> int | None:
+        times = [time for time in (self.outbox.next_due(), self.inbox.next_due()) if time is not None]
+        return min(times, default=None)
+
+    def due(self, now: int) -> None:
+        if (time := self.outbox.next_due()) is not None and time <= now:
+            self.transmit(self.outbox.due(now))
+        if (time := self.inbox.next_due()) is not None and time <= now:
+            self.acknowledge(self.inbox.due(now), now)
+
+
+class World:
+    """Two stations and the link between them, in virtual time."""
+
+    def __init__(self, link: LinkConditions | None = None, seed: int = 1, config: CustodyConfig | None = None) -> None:
+        self.link = link or LinkConditions()
+        self.now = START
+        self.seed = seed
+        self.relay = Relay(self.link, START, seed)
+        self.published = 0
+        up, down = (config or CustodyConfig.over(self.link, way) for way in (Direction.UP, Direction.DOWN))
+        self.ground = Station("ground", Direction.UP, up, self.publish)
+        self.rover = Station("rover", Direction.DOWN, down, self.publish)
+        self.state_period: int | None = None
+        self.state_at = START
+        for station in self.stations:
+            station.start(self.now)
+
+    @property
+    def stations(self) -> tuple[Station, Station]:
+        return self.ground, self.rover
+
+    def publish(self, topic: Topic, payload: bytes) -> None:
+        self.published += 1
+        self.relay.offer(topic, payload, self.now)
+
+    def lose_link(self) -> None:
+        """The link's process dies, with all that is under way."""
+        self.seed += 1
+        self.relay = Relay(self.link, START, self.seed)
+
+    def instant(self) -> int | None:
+        times = [self.relay.next_event(), *(station.next_due() for station in self.stations)]
+        times.append(self.state_at if self.state_period else None)
+        return min((time for time in times if time is not None), default=None)
+
+    def run(self, until: int, stop: Callable[[], bool] = lambda: False) -> None:
+        for _ in range(200_000):
+            instant = self.instant()
+            if stop() or instant is None or instant > until:
+                self.now = self.now if stop() else until
+                return
+            self.now = max(self.now, instant)
+            if self.state_period and self.state_at <= self.now:
+                self.state_at = self.now + self.state_period
+                self.publish(STATE, b'{"header":{"source":"rover"}}')
+                if self.relay.in_contact(self.now):
+                    self.ground.transmit(self.ground.outbox.heard(self.now))
+            for direction, flight in self.relay.arrived(self.now):
+                station = self.rover if direction is Direction.UP else self.ground
+                station.receive(flight.letter.topic, flight.payload, self.now)
+            for station in self.stations:
+                station.due(self.now)
+        raise AssertionError("no end in sight")
+
+    def settle(self, within: int = 100 * HOUR) -> None:
+        self.run(self.now + within, self.settled)
+        assert self.settled(), (self.ground.outbox.counts, self.rover.outbox.counts, self.now - START)
+
+    def settled(self) -> bool:
+        return all(station.outbox.depth == 0 for station in self.stations)
+
+    def check(self) -> None:
+        """Each message came once, and each topic in order."""
+        for sender, receiver in ((self.ground, self.rover), (self.rover, self.ground)):
+            for topic in (COMMAND, COMMAND_REPORT, EVENT):
+                sent = [(header.incarnation, header.sequence) for at, header, _ in sender.journal_sent if at is topic]
+                got = [(header.incarnation, header.sequence) for at, header, _ in receiver.journal_got if at is topic]
+                assert got == sent, topic.name
+
+    @property
+    def repeated(self) -> int:
+        return sum(station.outbox.counts.repeated + station.repeated for station in self.stations)
+
+
+def both_ways(**conditions: Any) -> LinkConditions:
+    return LinkConditions(up=DirectionConditions(**conditions), down=DirectionConditions(**conditions))
+
+
+# --- without loss -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("light_time_s", [0.0, 1.282, 5.0, 1200.0])
+@pytest.mark.parametrize("rate", [None, 2000.0, 125.0])
+def test_without_loss_nothing_is_repeated_and_every_message_takes_its_light_time(
+    light_time_s: float, rate: float | None
+) -> None:
+    world = World(both_ways(one_way_light_time_s=light_time_s, rate_bit_s=rate))
+    for k in range(40):
+        world.rover.offer(EVENT, world.now)
+        if k % 5 == 0:
+            world.ground.offer(COMMAND, world.now)
+            world.rover.offer(COMMAND_REPORT, world.now)
+        world.run(world.now + 200 * S)
+    world.settle()
+    world.check()
+    assert world.repeated == 0
+    assert world.ground.outbox.counts.acknowledged == 8
+    assert world.rover.outbox.counts.acknowledged == 48
+
+
+@pytest.mark.parametrize(
+    ("name", "most"), [("nominal", 0), ("zero", 0), ("agency-8s", 0), ("csa-10s", 0), ("mars", 0), ("farside-relay", 5)]
+)
+def test_a_burst_over_a_link_whose_figures_are_known_needs_no_repetition(name: str, most: int) -> None:
+    """At 125 bit/s, acknowledgements wait behind ten minutes of commands, which their receiver cannot know."""
+    world = World(PRESETS[name])
+    for _ in range(30):
+        world.rover.offer(EVENT, world.now, size=400)
+        world.ground.offer(COMMAND, world.now)
+    world.settle()
+    world.check()
+    assert world.repeated <= most
+
+
+def test_a_burst_beyond_the_window_goes_out_in_order_as_acknowledgements_come() -> None:
+    config = CustodyConfig(window_messages=8)
+    world = World(config=config)
+    for _ in range(100):
+        world.rover.offer(EVENT, world.now)
+    assert world.rover.outbox.counts.sent == 8
+    world.settle()
+    world.check()
+    assert world.repeated == 0
+
+
+def test_large_messages_on_a_thin_link_all_arrive_though_its_rate_is_not_known() -> None:
+    world = World(both_ways(rate_bit_s=8_000.0), config=CustodyConfig())
+    for _ in range(100):
+        world.rover.offer(EVENT, world.now, size=500)
+    world.settle()
+    world.check()
+    assert world.repeated <= 3
+
+
+def test_acknowledgements_of_a_burst_are_few() -> None:
+    world = World()
+    for _ in range(200):
+        world.rover.offer(EVENT, world.now)
+    before = world.published
+    world.settle()
+    assert world.published - before <= 3
+
+
+# --- with loss --------------------------------------------------------------------------------------------------
+
+
+def test_a_gap_is_filled_one_round_trip_after_it_shows() -> None:
+    world = World()
+    world.rover.offer(EVENT, world.now)
+    world.settle()
+    world.relay.change(LinkChange(loss=1.0), world.now)
+    world.rover.offer(EVENT, world.now)
+    world.relay.change(LinkChange(loss=0.0), world.now)
+    began = world.now
+    world.rover.offer(EVENT, world.now)
+    world.run(world.now + HOUR, lambda: len(world.rover.journal_sent) == len(world.ground.journal_got))
+    assert world.now - began == 3 * 1_282_000_000
+    assert world.repeated == 1
+    world.settle()
+    world.check()
+
+
+def test_a_lost_last_message_comes_one_wait_and_one_light_time_later() -> None:
+    world = World(config=CustodyConfig(round_trip_s=2.564, margin_s=1.0))
+    world.relay.change(LinkChange(loss=1.0), world.now)
+    world.rover.offer(EVENT, world.now)
+    world.relay.change(LinkChange(loss=0.0), world.now)
+    world.run(world.now + HOUR, lambda: bool(world.ground.journal_got))
+    assert world.now - START == 2_564_000_000 + S + 1_282_000_000
+
+
+@pytest.mark.parametrize("loss", [0.1, 0.3, 0.6])
+def test_heavy_loss_costs_a_bounded_number_of_repetitions(loss: float) -> None:
+    world = World(both_ways(loss=loss))
+    for _ in range(200):
+        world.rover.offer(EVENT, world.now)
+        world.ground.offer(COMMAND, world.now)
+        world.run(world.now + 20 * S)
+    world.settle()
+    world.check()
+    needed = 400 * (1 / (1 - loss) ** 2 - 1)  # each sending and each acknowledgement may be lost
+    assert world.repeated <= 1.3 * needed + 10
+
+
+# --- blackouts --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at_edge", list(AtEdge))
+@pytest.mark.parametrize("light_time_s", [1.282, 600.0])
+def test_a_blackout_suspends_the_timers_and_any_word_resumes_them(at_edge: AtEdge, light_time_s: float) -> None:
+    world = World(both_ways(one_way_light_time_s=light_time_s).model_copy(update={"at_edge": at_edge}))
+    world.state_period = 60 * S
+    world.run(world.now + S)
+    world.relay.change(LinkChange(contact=False), world.now)
+    for _ in range(20):
+        world.rover.offer(EVENT, world.now)
+        world.ground.offer(COMMAND, world.now)
+        world.run(world.now + 600 * S)
+    light = round(light_time_s * S)
+    world.run(world.now + 100 * (2 * light + 5 * S))
+    assert world.rover.outbox.suspended
+    assert world.ground.outbox.suspended
+    silent_s = (world.now - START) / S
+    assert world.repeated <= 2 * (silent_s / max(300.0, 4 * light_time_s) + 6)
+    world.relay.change(LinkChange(contact=True), world.now)
+    regained = world.now
+    world.settle()
+    world.check()
+    assert world.now - regained < 60 * S + 10 * light + 20 * S
+    assert not world.rover.outbox.suspended
+
+
+def test_a_suspended_outbox_tries_one_message_now_and_then_and_never_gives_up() -> None:
+    world = World()
+    world.relay.change(LinkChange(contact=False, at_edge=AtEdge.DROP), world.now)
+    for _ in range(5):
+        world.rover.offer(EVENT, world.now)
+    world.run(world.now + 24 * HOUR)
+    outbox = world.rover.outbox
+    assert outbox.suspended
+    assert outbox.depth == 5
+    assert 24 * 12 - 2 <= outbox.counts.repeated <= 24 * 12 + 6
+    world.relay.change(LinkChange(contact=True), world.now)
+    world.settle(within=HOUR)
+    world.check()
+
+
+def test_an_outbox_that_hears_the_other_side_is_never_suspended() -> None:
+    world = World(LinkConditions(up=DirectionConditions(loss=1.0)))
+    world.ground.offer(COMMAND, world.now)
+    world.state_period = 30 * S
+    world.run(world.now + HOUR)
+    assert not world.ground.outbox.suspended
+    assert 20 <= world.ground.outbox.counts.repeated <= 32
+
+
+def test_a_rate_that_collapses_is_learned_and_leads_to_few_repetitions() -> None:
+    world = World(both_ways(rate_bit_s=100_000.0))
+    world.rover.offer(EVENT, world.now)
+    world.settle()
+    world.relay.change(LinkChange(rate_bit_s=125.0), world.now)
+    for _ in range(60):
+        world.rover.offer(EVENT, world.now)
+        world.run(world.now + 100 * S)
+    world.settle()
+    world.check()
+    assert world.repeated <= 15
+
+
+def test_a_light_time_that_jumps_is_learned() -> None:
+    world = World()
+    world.state_period = 60 * S
+    world.relay.change(LinkChange(one_way_light_time_s=600.0), world.now)
+    costs = []
+    for _ in range(12):
+        before = world.repeated
+        world.rover.offer(EVENT, world.now)
+        world.run(world.now + 2 * HOUR)
+        costs.append(world.repeated - before)
+    world.settle()
+    world.check()
+    assert costs[-3:] == [0, 0, 0]
+    assert sum(costs) < 60
+
+
+# --- anything ---------------------------------------------------------------------------------------------------
+
+steps = st.lists(
+    st.tuples(
+        st.sampled_from([0, 1, 200_000_000, S, 3 * S, 70 * S, 1000 * S]),
+        st.sampled_from(
+            ["event", "event", "event", "report", "command", "command", "burst", "ground restarts", "rover restarts",
+             "link restarts", "blackout", "contact", "lossy", "clean"]
+        ),
+    ),
+    max_size=40,
+)  # fmt: skip
+
+
+@given(
+    steps=steps,
+    seed=st.integers(0, 2**32),
+    loss=st.sampled_from([0.0, 0.3, 0.5]),
+    corrupt=st.sampled_from([0.0, 0.2]),
+    duplicate=st.sampled_from([0.0, 0.3]),
+    reorder=st.sampled_from([0.0, 0.5]),
+    light_time_s=st.sampled_from([0.0, 1.282, 30.0]),
+    rate=st.sampled_from([None, 1000.0]),
+    at_edge=st.sampled_from(AtEdge),
+    window=st.sampled_from([1, 4, 256]),
+)
+@settings(max_examples=150, deadline=None)
+def test_whatever_happens_each_message_comes_once_and_in_order(
+    steps: list[tuple[int, str]],
+    seed: int,
+    loss: float,
+    corrupt: float,
+    duplicate: float,
+    reorder: float,
+    light_time_s: float,
+    rate: float | None,
+    at_edge: AtEdge,
+    window: int,
+) -> None:
+    bad = {"loss": loss, "corrupt": corrupt, "duplicate": duplicate, "reorder": reorder}
+    link = both_ways(one_way_light_time_s=light_time_s, rate_bit_s=rate, jitter_s=0.1, **bad)
+    link = link.model_copy(update={"at_edge": at_edge})
+    config = replace(CustodyConfig.over(link, Direction.UP), window_messages=window)
+    world = World(link, seed, config)
+    world.state_period = 300 * S
+    for wait, step in steps:
+        world.run(world.now + wait)
+        match step:
+            case "event":
+                world.rover.offer(EVENT, world.now)
+            case "report":
+                world.rover.offer(COMMAND_REPORT, world.now, size=100)
+            case "command":
+                world.ground.offer(COMMAND, world.now)
+            case "burst":
+                for _ in range(10):
+                    world.rover.offer(EVENT, world.now)
+            case "ground restarts":
+                world.ground.start(world.now)
+            case "rover restarts":
+                world.rover.start(world.now)
+            case "link restarts":
+                world.lose_link()
+            case "blackout":
+                world.relay.change(LinkChange(contact=False), world.now)
+            case "contact":
+                world.relay.change(LinkChange(contact=True), world.now)
+            case "lossy":
+                world.relay.change(LinkChange(**bad), world.now)
+            case "clean":
+                world.relay.change(LinkChange(loss=0.0, corrupt=0.0, duplicate=0.0, reorder=0.0), world.now)
+    world.relay.change(LinkChange(contact=True), world.now)
+    world.settle()
+    world.check()
+
+
+# --- restarts ---------------------------------------------------------------------------------------------------
+
+
+def test_a_restarted_sender_asks_with_one_message_what_is_missing() -> None:
+    world = World()
+    for _ in range(50):
+        world.rover.offer(EVENT, world.now)
+    world.settle()
+    before = world.published
+    world.rover.start(world.now)
+    assert world.published - before == 1
+    assert world.rover.outbox.depth == 50
+    world.settle()
+    assert world.published - before <= 3
+    world.check()
+
+
+def test_what_a_receiver_held_out_of_turn_and_forgot_is_sent_again() -> None:
+    world = World()
+    world.relay.change(LinkChange(loss=1.0), world.now)
+    world.rover.offer(EVENT, world.now)
+    world.relay.change(LinkChange(loss=0.0), world.now)
+    for _ in range(5):
+        world.rover.offer(EVENT, world.now)
+    world.run(world.now + 1_282_000_000)
+    assert world.ground.inbox.counts.held == 5
+    world.ground.start(world.now)
+    world.settle()
+    world.check()
+
+
+def test_a_receiver_that_remembers_nothing_goes_on_with_what_is_not_yet_acknowledged() -> None:
+    world = World()
+    for _ in range(5):
+        world.rover.offer(EVENT, world.now)
+    world.settle()
+    world.relay.change(LinkChange(contact=False, at_edge=AtEdge.DROP), world.now)
+    for _ in range(3):
+        world.rover.offer(EVENT, world.now)
+    world.ground.journal_got.clear()
+    world.ground.start(world.now)
+    world.relay.change(LinkChange(contact=True), world.now)
+    world.settle()
+    assert [header.sequence for _, header, _ in world.ground.journal_got] == [5, 6, 7]
+
+
+def test_messages_of_a_new_incarnation_wait_for_those_of_the_old_one() -> None:
+    world = World()
+    world.relay.change(LinkChange(contact=False, at_edge=AtEdge.DROP), world.now)
+    for _ in range(3):
+        world.ground.offer(COMMAND, world.now)
+    world.ground.start(world.now)
+    world.ground.offer(COMMAND, world.now)
+    world.relay.change(LinkChange(contact=True), world.now)
+    world.settle()
+    assert [(h.incarnation, h.sequence) for _, h, _ in world.rover.journal_got] == [(1, 0), (1, 1), (1, 2), (2, 0)]
+
+
+# --- the parts --------------------------------------------------------------------------------------------------
+
+
+def test_the_life_of_a_kept_message_is_in_the_table_and_nothing_else_happens() -> None:
+    reached = {State.WAITING}
+    for _ in State:
+        reached |= {after for (before, _), after in TRANSITIONS.items() if before in reached}
+    assert reached == set(State)
+    assert all(before is not State.ACKNOWLEDGED for before, _ in TRANSITIONS)
+    for state, signal in product(State, Signal):
+        if (state, signal) in TRANSITIONS:
+            assert following(state, signal) is TRANSITIONS[state, signal]
+        else:
+            with pytest.raises(He3Error, match=f"{state.value}.*{signal.value}"):
+                following(state, signal)
+
+
+def test_a_round_trip_is_learned_and_its_variation_widens_the_wait() -> None:
+    trip = RoundTrip(2 * S, S)
+    for _ in range(100):
+        trip.measured(10 * S)
+    assert trip.mean == pytest.approx(10 * S, abs=S // 100)
+    steady = trip.wait
+    for k in range(100):
+        trip.measured((8 if k % 2 else 12) * S)
+    assert steady == pytest.approx(11 * S, abs=S // 10)
+    assert trip.wait > 16 * S
+
+
+def test_custody_is_acknowledged_the_other_way() -> None:
+    assert acknowledged_on(COMMAND).name == "tm/ack"
+    assert acknowledged_on(EVENT).name == "tc/ack"
+    assert not under_custody(STATE)
+    assert not under_custody(MEASURE)
+
+
+def header(source: str = "rover", sequence: int = 0, incarnation: int = 1) -> Header:
+    return Header(mission="m", source=source, incarnation=incarnation, sequence=sequence, made_at=START)
+
+
+def test_a_full_outbox_says_so_and_keeps_what_it_has() -> None:
+    outbox = Outbox("rover", CustodyConfig(max_messages=2))
+    for sequence in range(2):
+        outbox.offer(EVENT, header(sequence=sequence), b"x", START)
+    with pytest.raises(OutboxFull, match="at most 2 messages"):
+        outbox.offer(EVENT, header(sequence=2), b"x", START)
+    assert outbox.depth == 2
+
+
+@pytest.mark.parametrize(
+    ("topic", "source", "sequence", "says"),
+    [(STATE, "rover", 5, "under custody"), (EVENT, "ground", 5, "'rover'"), (EVENT, "rover", 0, "above 0, got 0")],
+)
+def test_what_is_not_to_be_kept_here_is_refused(topic: Topic, source: str, sequence: int, says: str) -> None:
+    outbox = Outbox("rover")
+    outbox.offer(EVENT, header(), b"x", START)
+    with pytest.raises(InvalidInput, match=says):
+        outbox.offer(topic, header(source, sequence), b"x", START)
+    assert outbox.depth == 1
+
+
+def test_commands_go_before_plans_and_events_before_samples_when_the_window_is_small() -> None:
+    outbox = Outbox("ground", CustodyConfig(window_messages=1))
+    first = outbox.offer(PLAN, header("ground"), b"p0", START)
+    outbox.offer(PLAN, header("ground", 1), b"p1", START)
+    outbox.offer(COMMAND, header("ground", 0), b"c0", START)
+    ack = Acknowledgement(stream="tc/plan", source="ground", incarnation=1, next_sequence=1, last_sequence=0)
+    then = outbox.acknowledged(ack, header(), START + 3 * S)
+    assert [transmit.payload for transmit in (*first, *then)] == [b"p0", b"c0"]
+
+
+def test_an_acknowledgement_that_is_overtaken_by_a_newer_one_changes_nothing() -> None:
+    outbox = Outbox("rover")
+    for sequence in range(3):
+        outbox.offer(EVENT, header(sequence=sequence), b"x", START)
+    ack = Acknowledgement(stream="tm/event", source="rover", incarnation=1, next_sequence=3)
+    stale = ack.model_copy(update={"next_sequence": 2, "gaps": ((0, 0),)})
+    outbox.acknowledged(ack.model_copy(update={"next_sequence": 2}), header("ground", 5), START + S)
+    assert outbox.acknowledged(stale, header("ground", 4), START + S) == []
+    assert outbox.depth == 1
+    others = ack.model_copy(update={"source": "field"})
+    outbox.acknowledged(others, header("ground", 6), START + S)
+    assert outbox.depth == 1
+
+
+def test_an_acknowledgement_with_more_gaps_than_it_can_tell_claims_less() -> None:
+    inbox = Inbox()
+    for sequence in range(1, 400, 2):
+        _, acks = inbox.received(EVENT, header(sequence=sequence), None, 10, START + sequence * S)
+    (ack,) = [body for _, body in acks]
+    assert len(ack.gaps) == 64
+    assert ack.gaps[-1] == (126, 126)
+    assert ack.next_sequence == 128
+    assert ack.last_sequence == 399
+
+
+def test_an_inbox_without_room_neither_keeps_nor_acknowledges() -> None:
+    inbox = Inbox(CustodyConfig(max_held=2))
+    for sequence in (1, 2):
+        inbox.received(EVENT, header(sequence=sequence), None, 10, START)
+    assert inbox.received(EVENT, header(sequence=3), None, 10, START + 9 * S) == ([], [])
+    assert inbox.counts.overflowed == 1
+    letters, _ = inbox.received(EVENT, header(sequence=0), None, 10, START)
+    assert [letter.header.sequence for letter in letters] == [0, 1, 2]
+
+
+def test_each_stream_of_a_topic_has_its_own_count() -> None:
+    inbox = Inbox()
+    got = [
+        inbox.received(EVENT, header(source, 0, incarnation), None, 10, START)[0]
+        for source, incarnation in (("rover", 1), ("rover", 2), ("other", 1), ("rover", 1))
+    ]
+    assert [len(letters) for letters in got] == [1, 1, 1, 0]

@@ -1,0 +1,105 @@
+"""Custody at one end of the link, as a host drives it: two desks that speak to each other through nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from schemas.commands import CommandKind, Telecommand
+from schemas.link import LinkConditions
+from schemas.telemetry import RoverMode, RoverState
+from schemas.topics import COMMAND, STATE, TC_ACK, TM_ACK, Side
+from schemas.wire import Header, decode
+from services.runtime.actions import Publish
+from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyDesk, custody_config
+from services.runtime.node import SECOND, Interface, WakeAt
+
+LINK = LinkConditions()
+EARTH = Interface("ground", (Side.EARTH,))
+MOON = Interface("rover", (Side.MOON,))
+
+
+def desk(interface: Interface) -> CustodyDesk:
+    desk = CustodyDesk(interface.name, interface.sides[0], custody_config(LINK, interface))
+    desk.starts("short", 1)
+    return desk
+
+
+@pytest.fixture
+def ground() -> CustodyDesk:
+    return desk(EARTH)
+
+
+@pytest.fixture
+def rover() -> CustodyDesk:
+    return desk(MOON)
+
+
+def offered(ground: CustodyDesk, number: int, now: int) -> list[Publish]:
+    header = Header(mission="short", source="ground", incarnation=1, sequence=number, made_at=now)
+    body = Telecommand(command_id=f"c{number}", kind=CommandKind.PAUSE)
+    return [action for action in ground.offer(COMMAND, header, body, now) if isinstance(action, Publish)]
+
+
+def arrives(rover: CustodyDesk, published: Publish, now: int) -> tuple[list[str], list[Publish]]:
+    """Ids of the commands handed up, and what is sent."""
+    header, body = decode(published.topic, published.payload, "short")
+    letters, actions = rover.received(published.topic, header, body, len(published.payload), now)
+    return [letter.body.command_id for letter in letters], [each for each in actions if isinstance(each, Publish)]
+
+
+def acknowledgements(rover: CustodyDesk, sent: list[Publish], now: int) -> list[Publish]:
+    """Those sent at once, and those that its timer brings."""
+    return [*sent, *(action for action in rover.due(now) if isinstance(action, Publish))]
+
+
+def test_a_message_is_sent_at_once_and_kept_until_it_is_acknowledged(ground, rover):
+    (published,) = offered(ground, 0, 0)
+    assert (published.topic, published.side) == (COMMAND, Side.EARTH)
+    assert ground.depth == 1
+    handed_up, sent = arrives(rover, published, SECOND)
+    assert handed_up == ["c0"]
+    acks = acknowledgements(rover, sent, 2 * SECOND)
+    assert {ack.topic for ack in acks} == {TC_ACK}, "what went up is acknowledged by what comes down"
+    for ack in acks:
+        header, body = decode(TC_ACK, ack.payload, "short")
+        ground.acknowledged(body, header, 3 * SECOND)
+    assert ground.depth == 0
+    assert ground.retransmitted == 0
+
+
+def test_what_nobody_acknowledges_is_sent_again_and_taken_once(ground, rover):
+    (published,) = offered(ground, 0, 0)
+    (timer,) = ground.timer()
+    assert isinstance(timer, WakeAt)
+    assert timer.timer == CUSTODY_TIMER
+    assert timer.at is not None
+    assert timer.at > 2 * LINK.up.one_way_light_time_s * SECOND, "not before the answer could be here"
+    assert ground.timer() == [], "a timer that has not moved is not set again"
+    again = [action for action in ground.due(timer.at) if isinstance(action, Publish)]
+    assert len(again) == 1
+    assert ground.retransmitted == 1
+    assert arrives(rover, published, SECOND)[0] == ["c0"]
+    assert arrives(rover, again[0], timer.at)[0] == []
+
+
+def test_messages_are_handed_up_in_the_order_in_which_they_were_sent(ground, rover):
+    first, second = offered(ground, 0, 0)[0], offered(ground, 1, 0)[0]
+    assert arrives(rover, second, SECOND)[0] == []
+    assert arrives(rover, first, SECOND)[0] == ["c0", "c1"]
+
+
+def test_state_that_was_overtaken_on_the_way_is_passed_over(ground):
+    state = RoverState(
+        mode=RoverMode.IDLE, x_m=1.0, y_m=2.0, heading_deg=0.0, energy_wh=1.0, capacity_wh=2.0, driven_m=0.0,
+        drilled_m=0.0, round=0, plan_revision=0, rounds_on_board=0, samples_done=0, queue_depth=0,
+    )  # fmt: skip
+
+    def came(incarnation: int, sequence: int) -> int:
+        header = Header(mission="short", source="rover", incarnation=incarnation, sequence=sequence, made_at=0)
+        return len(ground.received(STATE, header, state, 100, SECOND)[0])
+
+    assert [came(1, 4), came(1, 5), came(1, 5), came(1, 3), came(2, 0), came(1, 9)] == [1, 1, 0, 0, 1, 0]
+
+
+def test_each_side_hears_the_acknowledgements_that_the_other_sends_its_way(ground, rover):
+    assert (ground.hears, rover.hears) == (TC_ACK, TM_ACK)

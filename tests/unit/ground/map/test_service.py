@@ -1,0 +1,141 @@
+"""Answers to operators, and what they cost."""
+
+from __future__ import annotations
+
+import base64
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from he3.errors import InvalidInput, OutsideRegion
+from he3.frames import SiteGrid
+from he3.gp import GaussianProcess, Hyperparameters
+from he3.kernels import kernel_from
+from schemas.commands import NoParameters
+from schemas.maps import (
+    MapBoxQuery,
+    MapLayer,
+    MapLayerQuery,
+    MapPointQuery,
+    MapScore,
+    MapTrackQuery,
+    ResourceQuery,
+)
+from schemas.topics import (
+    GROUND_STATUS,
+    MAP_BOX,
+    MAP_HISTORY,
+    MAP_LAYER,
+    MAP_POINT,
+    MAP_RESOURCE,
+    MAP_SCORE,
+    TRACK,
+)
+from services.ground.map.service import MAP_TOPICS, answer, layer, point, score
+from services.ground.map.snapshot import MapSnapshot
+from services.ground.scoring import Scorer
+
+GRID = SiteGrid(40, 50, 2.0)
+
+
+def snapshot(scored: MapScore | None = None) -> MapSnapshot:
+    rng = np.random.default_rng(2)
+    mean = rng.normal(8, 1, GRID.shape).astype(np.float32)
+    std = rng.uniform(0.1, 1, GRID.shape).astype(np.float32)
+    traversable = rng.random(GRID.shape) > 0.2
+    return MapSnapshot(
+        grid=GRID, mean_ppb=mean, std_ppb=std, traversable=traversable, samples=(), driven_path_m=((1.0, 2.0),),
+        planned_path_m=(), plan_ends=None, revision=7, mission_time_ns=123, score=scored, score_history=(),
+        process=GaussianProcess(Hyperparameters(kernel_from("matern52"), 0.1, 8.0, 1.0)),
+    )  # fmt: skip
+
+
+def test_a_point_is_that_of_the_cell_that_holds_it() -> None:
+    shown = snapshot()
+    for x, y, row, column in ((0.0, 0.0, 0, 0), (3.9, 2.0, 1, 1), (100.0, 80.0, 39, 49), (99.99, 0.0, 0, 49)):
+        reply = point(MapPointQuery(x=x, y=y), shown)
+        assert reply.mean_ppb == float(shown.mean_ppb[row, column])
+        assert reply.std_ppb == float(shown.std_ppb[row, column])
+        assert reply.traversable is bool(shown.traversable[row, column])
+        assert (reply.x_m, reply.y_m, reply.revision, reply.mission_time_ns) == (x, y, 7, 123)
+
+
+@pytest.mark.parametrize(("x", "y"), [(-0.01, 5.0), (100.01, 5.0), (5.0, 80.5)])
+def test_a_point_outside_the_region_is_refused_with_its_bounds(x: float, y: float) -> None:
+    with pytest.raises(OutsideRegion, match=r"expected a place within 0\.\.100 m east and 0\.\.80 m north, got"):
+        point(MapPointQuery(x=x, y=y), snapshot())
+
+
+@pytest.mark.parametrize("step", [1, 3, 500])
+def test_a_layer_comes_whole_or_thinned_out_row_0_in_the_south(step: int) -> None:
+    shown = snapshot()
+    reply = layer(MapLayerQuery(layer=MapLayer.MEAN, step=step), shown)
+    values = np.frombuffer(base64.b64decode(reply.data_base64), dtype=reply.dtype).reshape(reply.rows, reply.columns)
+    assert np.array_equal(values, shown.mean_ppb[::step, ::step])
+    assert reply.resolution_m == 2.0 * step
+
+
+def test_traversability_comes_as_ones_and_zeros() -> None:
+    shown = snapshot()
+    reply = layer(MapLayerQuery(layer=MapLayer.TRAVERSABLE), shown)
+    values = np.frombuffer(base64.b64decode(reply.data_base64), dtype=reply.dtype).reshape(reply.rows, reply.columns)
+    assert np.array_equal(values.astype(bool), shown.traversable)
+    assert reply.dtype == "|u1"
+
+
+def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() -> None:
+    reference = np.full(GRID.shape, 8.0)
+    shown = snapshot()
+    shown = snapshot(Scorer(reference).score(shown.mean_ppb, shown.std_ppb, 7, 0, 123))
+    requests = {
+        MAP_POINT: MapPointQuery(x=1.0, y=1.0),
+        MAP_LAYER: MapLayerQuery(layer=MapLayer.STD),
+        MAP_SCORE: NoParameters(),
+        TRACK: MapTrackQuery(),
+        MAP_BOX: MapBoxQuery(layer=MapLayer.MEAN, x_min=0.0, y_min=0.0, x_max=10.0, y_max=10.0),
+        MAP_RESOURCE: ResourceQuery(),
+        MAP_HISTORY: NoParameters(),
+    }
+    assert set(requests) == set(MAP_TOPICS)
+    for topic, request in requests.items():
+        assert type(answer(topic, request, shown)) is topic.reply
+
+
+def test_what_cannot_be_answered_is_refused_in_one_line() -> None:
+    with pytest.raises(InvalidInput, match="none yet"):
+        answer(MAP_POINT, MapPointQuery(x=1.0, y=1.0), None)
+    with pytest.raises(InvalidInput, match="expected a query of earth/map/point"):
+        answer(GROUND_STATUS, NoParameters(), snapshot())
+    with pytest.raises(InvalidInput, match="no reference field"):
+        score(snapshot())
+
+
+def test_the_score_is_what_direct_arithmetic_says() -> None:
+    shown = snapshot()
+    truth = np.random.default_rng(5).normal(8, 1, GRID.shape)
+    got = Scorer(truth).score(shown.mean_ppb, shown.std_ppb, 3, 11, 99)
+    miss = np.abs(shown.mean_ppb - truth)
+    assert got.rmse_ppb == pytest.approx(float(np.sqrt(np.mean(miss**2))), rel=1e-6)
+    assert got.coverage_68 == pytest.approx(float(np.mean(miss <= shown.std_ppb)), abs=1e-3)
+    assert got.coverage_95 == pytest.approx(float(np.mean(miss <= 2 * shown.std_ppb)), abs=1e-3)
+    assert got.mean_std_ppb == pytest.approx(float(shown.std_ppb.mean(dtype=float)))
+    assert (got.revision, got.samples, got.mission_time_ns) == (3, 11, 99)
+
+
+def test_a_score_of_maps_of_another_shape_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="expected maps of shape"):
+        Scorer(np.zeros((3, 3))).score(np.zeros((4, 4), np.float32), np.zeros((4, 4), np.float32), 1, 0, 0)
+
+
+def test_a_point_is_answered_in_a_fraction_of_a_millisecond() -> None:
+    shown, request = snapshot(), MapPointQuery(x=33.0, y=44.0)
+    best = min(_time_of(lambda: point(request, shown)) for _ in range(20))
+    assert best < 200e-6
+
+
+def _time_of(call: object) -> float:
+    begin = perf_counter()
+    for _ in range(20):
+        call()  # type: ignore[operator]
+    return (perf_counter() - begin) / 20

@@ -1,0 +1,175 @@
+"""Recordings: written under their schemas, read back, and read as far as they go when the writer was killed."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from he3.errors import InvalidInput
+from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
+from schemas.topics import EVENT, GROUND_STATUS, PLAN, SAMPLE, STATE, Topic
+from schemas.wire import Header, Wire, encode
+from services.recorder.node import RECORDED, RecorderNode
+from services.recorder.reader import Recording
+from services.recorder.writer import RecordingWriter
+from services.runtime.node import Received, Started, WakeAt
+
+MISSION = "m"
+
+
+def state(number: int) -> RoverState:
+    return RoverState(
+        mode=RoverMode.DRIVING, x_m=float(number), y_m=2.0, heading_deg=0.0, energy_wh=10.0, capacity_wh=20.0,
+        driven_m=float(number), drilled_m=0.0, round=1, plan_revision=1, rounds_on_board=0,
+        samples_done=0, queue_depth=0,
+    )  # fmt: skip
+
+
+def event(number: int) -> RoverEvent:
+    return RoverEvent(kind=EventKind.PARKED, at=number, x_m=0.0, y_m=0.0, round=number)
+
+
+def header(number: int) -> Header:
+    return Header(mission=MISSION, source="rover", incarnation=1, sequence=number, made_at=1000 + number)
+
+
+def write(stream: io.BytesIO, count: int, close: bool = True) -> RecordingWriter:
+    writer = RecordingWriter(stream, MISSION)
+    for number in range(count):
+        topic: Topic = STATE if number % 2 else EVENT
+        body: Wire = state(number) if number % 2 else event(number)
+        writer.write(topic, encode(header(number), body), 2000 + number, 1000 + number, number)
+        if number % 5 == 4:
+            writer.flush()
+    if close:
+        writer.close()
+    return writer
+
+
+def saved(tmp_path: Path, data: bytes) -> Recording:
+    path = tmp_path / "mission.mcap"
+    path.write_bytes(data)
+    return Recording(path)
+
+
+def test_what_was_written_is_read_back_in_order_with_both_its_times(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    write(stream, 23)
+    recording = saved(tmp_path, stream.getvalue())
+    messages = list(recording.messages())
+    assert recording.mission == MISSION
+    assert recording.torn is None
+    assert [(m.received_at, m.header.made_at, m.header.sequence) for m in messages] == [
+        (2000 + n, 1000 + n, n) for n in range(23)
+    ]
+    assert messages[3].body == state(3)
+    assert messages[4].topic is EVENT
+
+
+def test_the_mcap_library_s_own_reader_finds_each_message_under_the_json_schema_of_its_topic() -> None:
+    stream = io.BytesIO()
+    write(stream, 10)
+    stream.seek(0)
+    reader = make_reader(stream, validate_crcs=True)
+    seen = 0
+    for schema, channel, message in reader.iter_messages():
+        assert schema is not None
+        assert schema.encoding == "jsonschema"
+        assert channel.message_encoding == "json"
+        assert channel.topic in {f"he3/{MISSION}/tm/state", f"he3/{MISSION}/tm/event"}
+        described = json.loads(schema.data)
+        body = json.loads(message.data)["body"]
+        reference = described["properties"]["body"]["$ref"].rsplit("/", 1)[-1]
+        assert set(body) == set(described["$defs"][reference]["properties"])
+        seen += 1
+    assert seen == 10
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 10
+
+
+def test_a_file_cut_anywhere_gives_back_every_message_that_was_flushed_before_the_cut(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    writer = RecordingWriter(stream, MISSION)
+    flushed = [(stream.tell(), 0)]
+    for number in range(12):
+        writer.write(EVENT, encode(header(number), event(number)), number, number, number)
+        if number % 3 == 2:
+            writer.flush()
+            flushed.append((stream.tell(), number + 1))
+    writer.close()
+    whole = stream.getvalue()
+    for cut in range(flushed[0][0], len(whole), 11):
+        recording = saved(tmp_path, whole[:cut])
+        got = [message.header.sequence for message in recording.messages()]
+        safe = max(count for end, count in flushed if end <= cut)
+        assert got == list(range(len(got)))
+        assert len(got) >= safe
+        assert recording.torn is not None
+
+
+def test_a_recording_that_was_never_closed_is_read_up_to_its_last_flush(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    writer = write(stream, 17, close=False)
+    assert writer.messages == 17
+    recording = saved(tmp_path, stream.getvalue())
+    assert len(list(recording.messages())) == 15
+    assert recording.torn is not None
+
+
+@pytest.mark.parametrize("data", [b"", b"not a recording", b"\x89MCAP0\r\n"])
+def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+    with pytest.raises(InvalidInput, match=r"mission\.mcap: expected a recording"):
+        list(saved(tmp_path, data).messages())
+
+
+def test_flushes_in_quick_succession_are_one(tmp_path: Path) -> None:
+    times = iter([0.0, 0.1, 0.3])
+    stream = io.BytesIO()
+    writer = RecordingWriter(stream, MISSION, least_flush_s=0.2, clock=lambda: next(times))
+    sizes = []
+    for number in range(3):
+        writer.write(EVENT, encode(header(number), event(number)), number, number, number)
+        writer.flush()
+        sizes.append(len(stream.getvalue()))
+    assert sizes[0] == sizes[1] < sizes[2]
+    assert len(list(saved(tmp_path, stream.getvalue()).messages())) == 3
+
+
+class Kept:
+    """A sink that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.written: list[tuple[str, bytes, int, int, int]] = []
+        self.flushes = 0
+
+    def write(self, topic: Topic, payload: bytes, received_at: int, made_at: int, sequence: int) -> None:
+        self.written.append((topic.name, payload, received_at, made_at, sequence))
+
+    def flush(self) -> None:
+        self.flushes += 1
+
+
+def test_the_recorder_writes_what_it_hears_and_flushes_once_for_a_burst() -> None:
+    sink = Kept()
+    node = RecorderNode(sink, flush_s=1.0)
+    list(node.handle(Started(1), 0))
+    effects = [list(node.handle(Received(EVENT, header(n), event(n)), 10 + n)) for n in range(3)]
+    assert effects == [[WakeAt("flush", 10 + 1_000_000_000)], [], []]
+    assert [(topic, received, made, sequence) for topic, _, received, made, sequence in sink.written] == [
+        ("tm/event", 10 + n, 1000 + n, n) for n in range(3)
+    ]
+    assert sink.written[0][1] == encode(header(0), event(0))
+
+
+def test_the_recorder_hears_every_recorded_topic_that_exists_on_earth_and_nothing_else() -> None:
+    assert {PLAN, SAMPLE, EVENT, STATE, GROUND_STATUS} <= set(RECORDED)
+    assert all(topic.recorded for topic in RECORDED)
+    interface = RecorderNode(Kept(), 1.0).interface
+    assert not interface.custody
+    assert interface.serves == ()

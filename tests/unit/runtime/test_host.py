@@ -1,0 +1,249 @@
+"""What stands between a node and any driver: headers, checks, questions, counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+
+from schemas.commands import CommandKind, NoParameters, Telecommand
+from schemas.link import LinkChange
+from schemas.measurement import MeasurementReply, MeasurementRequest
+from schemas.telemetry import RoverMode, RoverState
+from schemas.topics import (
+    COMMAND,
+    LINK_SET,
+    LIST_COMMANDS,
+    MEASURE,
+    PLAN,
+    SAMPLE,
+    STATE,
+    TC_ACK,
+    TM_ACK,
+    TOPICS,
+    Crosses,
+    Side,
+)
+from schemas.wire import Header, decode, encode
+from services.runtime.actions import Publish, PutQuestion, Reply, ReplyError
+from services.runtime.host import Host, Input, origin
+from services.runtime.node import (
+    Answer,
+    Answered,
+    Ask,
+    Asked,
+    Due,
+    Event,
+    Interface,
+    Level,
+    Note,
+    Overheard,
+    Received,
+    Refuse,
+    Send,
+    Silence,
+    Started,
+    Unanswered,
+    WakeAt,
+)
+
+STATE_NOW = RoverState(
+    mode=RoverMode.IDLE, x_m=1.0, y_m=2.0, heading_deg=0.0, energy_wh=1.0, capacity_wh=2.0, driven_m=0.0, drilled_m=0.0,
+    round=0, plan_revision=0, rounds_on_board=0, samples_done=0, queue_depth=0,
+)  # fmt: skip
+MEASUREMENT = MeasurementRequest(sample_id="s1", x_m=1.0, y_m=2.0, depth_m=0.1)
+
+
+class Scripted:
+    """A node that keeps what it sees and does what it is told next."""
+
+    def __init__(self, **interface: object) -> None:
+        self.interface = Interface(**{"name": "rover", "sides": (Side.MOON,), "custody": False, **interface})
+        self.seen: list[Event] = []
+        self.next: list[object] = []
+
+    def handle(self, event: Event, now: int) -> Iterable[object]:
+        self.seen.append(event)
+        effects, self.next = self.next, []
+        return effects
+
+
+def hosted(**interface: object) -> tuple[Scripted, Host]:
+    node = Scripted(**interface)
+    host = Host(node, "short")
+    host.start(3, 10)
+    node.seen.clear()
+    return node, host
+
+
+def message(topic, body, mission="short", sequence=0) -> bytes:
+    return encode(Header(mission=mission, source="ground", incarnation=1, sequence=sequence, made_at=4), body)
+
+
+PAUSE = Telecommand(command_id="c1", kind=CommandKind.PAUSE)
+
+
+def test_what_a_node_sends_is_stamped_and_counted_by_topic():
+    node, host = hosted()
+    node.next = [Send(STATE, STATE_NOW), Send(STATE, STATE_NOW), Send(SAMPLE, STATE_NOW)]
+    published = host.take(Input("due", ("t",)), 99)
+    headers = [decode(STATE, action.payload, "short")[0] for action in published if isinstance(action, Publish)]
+    assert [(h.source, h.incarnation, h.sequence, h.made_at) for h in headers] == [
+        ("rover", 3, 0, 99),
+        ("rover", 3, 1, 99),
+        ("rover", 3, 0, 99),
+    ]
+    assert {action.side for action in published} == {Side.MOON}
+
+
+def test_a_new_start_counts_from_nothing_under_its_own_incarnation():
+    node, host = hosted()
+    node.next = [Send(STATE, STATE_NOW)]
+    host.due("t", 11)
+    node.next = [Send(STATE, STATE_NOW)]
+    (published,) = host.start(4, 12)
+    header = decode(STATE, published.payload, "short")[0]
+    assert (header.incarnation, header.sequence) == (4, 0)
+    assert node.seen[-1] == Started(4)
+    assert host.incarnation == 4
+
+
+def test_a_message_is_checked_and_handed_up():
+    node, host = hosted(subscribes=(COMMAND,))
+    assert host.deliver(COMMAND, message(COMMAND, PAUSE), 20) == []
+    (event,) = node.seen
+    assert isinstance(event, Received)
+    assert (event.topic, event.body) == (COMMAND, PAUSE)
+    assert host.events == 2
+    assert host.refused == 0
+
+
+@pytest.mark.parametrize("payload", [b"", b"{}", message(COMMAND, PAUSE, mission="other")])
+def test_a_bad_message_never_reaches_the_node_and_is_counted(payload):
+    node, host = hosted(subscribes=(COMMAND,))
+    (note,) = host.deliver(COMMAND, payload, 20)
+    assert isinstance(note, Note)
+    assert (note.level, note.fields) == (Level.WARNING, {"refused": 1})
+    assert note.text.startswith("refused: he3/short/tc/command: ")
+    assert (node.seen, host.refused, host.events) == ([], 1, 1)
+
+
+def test_an_overheard_message_is_handed_up_unread():
+    node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), overhears=(COMMAND,))
+    host.deliver(COMMAND, b"\xff sealed", 20)
+    assert node.seen == [Overheard(COMMAND, b"\xff sealed")]
+    assert host.refused == 0
+
+
+def test_a_question_of_the_node_is_put_and_its_answer_comes_back_checked_once():
+    node, host = hosted()
+    node.next = [Ask(MEASURE, MEASUREMENT, "q1", 5.0)]
+    (put,) = host.due("t", 20)
+    assert isinstance(put, PutQuestion)
+    assert (put.topic, put.side, put.question, put.timeout_s) == (MEASURE, Side.MOON, "q1", 5.0)
+    assert decode(MEASURE, put.payload, "short")[1] == MEASUREMENT
+    assert host.open_questions() == [put]
+    reply = MeasurementReply(sample_id="s1", x_m=1.0, y_m=2.0, helium3_ppb=8.0, noise_std_ppb=0.1)
+    host.answered("q1", message(MEASURE, reply), 21)
+    assert node.seen[-1] == Answered(MEASURE, "q1", reply)
+    assert host.open_questions() == []
+    seen = len(node.seen)
+    assert host.answered("q1", message(MEASURE, reply), 22) == []
+    assert host.unanswered("q1", Silence.TIMEOUT, "", 23) == []
+    assert len(node.seen) == seen, "an answer that comes twice is taken once"
+
+
+def test_a_bad_answer_is_no_answer_and_is_counted():
+    node, host = hosted()
+    node.next = [Ask(MEASURE, MEASUREMENT, "q1")]
+    host.due("t", 20)
+    actions = host.answered("q1", b"rubbish", 21)
+    assert isinstance(actions[0], Note)
+    event = node.seen[-1]
+    assert isinstance(event, Unanswered)
+    assert (event.why, host.refused) == (Silence.REFUSED, 1)
+    assert "(reply)" in event.detail
+
+
+def test_silence_is_handed_up_with_its_reason():
+    node, host = hosted()
+    node.next = [Ask(MEASURE, MEASUREMENT, "q1")]
+    host.due("t", 20)
+    host.unanswered("q1", Silence.NO_ROUTE, "", 21)
+    assert node.seen[-1] == Unanswered(MEASURE, "q1", Silence.NO_ROUTE, "")
+
+
+def test_whoever_asks_is_answered_once_and_by_name_of_his_question():
+    node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
+    node.next = [Answer(7, STATE_NOW), Answer(7, STATE_NOW), Refuse(7, "again")]
+    (reply,) = host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7, 20)
+    assert isinstance(reply, Reply)
+    assert (reply.token, reply.topic) == (7, LIST_COMMANDS)
+    assert node.seen == [Asked(LIST_COMMANDS, NoParameters(), 7)]
+
+
+def test_a_question_may_be_answered_later_but_not_after_a_new_start():
+    node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
+    host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7, 20)
+    host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 8, 20)
+    node.next = [Refuse(7, "not now")]
+    assert host.due("t", 21) == [ReplyError(7, LIST_COMMANDS, "not now")]
+    host.start(4, 22)
+    node.next = [Answer(8, STATE_NOW)]
+    assert host.due("t", 23) == []
+
+
+def test_a_bad_question_is_answered_with_its_refusal_and_counted():
+    node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), serves=(LINK_SET,))
+    note, reply = host.ask(LINK_SET, b"nonsense", 7, 20)
+    assert isinstance(note, Note)
+    assert isinstance(reply, ReplyError)
+    assert (reply.token, host.refused, node.seen) == (7, 1, [])
+    assert "expected" in reply.why or "invalid" in reply.why
+    host.ask_checked(LINK_SET, LinkChange(), 8, 20)
+    assert node.seen == [Asked(LINK_SET, LinkChange(), 8)]
+
+
+def test_timers_and_notes_pass_through():
+    node, host = hosted()
+    note, wake = Note(Level.INFO, "so"), WakeAt("t", 50)
+    node.next = [note, wake]
+    assert host.due("t", 40) == [note, wake]
+    assert node.seen == [Due("t")]
+
+
+def test_telemetry_is_made_on_the_moon_and_commands_on_earth():
+    for topic in TOPICS:
+        expected = {Crosses.UP: Side.EARTH, Crosses.DOWN: Side.MOON}.get(topic.crosses, topic.sides[0])
+        assert origin(topic) is expected
+
+
+def test_a_node_hears_what_it_subscribes_to_on_its_own_side_only():
+    _, rover = hosted(subscribes=(PLAN, COMMAND))
+    assert rover.heard_topics() == [(PLAN, Side.MOON), (COMMAND, Side.MOON)]
+    assert not rover.hears(PLAN, Side.EARTH)
+    assert not rover.hears(SAMPLE, Side.MOON)
+    _, link = hosted(name="link", sides=(Side.MOON, Side.EARTH), overhears=(PLAN, SAMPLE))
+    assert link.heard_topics() == [(SAMPLE, Side.MOON), (PLAN, Side.EARTH)], "only where they are made"
+
+
+def test_who_takes_custody_hears_the_acknowledgements_of_the_other_side_too():
+    _, rover = hosted(subscribes=(COMMAND,), custody=True)
+    assert rover.hears(TM_ACK, Side.MOON)
+    assert not rover.hears(TC_ACK, Side.MOON)
+    _, ground = hosted(name="ground", sides=(Side.EARTH,), subscribes=(SAMPLE,), custody=True)
+    assert ground.hears(TC_ACK, Side.EARTH)
+    assert not ground.hears(TM_ACK, Side.EARTH)
+
+
+def test_every_event_leaves_a_line_in_the_trace():
+    lines: list[tuple[int, str, str]] = []
+    host = Host(Scripted(subscribes=(COMMAND,)), "short", lambda *line: lines.append(line))
+    host.start(1, 10)
+    host.deliver(COMMAND, message(COMMAND, PAUSE), 20)
+    host.due("look", 30)
+    assert [(at, name, what.split()[0]) for at, name, what in lines] == [
+        (10, "rover", "started"),
+        (20, "rover", "received"),
+        (30, "rover", "due"),
+    ]

@@ -1,0 +1,186 @@
+"""Operators' questions: read from selectors or messages, answered from snapshots in threads."""
+
+from __future__ import annotations
+
+import json
+import queue
+from typing import Any
+
+import pytest
+
+from he3.errors import InvalidInput
+from schemas.commands import CommandKind
+from schemas.link import Direction
+from schemas.maps import MapPoint, MapPointQuery
+from schemas.topics import CLOCK_SET, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, MAP_LAYER, MAP_POINT, TIME_CONTROL
+from schemas.wire import Header, Refused, decode_reply, encode
+from services.runtime.queries.server import SnapshotServer, SnapshotService, request_of
+
+WITHIN_S = 20.0
+
+
+def point(request: MapPointQuery, revision: int) -> MapPoint:
+    if request.x > 500:
+        raise InvalidInput("map: expected a place within 0..500 m")
+    return MapPoint(
+        x_m=request.x, y_m=request.y, mean_ppb=8.0, std_ppb=1.0, traversable=True, revision=revision, samples=0,
+        mission_time_ns=5,
+    )  # fmt: skip
+
+
+class Asked:
+    """A question as Zenoh hands it over, whose end can be waited for."""
+
+    def __init__(self, payload: bytes | None = None, **parameters: str) -> None:
+        self.payload = payload
+        self.parameters = parameters
+        self.end: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+
+    def reply(self, payload: bytes, *_: Any) -> None:
+        self.end.put(("answered", payload))
+
+    def refuse(self, why: str, *_: Any) -> None:
+        self.end.put(("refused", why))
+
+
+class OneTopicBus:
+    """Hands what is asked to whoever serves."""
+
+    def serve(self, _topic: Any, on_question: Any) -> None:
+        self.ask = on_question
+
+
+@pytest.fixture
+def server() -> SnapshotServer:
+    service = SnapshotService((MAP_POINT,), lambda _topic, request, snapshot: point(request, snapshot))
+    return SnapshotServer(service, "ground", "short", lambda: 7)
+
+
+@pytest.fixture
+def ask(server):
+    bus = OneTopicBus()
+    server.serve(MAP_POINT, bus)
+
+    def ask(question: Asked) -> tuple[str, Any]:
+        bus.ask(question)
+        return question.end.get(timeout=WITHIN_S)
+
+    return ask
+
+
+def message(**body: Any) -> bytes:
+    header = Header(mission="short", source="operator", incarnation=0, sequence=0, made_at=0)
+    return encode(header, MapPointQuery(**body))
+
+
+def test_before_there_is_a_map_a_question_is_refused_and_not_kept_waiting(ask):
+    assert ask(Asked(x="1", y="2")) == ("refused", "earth/map/point: there is no map yet; ask again in a moment")
+
+
+def test_parameters_are_answered_with_the_plain_body_and_a_message_with_a_message(server, ask):
+    server.show(3)
+    how, plain = ask(Asked(x="1", y="2"))
+    assert how == "answered"
+    body = json.loads(plain)
+    assert (body["x_m"], body["y_m"], body["revision"]) == (1.0, 2.0, 3)
+    how, enveloped = ask(Asked(message(x=1.0, y=2.0)))
+    assert how == "answered"
+    header, reply = decode_reply(MAP_POINT, enveloped, "short")
+    assert (header.source, header.made_at) == ("ground", 7)
+    assert reply == MapPoint.model_validate(body)
+
+
+def test_the_newest_snapshot_answers(server, ask):
+    for revision in (1, 2, 9):
+        server.show(revision)
+        assert json.loads(ask(Asked(x="1", y="2"))[1])["revision"] == revision
+
+
+@pytest.mark.parametrize(
+    ("question", "expected"),
+    [
+        (Asked(), "earth/map/point: x: field required"),
+        (Asked(x="1", y="much"), "earth/map/point: y: input should be a valid number"),
+        (Asked(x="1", y="nan"), "earth/map/point: y: input should be"),
+        (Asked(x="1", y="2", z="3"), "earth/map/point: z: extra inputs are not permitted"),
+        (Asked(x="900", y="2"), "map: expected a place within 0..500 m"),
+        (Asked(b""), "he3/short/earth/map/point: message: invalid JSON"),
+        (Asked(b"{}"), "he3/short/earth/map/point: header: field required"),
+        (Asked(message(x=1.0, y=2.0).replace(b"short", b"other")), "damaged"),
+    ],
+)
+def test_bad_questions_are_refused_in_one_line_and_the_next_is_answered(server, ask, question, expected):
+    server.show(1)
+    how, line = ask(question)
+    assert how == "refused"
+    assert expected in line
+    assert "\n" not in line
+    assert ask(Asked(x="1", y="2"))[0] == "answered"
+
+
+def test_a_hundred_questions_at_once_are_each_answered_once(server):
+    bus = OneTopicBus()
+    server.serve(MAP_POINT, bus)
+    server.show(1)
+    questions = [Asked(x=str(number), y="2") for number in range(100)]
+    for question in questions:
+        bus.ask(question)
+    for number, question in enumerate(questions):
+        how, answer = question.end.get(timeout=WITHIN_S)
+        assert how == "answered"
+        assert json.loads(answer)["x_m"] == number
+        assert question.end.empty()
+
+
+def test_selectors_can_say_all_that_operators_change():
+    change = request_of(LINK_SET, {"direction": "down", "loss": "0.3", "rate_bit_s": "2000"})
+    assert (change.direction, change.loss, change.rate_bit_s) == (Direction.DOWN, 0.3, 2000.0)
+    assert change.one_way_light_time_s is None
+    assert request_of(LINK_SET, {"contact": "false"}).contact is False
+    assert request_of(LINK_SET, {}).model_dump(exclude_defaults=True) == {}
+    assert request_of(CLOCK_SET, {"rate": "10"}).rate == 10.0
+    assert request_of(MAP_LAYER, {"layer": "std", "step": "5"}).step == 5
+    assert request_of(TIME_CONTROL, {"paused": "true", "steps": "3"}).steps == 3
+    command = request_of(ISSUE_COMMAND, {"command_id": "mine-1", "kind": "pause"})
+    assert command.kind is CommandKind.PAUSE
+    request_of(LIST_COMMANDS, {})
+
+
+@pytest.mark.parametrize(
+    ("topic", "parameters"),
+    [
+        (LINK_SET, {"loss": "2"}),
+        (LINK_SET, {"loss": "some"}),
+        (LINK_SET, {"one_way_light_time_s": "-1"}),
+        (LINK_SET, {"one_way_light_time_s": "1e6"}),
+        (LINK_SET, {"direction": "sideways"}),
+        (LINK_SET, {"contact": "perhaps"}),
+        (LINK_SET, {"contact": "true", "contact_as_scheduled": "true"}),
+        (LINK_SET, {"rate_bit_s": "1", "unlimited_rate": "true"}),
+        (LINK_SET, {"at_edge": "wait"}),
+        (CLOCK_SET, {}),
+        (CLOCK_SET, {"rate": "-1"}),
+        (CLOCK_SET, {"rate": "1e6"}),
+        (MAP_LAYER, {}),
+        (MAP_LAYER, {"layer": "gold"}),
+        (MAP_LAYER, {"layer": "mean", "step": "0"}),
+        (MAP_LAYER, {"layer": "mean", "step": "1.5"}),
+        (ISSUE_COMMAND, {"command_id": "a b", "kind": "pause"}),
+        (ISSUE_COMMAND, {"command_id": "a", "kind": "fly"}),
+        (ISSUE_COMMAND, {"command_id": "a", "kind": "go_to"}),
+        (LIST_COMMANDS, {"all": "true"}),
+        (TIME_CONTROL, {"steps": "0"}),
+        (TIME_CONTROL, {"rate": "0"}),
+    ],
+)
+def test_selectors_that_say_nonsense_are_refused_in_one_line(topic, parameters):
+    with pytest.raises(InvalidInput) as refused:
+        request_of(topic, parameters)
+    assert str(refused.value).startswith(f"{topic.name}: ")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_refused_message_is_a_refusal_and_no_crash_of_the_thread(server):
+    server.show(1)
+    with pytest.raises(Refused):
+        server.reply(MAP_POINT, b"\xff", {})

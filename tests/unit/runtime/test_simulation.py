@@ -1,0 +1,140 @@
+"""The simulation driver: order, time, questions, computations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from schemas.measurement import MeasurementReply, MeasurementRequest
+from schemas.telemetry import EventKind, RoverEvent
+from schemas.topics import EVENT, MEASURE, STATE, Side
+from schemas.wire import Header, encode
+from services.runtime.drivers.simulation import Simulation
+from services.runtime.node import (
+    SECOND,
+    Answer,
+    Answered,
+    Ask,
+    Asked,
+    Compute,
+    Computed,
+    Due,
+    Effect,
+    Event,
+    Interface,
+    Received,
+    Send,
+    Silence,
+    Started,
+    Unanswered,
+    WakeAt,
+)
+
+
+class Scripted:
+    """A node that does what a function says and remembers what it saw."""
+
+    def __init__(self, interface: Interface, script: Callable[[Event, int], Iterable[Effect]]) -> None:
+        self.interface = interface
+        self.seen: list[tuple[int, Event]] = []
+        self._script = script
+
+    def handle(self, event: Event, now: int) -> Iterable[Effect]:
+        self.seen.append((now, event))
+        return self._script(event, now)
+
+
+def happened(number: int) -> RoverEvent:
+    return RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=number)
+
+
+def simulation(*nodes: Scripted) -> Simulation:
+    return Simulation(nodes, "m", 0)
+
+
+def rover(script: Callable[[Event, int], Iterable[Effect]]) -> Scripted:
+    return Scripted(Interface("rover", (Side.MOON,)), script)
+
+
+def test_a_timer_comes_at_the_nanosecond_asked_for_and_a_moved_one_only_once() -> None:
+    def script(event: Event, now: int) -> Iterable[Effect]:
+        if isinstance(event, Started):
+            return [WakeAt("a", 5), WakeAt("a", 7), WakeAt("b", 3), WakeAt("c", 4), WakeAt("c", None)]
+        return []
+
+    node = rover(script)
+    simulation(node).run()
+    assert [(at, event.timer) for at, event in node.seen if isinstance(event, Due)] == [(3, "b"), (7, "a")]
+
+
+def test_messages_of_one_instant_are_handled_by_sender_and_order_of_sending_whatever_the_order_of_nodes() -> None:
+    def sender(name: str) -> Scripted:
+        return Scripted(
+            Interface(name, (Side.MOON,)),
+            lambda event, now: [Send(EVENT, happened(i)) for i in (1, 2)] if isinstance(event, Started) else [],
+        )
+
+    orders = []
+    for names in (("a", "b"), ("b", "a")):
+        listener = Scripted(Interface("listener", (Side.MOON,), subscribes=(EVENT,)), lambda event, now: [])
+        simulation(*(sender(name) for name in names), listener).run()
+        orders.append([(e.header.source, e.body.round) for _, e in listener.seen if isinstance(e, Received)])
+    assert orders[0] == orders[1] == [("a", 1), ("a", 2), ("b", 1), ("b", 2)]
+
+
+def test_a_message_reaches_only_those_on_its_side() -> None:
+    def talk(event: Event, now: int) -> Iterable[Effect]:
+        return [Send(EVENT, happened(1))] if isinstance(event, Started) else []
+
+    earth = Scripted(Interface("ground", (Side.EARTH,), subscribes=(EVENT,)), lambda event, now: [])
+    simulation(rover(talk), earth).run()
+    assert not [event for _, event in earth.seen if isinstance(event, Received)]
+
+
+def test_a_question_is_answered_in_the_same_instant_and_one_to_nobody_says_so() -> None:
+    request = MeasurementRequest(sample_id="s", x_m=1.0, y_m=2.0, depth_m=0.1)
+
+    def asker(event: Event, now: int) -> Iterable[Effect]:
+        return [Ask(MEASURE, request, "q")] if isinstance(event, Started) else []
+
+    def server(event: Event, now: int) -> Iterable[Effect]:
+        if isinstance(event, Asked):
+            reply = MeasurementReply(sample_id="s", x_m=1.0, y_m=2.0, helium3_ppb=8.0, noise_std_ppb=0.1)
+            return [Answer(event.token, reply)]
+        return []
+
+    node = rover(asker)
+    simulation(node, Scripted(Interface("field", (Side.MOON,), serves=(MEASURE,)), server)).run()
+    answers = [event for _, event in node.seen if isinstance(event, Answered)]
+    assert [(a.question, a.reply.helium3_ppb) for a in answers] == [("q", 8.0)]
+
+    alone = rover(asker)
+    simulation(alone).run()
+    assert [e.why for _, e in alone.seen if isinstance(e, Unanswered)] == [Silence.NO_ROUTE]
+
+
+def test_a_computation_ends_exactly_as_much_later_as_it_says_and_carries_its_error() -> None:
+    def script(event: Event, now: int) -> Iterable[Effect]:
+        if isinstance(event, Started):
+            return [Compute("sum", sum, ((1, 2),), takes_s=2.5), Compute("bad", int, ("x",), takes_s=1.0)]
+        return []
+
+    node = rover(script)
+    simulation(node).run()
+    ended = [(at, e.job, e.result, type(e.error)) for at, e in node.seen if isinstance(e, Computed)]
+    assert ended == [(SECOND, "bad", None, ValueError), (5 * SECOND // 2, "sum", 3, type(None))]
+
+
+def test_a_stranger_s_bad_message_is_refused_with_one_line_and_handled_by_nobody() -> None:
+    listener = Scripted(Interface("listener", (Side.MOON,), subscribes=(STATE, EVENT)), lambda event, now: [])
+    world = simulation(listener)
+    world.run()
+    before = list(listener.seen)
+    world.inject(STATE, Side.MOON, b"not json")
+    header = Header(mission="m", source="x", incarnation=1, sequence=0, made_at=0)
+    world.inject(STATE, Side.MOON, encode(header, happened(1)))
+    world.run()
+    assert listener.seen == before
+    assert world.seat("listener").refused == 2
+    texts = [note.text for _, _, note in world.notes]
+    assert len(texts) == 2
+    assert all(text.startswith("refused: he3/m/tm/state: ") and "\n" not in text for text in texts)
