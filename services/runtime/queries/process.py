@@ -18,13 +18,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 from he3.errors import He3Error
-from schemas.topics import MAP_FEED, Side
-from services.ground.map.feed import FeedMap, FeedWriter
+from schemas.topics import Side
 from services.runtime.queries.server import SnapshotServer, SnapshotService
-from services.runtime.transport.session import Bus, Question, open_client
+from services.runtime.transport.session import Bus, open_client
 
 READY = b"ready\n"
 START_WITHIN_S = 30.0
@@ -32,12 +31,6 @@ START_WITHIN_S = 30.0
 START_AGAIN_S = 1.0
 CLOSE_WITHIN_S = 0.3
 """How long an answerer may take to end by itself; it has nothing to lose."""
-BEAT_S = 2.0
-"""Between two frames that say where the feed stands."""
-END_S = 0.2
-"""How long the end of a feed may take: what is being published at that moment."""
-FEED_WANTED_S = 600.0
-"""A feed goes on for so long after somebody asked for its beginning, heard or not."""
 
 SETTLE_WITHIN_S = 5.0
 
@@ -169,12 +162,25 @@ def _write_all(pipe: Any, payload: bytes) -> None:
         rest = rest[pipe.write(rest) :]
 
 
-def answer_from_pipe(
-    service: SnapshotService, name: str, feed_of: Callable[[Any], FeedMap], arguments: Sequence[str]
-) -> int:
-    """Answer that service's questions from the snapshots that come in on standard input; returns when it ends.
+class SnapshotPublisher(Protocol):
+    """Publishes what it likes of each snapshot, beside the replies to queries."""
 
-    arguments: side, endpoint and mission. feed_of: what of a snapshot goes into the map's feed.
+    def begin(self, bus: Bus) -> None:
+        """Publish on that session from now on."""
+
+    def show(self, snapshot: Any) -> None:
+        """Publish from that snapshot from now on; never blocks."""
+
+    def end(self) -> None:
+        """Publish no more."""
+
+
+def answer_from_pipe(
+    service: SnapshotService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]
+) -> int:
+    """Answer that service's queries from the snapshots that come in on standard input; returns when it ends.
+
+    arguments: side, endpoint and mission. publisher: is shown each snapshot as well.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # A thread that computes hands over after 0.5 ms, so that a question waits no longer for it than for the network.
@@ -183,7 +189,6 @@ def answer_from_pipe(
     ended = threading.Event()
     bus: list[Bus] = []
     server = SnapshotServer(service, name, mission)
-    feed = _Feed(feed_of)
 
     def connect() -> None:
         opened = open_client(Side(side), endpoint, mission, ended, lambda _: None)
@@ -192,7 +197,7 @@ def answer_from_pipe(
         bus.append(opened)
         for topic in service.topics:
             server.serve(topic, opened)
-        feed.begin(opened)
+        publisher.begin(opened)
         os.write(1, READY)
 
     connecting = threading.Thread(target=connect, name="connect", daemon=True)
@@ -200,10 +205,10 @@ def answer_from_pipe(
     pipe = sys.stdin.buffer
     while (given := _read(pipe)) is not None:
         number, snapshot = given
-        feed.show(server.show(snapshot))
+        publisher.show(server.show(snapshot))
         os.write(1, b"%d\n" % number)
     ended.set()
-    feed.end()
+    publisher.end()
     for opened in bus:
         opened.close()
     # Threads of Zenoh may still hold on to what is going away.
@@ -218,63 +223,3 @@ def _read(pipe: BinaryIO) -> tuple[int, Any] | None:
     number, length = _HEAD.unpack(head)
     payload = pipe.read(length)
     return (number, pickle.loads(payload)) if len(payload) == length else None
-
-
-class _Feed:
-    """Publishes the feed from a thread of its own, the newest map only, as long as somebody listens."""
-
-    def __init__(self, feed_of: Callable[[Any], FeedMap]) -> None:
-        self._feed_of = feed_of
-        self._writer = FeedWriter(epoch=time.time_ns() // 1_000_000)
-        self._lock = threading.Lock()
-        self._changed = threading.Condition()
-        self._newest: Any = None
-        self._asked_at = -FEED_WANTED_S
-        self._ended = False
-        self._thread: threading.Thread | None = None
-
-    def begin(self, bus: Bus) -> None:
-        bus.serve(MAP_FEED, lambda question: threading.Thread(target=self._answer, args=(question,)).start())
-        self._thread = threading.Thread(target=self._work, args=(bus,), name="feed", daemon=True)
-        self._thread.start()
-
-    def end(self) -> None:
-        """Publish no more; what is being published is."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join(END_S)
-
-    def show(self, snapshot: Any) -> None:
-        with self._changed:
-            self._newest = snapshot
-            self._changed.notify_all()
-
-    def _answer(self, question: Question) -> None:
-        self._asked_at = time.monotonic()
-        with self._lock:
-            frame = self._writer.key()
-        if frame is None:
-            question.refuse(f"{MAP_FEED.name}: there is no map yet; ask again in a moment")
-        else:
-            question.reply(frame, media_type="application/octet-stream")
-
-    def _work(self, bus: Bus) -> None:
-        shown = None
-        while True:
-            with self._changed:
-                if self._newest is shown and not self._ended:
-                    self._changed.wait(BEAT_S)
-                if self._ended:
-                    return
-                newest = self._newest
-            wanted = bus.listened(MAP_FEED) or time.monotonic() - self._asked_at < FEED_WANTED_S
-            with self._lock:
-                if newest is shown:
-                    frame = self._writer.beat() if wanted else None
-                else:
-                    frame = self._writer.take(self._feed_of(newest), wanted)
-            shown = newest
-            if frame is not None:
-                bus.show(MAP_FEED, frame, media_type="application/octet-stream")

@@ -1,0 +1,88 @@
+"""Publishes the feed of the map from a thread of its own, as long as a subscriber listens."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Final
+
+from schemas.topics import MAP_FEED
+from services.ground.map.feed import FeedMap, FeedWriter
+from services.ground.map.snapshot import MapSnapshot
+from services.runtime.transport.session import Bus, Question
+
+BEAT_S: Final = 2.0  # between two frames that say where the feed stands
+END_S: Final = 0.2  # how long the end of a feed may take: what is being published at that moment
+WANTED_S: Final = 600.0  # a feed goes on for so long after a client asked for its beginning, heard or not
+
+
+def feed_of(snapshot: MapSnapshot) -> FeedMap:
+    """The part of a snapshot that goes into the feed."""
+    return FeedMap(
+        snapshot.mean_ppb,
+        snapshot.std_ppb,
+        snapshot.traversable,
+        snapshot.grid.resolution_m,
+        snapshot.revision,
+        len(snapshot.samples),
+        snapshot.mission_time_ns,
+    )
+
+
+class FeedPublisher:
+    """Publishes the newest map only: a map that is replaced before its turn is skipped."""
+
+    def __init__(self) -> None:
+        self._writer = FeedWriter(epoch=time.time_ns() // 1_000_000)
+        self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        self._newest: Any = None
+        self._asked_at = -WANTED_S
+        self._ended = False
+        self._thread: threading.Thread | None = None
+
+    def begin(self, bus: Bus) -> None:
+        bus.serve(MAP_FEED, lambda question: threading.Thread(target=self._answer, args=(question,)).start())
+        self._thread = threading.Thread(target=self._work, args=(bus,), name="feed", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Publish no more; what is being published is."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(END_S)
+
+    def show(self, snapshot: Any) -> None:
+        with self._changed:
+            self._newest = snapshot
+            self._changed.notify_all()
+
+    def _answer(self, question: Question) -> None:
+        self._asked_at = time.monotonic()
+        with self._lock:
+            frame = self._writer.key()
+        if frame is None:
+            question.refuse(f"{MAP_FEED.name}: there is no map yet; ask again in a moment")
+        else:
+            question.reply(frame, media_type="application/octet-stream")
+
+    def _work(self, bus: Bus) -> None:
+        shown = None
+        while True:
+            with self._changed:
+                if self._newest is shown and not self._ended:
+                    self._changed.wait(BEAT_S)
+                if self._ended:
+                    return
+                newest = self._newest
+            wanted = bus.listened(MAP_FEED) or time.monotonic() - self._asked_at < WANTED_S
+            with self._lock:
+                if newest is shown:
+                    frame = self._writer.beat() if wanted else None
+                else:
+                    frame = self._writer.take(feed_of(newest), wanted)
+            shown = newest
+            if frame is not None:
+                bus.show(MAP_FEED, frame, media_type="application/octet-stream")
