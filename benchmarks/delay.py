@@ -151,10 +151,10 @@ class Remembering:
         self._known: dict[bytes, Future[Any]] = {}
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        question = sha256(pickle.dumps((function, arguments))).digest()
-        if question not in self._known:
-            self._known[question] = self._executor.submit(function, *arguments)
-        return self._known[question]
+        query = sha256(pickle.dumps((function, arguments))).digest()
+        if query not in self._known:
+            self._known[query] = self._executor.submit(function, *arguments)
+        return self._known[query]
 
 
 def fly_all(cases: Sequence[Case]) -> list[Row]:

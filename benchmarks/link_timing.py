@@ -42,7 +42,7 @@ from services.mission.deployment import find_scenario
 from services.mission.scenario import load_scenario
 from services.runtime.clock import mission_time
 from services.runtime.node import SECOND
-from services.runtime.transport.session import Bus, Client, open_session
+from services.runtime.transport.session import Client, Session, open_session
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -162,28 +162,28 @@ def _one_side(side: Side, endpoint: str, mission: str) -> None:
     with Client(endpoint, mission, "bench", side) as client:
         client.subscribe_raw(HEARS[side], came.take)
         clock: ClockState = _once_it_answers(partial(client.latest, CLOCKS[side]))[1]
-        bus = Bus(open_session(side, "client", endpoint), mission)
+        session = Session(open_session(side, "client", endpoint), mission)
         try:
             first = 0
             for line in sys.stdin:
                 messages, interval_s, longest_s = line.split()
                 numbers = range(first, first + int(messages))
-                _send(bus, side, mission, clock, numbers, float(interval_s))
+                _send(session, side, mission, clock, numbers, float(interval_s))
                 first = numbers.stop
                 heard = came.wait(int(messages), float(longest_s))
                 made = [decode(HEARS[side], payload, mission)[0].made_at for payload, _ in heard]
                 answer_line([mission_time(clock, at) - made_at for (_, at), made_at in zip(heard, made, strict=True)])
         finally:
-            bus.close()
+            session.close()
 
 
-def _send(bus: Bus, side: Side, mission: str, clock: ClockState, numbers: range, interval_s: float) -> None:
+def _send(session: Session, side: Side, mission: str, clock: ClockState, numbers: range, interval_s: float) -> None:
     began = time.monotonic()
     for number in numbers:
         time.sleep(max(0.0, began + (number - numbers.start) * interval_s - time.monotonic()))
         now = mission_time(clock, time.time_ns())
         header = Header(mission=mission, source="bench", incarnation=1, sequence=number, made_at=now)
-        bus.publish(SENDS[side], encode(header, _body(side, number, now)))
+        session.publish(SENDS[side], encode(header, _body(side, number, now)))
 
 
 class _Arrivals:

@@ -39,7 +39,7 @@ STEPS = 500
 NOISE_STD_PPB = 0.1
 TIMEOUT_S = 900
 
-MOST_ASKINGS = 3
+MAX_ASKINGS = 3
 TOLERANCE = 0.01
 """Share of the budget by which its path, led round obstacles, may be longer; else it is asked again."""
 
@@ -91,7 +91,7 @@ def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m
         "seed": seed,
     }
     asked_m, seconds = budget_m, 0.0
-    for _ in range(MOST_ASKINGS):
+    for _ in range(MAX_ASKINGS):
         answer = _asked({**request, "budget_m": asked_m})
         seconds += answer["seconds"]
         places = np.clip(np.array(answer["places_m"]), 0, [region.grid.width_m, region.grid.height_m])

@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput, OutsideRegion
 
 FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+Place = tuple[float, float]
+"""Metres east and north of the region's south-west corner."""
 
 
 @dataclass(frozen=True, slots=True)

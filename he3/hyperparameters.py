@@ -64,7 +64,7 @@ CAUTIOUS_FIRST = ("smooth+rough", "matern12", "matern32", "matern52", "se")
 """Kernels from the one that promises least: not differentiable, the sum first as it holds most others; then the rest by
 how often their fields can be differentiated."""
 VERY_STRONG_EVIDENCE = 5.0  # logarithm of a ratio of evidences from which it is called that (Kass & Raftery 1995)
-FEWEST_SAMPLES = 5  # below it the likelihood says next to nothing, and the previous or default kernel stays
+MIN_SAMPLES = 5  # below it the likelihood says next to nothing, and the previous or default kernel stays
 SMALLEST_SCALE_IN_NOISE = (
     5.0  # samples that vary less than 5 noise standard deviations are not yet a measure of the field
 )
@@ -235,7 +235,7 @@ def _fit_best_kernel(
     for name in KERNELS:
         warm = previous if previous is not None and previous.kernel.name == name else None
         fits.append(_fit(xy, values, kernel_from(name), rng, noise_std_ppb, noise_bounds_ppb, warm, trend, extent_m))
-    if len(xy) < FEWEST_SAMPLES:
+    if len(xy) < MIN_SAMPLES:
         return next((fit for fit in fits if previous is not None and fit.kernel.name == previous.kernel.name), fits[0])
     evidence = {fit.kernel.name: information_criterion(fit) for fit in fits}
     least = max(evidence.values()) - VERY_STRONG_EVIDENCE
@@ -285,7 +285,7 @@ def _fit(
         noise=noise,
         bounds=np.log(np.array(bounds + ([noise_bounds] if noise_bounds else []))),
     )
-    if len(xy) < FEWEST_SAMPLES:
+    if len(xy) < MIN_SAMPLES:
         best = problem.start(warm or default)
     else:
         best = problem.solve(_starts(problem, warm, default, rng, _widening(extent_m)))

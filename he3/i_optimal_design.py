@@ -27,14 +27,13 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from he3.errors import InvalidInput, NumericalFailure
-from he3.frames import FloatArray, SiteGrid, as_points
+from he3.frames import Float32Array, FloatArray, SiteGrid, as_points
 
-Float32Array = NDArray[np.float32]
 CovarianceOfSquaredDistance = Callable[[FloatArray], FloatArray]
 
 TABLE_STEP_M = 0.25
 """Covariances are looked up at multiples of this distance [m]: far below any length scale that samples can tell."""
-LEAST_NOISE = 1e-4
+MIN_NOISE = 1e-4
 """Noise variance, as a share of the field's, below which a design does not change but the algebra suffers."""
 
 
@@ -96,7 +95,7 @@ class AverageVariance:
         self._values = values.astype(np.float32)
         self._middles = middles.astype(np.float32)
         self._slopes = np.append(slopes, 0.0).astype(np.float32)
-        self._noise = max(noise_variance / variance, LEAST_NOISE)
+        self._noise = max(noise_variance / variance, MIN_NOISE)
         self._softening = nodes.spacing_m**2 / 6.0
         self._x = nodes.places_m[:, 0].astype(np.float32)
         self._y = nodes.places_m[:, 1].astype(np.float32)

@@ -21,12 +21,9 @@ from dataclasses import dataclass, fields
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, as_points
-
-Float32Array = NDArray[np.float32]
+from he3.frames import Float32Array, FloatArray, as_points
 
 
 @runtime_checkable

@@ -16,18 +16,14 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from he3 import constants
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
-from he3.random_field import correlated, layer_correlation, unit_fields
+from he3.frames import BoolArray, FloatArray, SiteGrid
+from he3.randomfield import correlated, layer_correlation, unit_fields
 from he3.regolith import RegolithModel
 from he3.terrain import relief_m, slope_deg, traversable
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 METRES_PER_DEGREE = math.radians(1.0) * constants.MOON_RADIUS_M  # m per degree of latitude on the reference sphere
 _SURROUND_PIXELS = 2  # pixels that bicubic resampling wants beyond the outermost cell

@@ -12,12 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from he3 import constants
 from he3.errors import InvalidInput
-
-FloatArray = NDArray[np.float64]
+from he3.frames import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,13 +26,11 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, SiteGrid
+from he3.frames import BoolArray, FloatArray, SiteGrid
 from he3.gp import GaussianProcess
 
-BoolArray = NDArray[np.bool_]
-
-MOST_NODES = 6000  # places at which the correlation with the samples is integrated: 0.1 s with 150 samples
-MOST_DRAWN_NODES = 700  # places of a joint draw: its Cholesky factor takes 10 ms
+MAX_NODES = 6000  # places at which the correlation with the samples is integrated: 0.1 s with 150 samples
+MAX_DRAWN_NODES = 700  # places of a joint draw: its Cholesky factor takes 10 ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,7 @@ def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.flo
     cells = int(area.sum())
     if cells == 0:
         raise InvalidInput("expected an area that holds the centre of a cell at least, got one that holds none")
-    block = max(1, math.ceil(math.sqrt(cells / MOST_NODES)))
+    block = max(1, math.ceil(math.sqrt(cells / MAX_NODES)))
     prior = _prior_variance(process, grid, area)
     variance = max(0.0, prior - _explained(process, *_nodes(grid, area, block)))
     coarser = max(0.0, prior - _explained(process, *_nodes(grid, area, 2 * block)))
@@ -88,7 +86,7 @@ def drawn_fields(
 
     The estimated constant varies with the fields, as in ``area_mean``. Patches smaller than a block are not resolved.
     """
-    block = max(1, math.ceil(math.sqrt(int(area.sum()) / MOST_DRAWN_NODES)))
+    block = max(1, math.ceil(math.sqrt(int(area.sum()) / MAX_DRAWN_NODES)))
     places, weights = _nodes(grid, area, block)
     mean, _ = process.predict(places)
     covariance = process.posterior_covariance(places)

@@ -6,15 +6,11 @@ The rule for traversability is the paper's. Arrays are over the site: [y, x], ro
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3 import constants
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from he3.frames import BoolArray, FloatArray, SiteGrid
 
 _SQUARE = np.ones((3, 3), dtype=np.bool_)
 

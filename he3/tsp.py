@@ -8,16 +8,13 @@ whole-matrix arithmetic; short double-bridge kicks (Martin, Otto and Felten 1991
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray
+from he3.frames import FloatArray, IntArray
 
-IntArray = NDArray[np.intp]
-
-LONGEST_TRANSFER = 3
+MAX_TRANSFER = 3
 """Places that one Or-opt move takes along; longer stretches hardly ever pay."""
-LEAST_GAIN = 1e-9
+MIN_GAIN = 1e-9
 """A move has to shorten the tour by more than this share of it, or rounding could make the search circle."""
 
 
@@ -91,7 +88,7 @@ def _cheapest_insertion(distances: FloatArray) -> IntArray:
 
 def _improved(d: FloatArray, order: IntArray) -> IntArray:
     """The order after best moves until none is left; bounded, though each of them makes the tour shorter."""
-    tolerance = LEAST_GAIN * max(_length(d, order), 1.0)
+    tolerance = MIN_GAIN * max(_length(d, order), 1.0)
     for _ in range(20 * len(order)):
         moved = _best_move(d[np.ix_(order, order)], tolerance)
         if moved is None:
@@ -111,7 +108,7 @@ def _best_move(d: FloatArray, tolerance: float) -> IntArray | None:
     best, (i, j) = float(gain.flat[flat]), divmod(flat, n - 1)
     i, j = min(i, j), max(i, j)
     move = np.r_[0 : i + 1, j:i:-1, j + 1 : n]
-    for length in range(1, min(LONGEST_TRANSFER, n - 3) + 1):
+    for length in range(1, min(MAX_TRANSFER, n - 3) + 1):
         # Or-opt: the stretch s .. s + length - 1 goes between p and p + 1, p outside of it.
         s = np.arange(1, n - length)
         e = s + length - 1

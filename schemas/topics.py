@@ -108,13 +108,13 @@ _OF_A_STREAM = Latest(priority=0, distinct=("stream", "source", "incarnation"))
 
 PLAN = Topic("tc/plan", MissionPlan, Crosses.UP, Custody(priority=1), recorded=True, max_bytes=1_048_576)
 COMMAND = Topic("tc/command", Telecommand, Crosses.UP, Custody(priority=0), recorded=True)
-TM_ACK = Topic("tc/ack", Acknowledgement, Crosses.UP, _OF_A_STREAM, recorded=True)
+ACK_UP = Topic("tc/ack", Acknowledgement, Crosses.UP, _OF_A_STREAM, recorded=True)
 
 SAMPLE = Topic("tm/sample", SampleReport, Crosses.DOWN, Custody(priority=2), recorded=True)
 EVENT = Topic("tm/event", RoverEvent, Crosses.DOWN, Custody(priority=1), recorded=True)
 COMMAND_REPORT = Topic("tm/command", CommandReport, Crosses.DOWN, Custody(priority=0), recorded=True)
 STATE = Topic("tm/state", RoverState, Crosses.DOWN, Latest(), recorded=True)
-TC_ACK = Topic("tm/ack", Acknowledgement, Crosses.DOWN, _OF_A_STREAM, recorded=True)
+ACK_DOWN = Topic("tm/ack", Acknowledgement, Crosses.DOWN, _OF_A_STREAM, recorded=True)
 
 MEASURE = Topic("moon/field/measure", MeasurementRequest, service=Query(), reply=MeasurementReply)
 TERRAIN = Topic("moon/field/terrain", TerrainRequest, service=Query(), reply=TerrainReply, max_bytes=65_536)
@@ -160,12 +160,12 @@ TIME_CONTROL = Topic("earth/time/control", TimeControl, service=Query(), reply=T
 TOPICS: tuple[Topic, ...] = (
     PLAN,
     COMMAND,
-    TM_ACK,
+    ACK_UP,
     SAMPLE,
     EVENT,
     COMMAND_REPORT,
     STATE,
-    TC_ACK,
+    ACK_DOWN,
     MEASURE,
     TERRAIN,
     MOON_CLOCK,

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from he3 import constants
-from he3.random_field import correlated, unit_fields
+from he3.randomfield import correlated, unit_fields
 from he3.reference import METRES_PER_DEGREE
 
 FloatArray = NDArray[np.float64]

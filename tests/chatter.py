@@ -18,19 +18,19 @@ from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import Query, Side, Topic
 from services.runtime.node import (
     SECOND,
-    Answer,
-    Ask,
-    Asked,
     Compute,
-    Due,
     Effect,
     Event,
     Finish,
     Interface,
-    Refuse,
+    QueryReceived,
+    RefuseQuery,
     Send,
+    SendQuery,
+    SendReply,
+    SetTimer,
     Started,
-    WakeAt,
+    TimerFired,
 )
 
 NEWS = {side: tuple(Topic(f"{side.value}/test/news{i}", RoverEvent) for i in range(3)) for side in Side}
@@ -65,17 +65,19 @@ class Chatter:
 
     def handle(self, event: Event, now: int) -> Iterable[Effect]:
         self.history.append((now, type(event).__name__))
-        if isinstance(event, Asked):
+        if isinstance(event, QueryReceived):
             self._open.append(event.token)
         if isinstance(event, Started):
-            yield WakeAt("again", now + self._delay())
+            yield SetTimer("again", now + self._delay())
         for _ in range(self._random.choice((0, 1, 1, 2, 3))):
             if self._left > 0:
                 self._left -= 1
                 yield self._effect(now)
-        if isinstance(event, Due) and event.timer == "again" and self._left > 0:
-            yield WakeAt("again", now + self._delay())
-        if isinstance(event, Due) or self._random.random() < 0.5:  # else answered later, or at the end of the budget
+        if isinstance(event, TimerFired) and event.timer == "again" and self._left > 0:
+            yield SetTimer("again", now + self._delay())
+        if (
+            isinstance(event, TimerFired) or self._random.random() < 0.5
+        ):  # else answered later, or at the end of the budget
             yield from self._answers()
         if self._left <= 0:
             yield Finish(True, f"said all after {len(self.history)}")
@@ -88,14 +90,14 @@ class Chatter:
             case 0 | 1 | 2 | 3:
                 return Send(dice.choice(NEWS[side]), said(dice.randrange(1000)))
             case 4 | 5:
-                return Ask(dice.choice(QUESTIONS[side]), said(dice.randrange(1000)), f"question{self._names}")
+                return SendQuery(dice.choice(QUESTIONS[side]), said(dice.randrange(1000)), f"question{self._names}")
             case 6:
                 takes_s = dice.choice((0.0, 1e-9, 0.5, 7.0))
                 return Compute(f"job{self._names}", cubed, (dice.randrange(99),), takes_s)
             case 7:
-                return WakeAt(f"timer{dice.randrange(3)}", None)
+                return SetTimer(f"timer{dice.randrange(3)}", None)
             case _:
-                return WakeAt(f"timer{dice.randrange(3)}", now + self._delay())
+                return SetTimer(f"timer{dice.randrange(3)}", now + self._delay())
 
     def _delay(self) -> int:
         return self._random.choice((-5, 0, 1, SECOND // 3, SECOND, SECOND, 7 * SECOND))
@@ -103,7 +105,7 @@ class Chatter:
     def _answers(self) -> Iterable[Effect]:
         for token in self._open:
             number = self._random.randrange(1000)
-            yield Refuse(token, "not today") if number % 4 == 0 else Answer(token, said(number))
+            yield RefuseQuery(token, "not today") if number % 4 == 0 else SendReply(token, said(number))
         self._open.clear()
 
 

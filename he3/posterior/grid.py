@@ -27,20 +27,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, SiteGrid, as_points
+from he3.frames import Float32Array, FloatArray, SiteGrid, as_points
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
-from he3.kernels import Float32Array
 from he3.posterior.rows import rows_for
 from he3.posterior.tiles import Tile, TiledGrid, Work
 from he3.trend import TrendOnCells
 
-MOST_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
+MAX_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
 _CELLS_TO_BUILD = 4096  # cells whose rows are solved for together: what is worked on stays in cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MapSnapshot:
+class PosteriorMap:
     """The map after n samples, read-only (rows, columns) float32 arrays [ppb] that no later sample touches."""
 
     samples: int
@@ -74,7 +73,7 @@ class GridPosterior:
             self._prior_mean = hyperparameters.prior_mean_ppb(points)
             self._trend = TrendOnCells(basis.T.copy(), np.empty((0, basis.shape[1])))
         self._rows = rows_for(self._tiled, self._without_trend.hyperparameters)
-        self._snapshot: MapSnapshot | None = None
+        self._snapshot: PosteriorMap | None = None
 
     @classmethod
     def build(
@@ -132,7 +131,7 @@ class GridPosterior:
         """Posterior standard deviation of the field (rows, columns) [ppb], noise excluded, read-only."""
         return self.snapshot().std_ppb
 
-    def snapshot(self) -> MapSnapshot:
+    def snapshot(self) -> PosteriorMap:
         """The map as it is now, for other threads: its arrays never change."""
         if self._snapshot is None:
             scale = self.hyperparameters.scale_ppb
@@ -147,7 +146,7 @@ class GridPosterior:
             ]
             for values in maps:
                 values.setflags(write=False)
-            self._snapshot = MapSnapshot(len(self), *maps)
+            self._snapshot = PosteriorMap(len(self), *maps)
         return self._snapshot
 
     def fork(self) -> GridPosterior:
@@ -162,8 +161,8 @@ class GridPosterior:
 
     def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike | None) -> tuple[GaussianProcess, GaussianProcess]:
         """The process with more samples, with and without the trend; values that are None are as expected."""
-        if len(self) + len(xy) > MOST_SAMPLES:
-            raise InvalidInput(f"expected at most {MOST_SAMPLES} samples on a grid, got {len(self) + len(xy)}")
+        if len(self) + len(xy) > MAX_SAMPLES:
+            raise InvalidInput(f"expected at most {MAX_SAMPLES} samples on a grid, got {len(self) + len(xy)}")
         if values_ppb is None:
             process = self._process.condition_on_places(xy)
         else:

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import blas
 
-from he3.frames import FloatArray, SiteGrid
+from he3.frames import Float32Array, FloatArray, SiteGrid
 from he3.gp import GaussianProcess
-from he3.kernels import Float32Array, Kernel, SmoothPlusRough, SquaredExponential
+from he3.kernels import Kernel, SmoothPlusRough, SquaredExponential
 from he3.posterior.tiles import Tile, TiledGrid
 
 _ROWS_TO_SOLVE = 128  # rows solved for together when many are; more waste in the triangle, fewer waste in the product

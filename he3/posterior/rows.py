@@ -16,10 +16,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from he3.frames import FloatArray
+from he3.frames import Float32Array, FloatArray
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
-from he3.kernels import Float32Array, SmoothPlusRough, SquaredExponential
+from he3.kernels import SmoothPlusRough, SquaredExponential
 from he3.posterior.separable_rows import SeparableRows
 from he3.posterior.split_rows import SplitRows
 from he3.posterior.stored_rows import StoredRows

@@ -15,8 +15,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.frames import FloatArray
-from he3.kernels import Float32Array
+from he3.frames import Float32Array, FloatArray
 from he3.posterior.tiles import Tile
 
 _COPIED_ROWS = 16  # scattered rows summed together: 1 MB on a whole tile, about what a core's cache holds

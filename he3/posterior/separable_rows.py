@@ -17,9 +17,9 @@ from itertools import groupby
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from he3.frames import FloatArray
+from he3.frames import Float32Array, FloatArray
 from he3.gp import GaussianProcess
-from he3.kernels import Float32Array, SquaredExponential
+from he3.kernels import SquaredExponential
 from he3.posterior.row_solving import solve_rows
 from he3.posterior.tiles import ShareOut, Tile, TiledGrid
 

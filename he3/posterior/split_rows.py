@@ -15,10 +15,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from he3.frames import FloatArray
+from he3.frames import Float32Array, FloatArray
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
-from he3.kernels import Float32Array, SmoothPlusRough
+from he3.kernels import SmoothPlusRough
 from he3.posterior.separable_rows import SeparableRows, row_weights
 from he3.posterior.stored_rows import SCREENED, StoredRows, Tied
 from he3.posterior.tiles import ShareOut, Tile, TiledGrid

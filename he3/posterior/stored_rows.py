@@ -15,9 +15,9 @@ from threading import Lock
 
 import numpy as np
 
-from he3.frames import FloatArray
+from he3.frames import Float32Array, FloatArray
 from he3.gp import GaussianProcess
-from he3.kernels import Float32Array, Kernel
+from he3.kernels import Kernel
 from he3.posterior.row_solving import fill_covariance, solve_rows
 from he3.posterior.screening import Reading, rows_that_matter
 from he3.posterior.tiles import ShareOut, Tile, TiledGrid

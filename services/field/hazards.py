@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
-
-BoolArray = NDArray[np.bool_]
+from he3.frames import BoolArray, SiteGrid
 
 START_CLEARANCE_M: Final = 10.0  # m around the landing place that stay as the map says: it was chosen for that
 _STREAM: Final = 0x48415A  # tells this use of the mission's seed from all others

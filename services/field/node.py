@@ -16,7 +16,7 @@ from schemas.topics import MEASURE, TERRAIN, Side
 from services.field.hazards import covered, hazard_places
 from services.mission.regions import load_region
 from services.mission.scenario import FieldConfig, Scenario
-from services.runtime.node import Answer, Asked, Effect, Event, Interface, MissionTime, Refuse
+from services.runtime.node import Effect, Event, Interface, MissionTime, QueryReceived, RefuseQuery, SendReply
 
 
 class FieldNode:
@@ -36,23 +36,25 @@ class FieldNode:
 
     def handle(self, event: Event, now: MissionTime) -> list[Effect]:
         """One answer or refusal for a question; nothing for anything else. The time makes no difference."""
-        if not isinstance(event, Asked):
+        if not isinstance(event, QueryReceived):
             return []
         if event.topic == MEASURE:
             return [self._measured(event.token, event.request)]
         if event.topic == TERRAIN:
-            return [Answer(event.token, self._terrain(event.request))]
+            return [SendReply(event.token, self._terrain(event.request))]
         return [
-            Refuse(event.token, f"expected a question for {MEASURE.name} or {TERRAIN.name}, got {event.topic.name}")
+            RefuseQuery(
+                event.token, f"expected a question for {MEASURE.name} or {TERRAIN.name}, got {event.topic.name}"
+            )
         ]
 
     def _measured(self, token: int, request: MeasurementRequest) -> Effect:
         try:
             rows, columns = self._region.grid.cells_of(np.array([[request.x_m, request.y_m]]))
         except OutsideRegion as error:
-            return Refuse(token, f"sample {request.sample_id}: {error}")
+            return RefuseQuery(token, f"sample {request.sample_id}: {error}")
         noise = sample_noise(self._seed, request.sample_id, self._config.noise_std_ppb)
-        return Answer(
+        return SendReply(
             token,
             MeasurementReply(
                 sample_id=request.sample_id,

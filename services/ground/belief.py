@@ -16,13 +16,11 @@ import numpy as np
 
 from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, SiteGrid
+from he3.frames import FloatArray, Place, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
 from he3.kernels import AUTO, kernel_from
-from he3.posterior.grid import GridPosterior, MapSnapshot
+from he3.posterior.grid import GridPosterior, PosteriorMap
 from he3.trend import OrbitalTrend
-
-Place = tuple[float, float]
 
 # Before the first sample the map says what is known of lunar soils: the site means of six landing sites lie at 1.4 to
 # 15.1 ppb [assumed; see the facts on helium-3].
@@ -114,7 +112,7 @@ class Belief:
         return self._process
 
     @property
-    def map(self) -> MapSnapshot:
+    def map(self) -> PosteriorMap:
         """Mean and standard deviation on every cell [ppb]: arrays that no later sample touches."""
         return self._map
 

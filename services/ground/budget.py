@@ -14,7 +14,7 @@ TOUR_CONSTANT = 0.7124
 (Beardwood, Halton & Hammersley 1959)."""
 
 J_PER_WH = 3600.0
-LEAST_M = 1e-6
+MIN_M = 1e-6
 """To this the metres that fit into hours are found out [m]."""
 
 ROUNDING_M = 0.05
@@ -31,7 +31,7 @@ class Committed:
 
 
 @dataclass(frozen=True, slots=True)
-class Allowance:
+class RemainingBudget:
     """What is left beyond that; with no samples left, `why` says what ran out."""
 
     samples: int
@@ -85,7 +85,7 @@ class Budget:
             return inf
         return work_s + ceil(missing_j / self._charged_j) * self._charged_j / self._surplus_w
 
-    def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> Allowance:
+    def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> RemainingBudget:
         """What may still be planned, of the samples that are still wanted.
 
         Hours are turned into metres at the pace to be expected on this terrain, less the time for charging; where they
@@ -95,9 +95,9 @@ class Budget:
         if self._metres is not None:
             metres = self._metres - driven_m - committed.metres - ROUNDING_M
             if metres <= 0:
-                return Allowance(0, 0.0, f"the budget of {self._metres:g} m is spent or promised")
+                return RemainingBudget(0, 0.0, f"the budget of {self._metres:g} m is spent or promised")
         if self._ends is None:
-            return Allowance(samples_wanted, metres)
+            return RemainingBudget(samples_wanted, metres)
         time_s = (self._ends - now) / SECOND
 
         def fits(more_m: float, more: int) -> bool:
@@ -108,9 +108,9 @@ class Budget:
         counts = range(1, samples_wanted + 1)
         samples = bisect_left(counts, True, key=lambda count: not fits(count * self._leg_m, count))
         if samples < 1:
-            return Allowance(0, 0.0, f"the budget of {self._hours:g} h is spent or promised")
+            return RemainingBudget(0, 0.0, f"the budget of {self._hours:g} h is spent or promised")
         least, most = samples * self._leg_m, time_s * self._speed_m_s
-        while most - least > LEAST_M:
+        while most - least > MIN_M:
             half = (least + most) / 2
             least, most = (half, most) if fits(half, samples) else (least, half)
-        return Allowance(samples, min(metres, least))
+        return RemainingBudget(samples, min(metres, least))

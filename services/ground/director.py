@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from he3.errors import He3Error, NoRoute
-from he3.frames import FloatArray, SiteGrid
+from he3.frames import BoolArray, FloatArray, Place, SiteGrid
 from he3.gp import Hyperparameters
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
@@ -23,22 +23,20 @@ from services.ground.belief import Belief, Observation, fit
 from services.ground.budget import Budget, Committed
 from services.ground.planners import planner_named
 from services.ground.planners.interface import Planner, PlannerOptions, PlanningRequest
-from services.ground.round_log import Ledger, RoundRecord
+from services.ground.round_log import RoundLog, RoundRecord
 from services.ground.round_plans import PlanInWork, round_plan, run_planner, sample_id
-from services.ground.terrain import BoolArray, GroundTerrain, along, cell_of, interest_weights
+from services.ground.terrain import GroundTerrain, along, cell_of, interest_weights
 from services.mission.scenario import Scenario
-from services.runtime.node import Compute, Effect, Finish, Level, MissionTime, Note, Send, WakeAt, seconds
+from services.runtime.node import Compute, Effect, Finish, Level, LogRecord, MissionTime, Send, SetTimer, seconds
 
-Place = tuple[float, float]
-
-MOST_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
-MOST_FRUITLESS = 40  # rounds in a row from which no sample came
-MOST_ROUNDS = 9_000  # in all; a plan can number 10,000
+MAX_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
+MAX_FRUITLESS = 40  # rounds in a row from which no sample came
+MAX_ROUNDS = 9_000  # in all; a plan can number 10,000
 REPLAN_TIMER = "replan"
-REJECTED_WAIT_S, MOST_WAIT_S = 30.0, 3600.0  # between a second rejection in a row and the next planning, and at most
-MOST_REJECTIONS = 10  # plans in a row that the rover may reject
+REJECTED_WAIT_S, MAX_WAIT_S = 30.0, 3600.0  # between a second rejection in a row and the next planning, and at most
+MAX_REJECTIONS = 10  # plans in a row that the rover may reject
 OBSTACLE_MARGIN_M = 1.5  # radius of what is closed around an obstacle that was met: it is seen from one side only
-MOST_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came
+MAX_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came
 OBSTACLE_REACH_M = 8.0  # obstacles met within this distance of each other are taken for one
 _NOTHING_TO_DO = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 _FIT, _PLAN = 1, 2  # what a seed is for
@@ -55,7 +53,7 @@ class Director:
         self.grid = grid
         self.belief = belief
         self.terrain = terrain
-        self.ledger = Ledger()
+        self.round_log = RoundLog()
         self.revision = 0
         """Of the last plan sent."""
         self.in_work: PlanInWork | None = None
@@ -99,7 +97,7 @@ class Director:
     @property
     def samples_wanted(self) -> int:
         """Samples of the mission that are neither measured nor planned."""
-        return max(0, self.scenario.samples - len(self.belief) - len(self.ledger.pending))
+        return max(0, self.scenario.samples - len(self.belief) - len(self.round_log.pending))
 
     # --- events -----------------------------------------------------------------------------------------------------
 
@@ -113,13 +111,15 @@ class Director:
         if newest:
             self._budget.heard(state.energy_wh)
         self.heard((state.x_m, state.y_m), state.driven_m, made_at)
-        waiting = self.ledger.not_begun
+        waiting = self.round_log.not_begun
         idle = state.mode in _NOTHING_TO_DO and state.rounds_on_board == 0 and state.plan_revision == self.revision
         if not (newest and idle and waiting and state.round < waiting[0].number) or self.ended is not None:
             return []
         self._drop(waiting)
         self._origin = self.place_m
-        note = Note(Level.INFO, f"the rover has dropped round {waiting[0].number} and later ones; planning them anew")
+        note = LogRecord(
+            Level.INFO, f"the rover has dropped round {waiting[0].number} and later ones; planning them anew"
+        )
         return [note, *self._advance(now)]
 
     def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> None:
@@ -129,7 +129,7 @@ class Director:
             return
         self._heard_at = made_at
         self.place_m = place_m
-        executing = next((record for record in reversed(self.ledger.chain) if record.begun), None)
+        executing = next((record for record in reversed(self.round_log.chain) if record.begun), None)
         if executing is not None and not executing.ended:
             executing.note_place(place_m)
 
@@ -137,7 +137,7 @@ class Director:
         """A measurement has arrived; one that is there already, or was never asked for, changes nothing."""
         if report.sample_id in self.belief or report.sample_id in self._refused:
             return []
-        known = self.ledger.of_sample(report.sample_id)
+        known = self.round_log.of_sample(report.sample_id)
         if known is None:
             return [_warning(f"sample {report.sample_id}: expected one that was planned; it is left out of the map")]
         record, index = known
@@ -221,9 +221,9 @@ class Director:
         if not self.terrain.set_keep_out(area_id, polygons_m):
             return self._advance(now)
         area = self.terrain.areas[area_id]
-        refuted = next((r for r in self.ledger.not_begun if self._leads_through(r, area)), None)
+        refuted = next((r for r in self.round_log.not_begun if self._leads_through(r, area)), None)
         if refuted is not None:
-            self._drop([r for r in self.ledger.not_begun if r.number >= refuted.number])
+            self._drop([r for r in self.round_log.not_begun if r.number >= refuted.number])
         elif self.in_work is not None:
             self.in_work = None  # it is being planned on terrain that no longer is
         return self._advance(now)
@@ -240,7 +240,7 @@ class Director:
         self._interest = interest_weights(self.grid, list(self.interests.values()))
         if self.ended is not None:
             return []
-        self._drop(self.ledger.not_begun)
+        self._drop(self.round_log.not_begun)
         self.in_work = None
         return self._advance(now)
 
@@ -256,16 +256,16 @@ class Director:
         self._on_the_move.discard(command_id)
         if place_m is not None and self.ended is None:
             self.place_m = place_m
-            self._drop(self.ledger.not_begun)
-            if not self.ledger.chain or self.ledger.chain[-1].closed or self.ledger.chain[-1].ended:
+            self._drop(self.round_log.not_begun)
+            if not self.round_log.chain or self.round_log.chain[-1].closed or self.round_log.chain[-1].ended:
                 self._origin = place_m
         return self._advance(now)
 
     # --- rounds -----------------------------------------------------------------------------------------------------
 
     def _of_a_round(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
-        record = self.ledger.version(event.round, event.plan_revision or self.revision)
-        if event.sample_id is not None and (known := self.ledger.of_sample(event.sample_id)) is not None:
+        record = self.round_log.version(event.round, event.plan_revision or self.revision)
+        if event.sample_id is not None and (known := self.round_log.of_sample(event.sample_id)) is not None:
             record = known[0]
         if record is None:
             return [_warning(f"event {event.kind.value}: expected a round that was planned, got {event.round}")]
@@ -285,14 +285,16 @@ class Director:
         return [*effects, *self._advance(now)]
 
     def _begun(self, record: RoundRecord) -> list[Effect]:
-        if not self.ledger.begin(record):
+        if not self.round_log.begin(record):
             return []
         # The rover had begun a version that was to be replaced: what comes after it must fit its end.
         self._last_sent = False
         self.in_work = None
         self._origin = None
         return [
-            Note(Level.INFO, f"round {record.number} of revision {record.introduced} had begun; planning on from it")
+            LogRecord(
+                Level.INFO, f"round {record.number} of revision {record.introduced} had begun; planning on from it"
+            )
         ]
 
     def _ended_early(self, record: RoundRecord, event: RoverEvent) -> list[Effect]:
@@ -305,10 +307,10 @@ class Director:
         record.ended = record.ended_early = True
         record.ended_at = event.at
         self.detail = f"round {record.number} ended early: {event.detail or event.kind.value}"[:400]
-        if not self.ledger.goes_on_after(record):
-            self._drop(self.ledger.not_begun)
+        if not self.round_log.goes_on_after(record):
+            self._drop(self.round_log.not_begun)
             self._origin = (event.x_m, event.y_m)
-        return [Note(Level.WARNING, self.detail, {"round": record.number, "x_m": event.x_m, "y_m": event.y_m})]
+        return [LogRecord(Level.WARNING, self.detail, {"round": record.number, "x_m": event.x_m, "y_m": event.y_m})]
 
     def _close_off(self, event: RoverEvent) -> None:
         """What the rover met is closed on the ground's map too. A keep-out that it met is known here already."""
@@ -324,22 +326,22 @@ class Director:
         self._rejections += 1
         self.detail = f"plan {event.plan_revision} was rejected: {event.detail or 'no reason given'}"[:400]
         note = _warning(self.detail)
-        self._drop(self.ledger.not_begun)
-        if self._rejections > MOST_REJECTIONS:
+        self._drop(self.round_log.not_begun)
+        if self._rejections > MAX_REJECTIONS:
             self._exhausted = f"{self._rejections} plans in a row were rejected, the last: {event.detail}"[:400]
             self._failed = True
-        elif not self.ledger.chain or self.ledger.chain[-1].ended or self.ledger.chain[-1].closed:
+        elif not self.round_log.chain or self.round_log.chain[-1].ended or self.round_log.chain[-1].closed:
             self._origin = (event.x_m, event.y_m)
         if self._rejections == 1:
             return [note, *self._advance(now)]
         # It knows something that has not come down yet: the next plan waits for it, longer each time.
-        self._not_before = now + seconds(min(REJECTED_WAIT_S * 2 ** (self._rejections - 2), MOST_WAIT_S))
-        return [note, WakeAt(REPLAN_TIMER, self._not_before), *self._advance(now)]
+        self._not_before = now + seconds(min(REJECTED_WAIT_S * 2 ** (self._rejections - 2), MAX_WAIT_S))
+        return [note, SetTimer(REPLAN_TIMER, self._not_before), *self._advance(now)]
 
     def _drop(self, records: Iterable[RoundRecord]) -> None:
         """Take back rounds that have not begun, and whatever is being planned to follow them."""
         dropped = list(records)
-        self.ledger.drop(dropped)
+        self.round_log.drop(dropped)
         if self._outlook_m is not None:  # what they were to sample is still to be sampled
             ahead = [(planned.x_m, planned.y_m) for record in dropped for planned in record.plan.samples]
             self._outlook_m = np.vstack((np.array(ahead, dtype=np.float64).reshape(-1, 2), self._outlook_m))
@@ -348,19 +350,19 @@ class Director:
         self._exhausted = ""
         self._failed = False
         self._attempt = 0
-        self._origin = None if self.ledger.chain else self.place_m
+        self._origin = None if self.round_log.chain else self.place_m
 
     def _leads_through(self, record: RoundRecord, area: BoolArray) -> bool:
         return any(area[cell_of(self.grid, place)] for place in along(record.plan.path_m, 0.5 * self.grid.resolution_m))
 
     def _committed(self) -> Committed:
-        ledger = self.ledger
-        metres = sum(record.to_drive_m for record in ledger.chain)
-        return Committed(metres, len(ledger.pending), len(ledger.open_rounds))
+        round_log = self.round_log
+        metres = sum(record.to_drive_m for record in round_log.chain)
+        return Committed(metres, len(round_log.pending), len(round_log.open_rounds))
 
     def plan_ends(self, now: MissionTime) -> MissionTime | None:
         """When the rover will have done what is planned, at the pace to be expected; None if nothing is, or never."""
-        if not self.ledger.open_rounds:
+        if not self.round_log.open_rounds:
             return None
         lasts_s = self._budget.lasts_s(self._committed())
         return now + seconds(lasts_s) if isfinite(lasts_s) else None
@@ -377,7 +379,7 @@ class Director:
         if self.in_work is not None:
             return []
         if not self._exhausted and self.samples_wanted > 0:
-            enough = len(self.ledger.open_rounds) > self.scenario.ground.pipeline
+            enough = len(self.round_log.open_rounds) > self.scenario.ground.pipeline
             if enough or self._on_the_move or now < self._not_before:
                 return []
             effects = self._next_plan(now)
@@ -386,8 +388,8 @@ class Director:
         return self._end_if_over()
 
     def _next_fit(self) -> list[Effect]:
-        while self.fitted < len(self.ledger.chain) and self.ledger.chain[self.fitted].closed:
-            number, record = self.fitted + 1, self.ledger.chain[self.fitted]
+        while self.fitted < len(self.round_log.chain) and self.round_log.chain[self.fitted].closed:
+            number, record = self.fitted + 1, self.round_log.chain[self.fitted]
             request = None
             if record.arrived:
                 request = self.belief.fit_request(record.number, (self.scenario.seed, _FIT, number))
@@ -398,14 +400,14 @@ class Director:
         return []
 
     def _next_plan(self, now: MissionTime) -> list[Effect]:
-        pending = self.ledger.pending
+        pending = self.round_log.pending
         allowance = self._budget.left(now, self.driven_m, self._committed(), self.samples_wanted)
-        number = self.ledger.next_number
-        fruitless = self.ledger.fruitless
-        if allowance.samples < 1 or fruitless >= MOST_FRUITLESS or number > MOST_ROUNDS:
+        number = self.round_log.next_number
+        fruitless = self.round_log.fruitless
+        if allowance.samples < 1 or fruitless >= MAX_FRUITLESS or number > MAX_ROUNDS:
             self._exhausted = allowance.why or f"{fruitless} rounds in a row brought no sample, of {number - 1}"
             return []
-        start = self._origin or (self.ledger.chain[-1].end_m if self.ledger.chain else self.place_m)
+        start = self._origin or (self.round_log.chain[-1].end_m if self.round_log.chain else self.place_m)
         samples = min(self.scenario.samples_per_round, allowance.samples)
         self._plans_asked += 1
         self.in_work = PlanInWork(
@@ -423,7 +425,7 @@ class Director:
         seed = np.random.SeedSequence((self.scenario.seed, _PLAN, number, self.revision + 1, self._attempt))
         request = PlanningRequest(
             grid=self.grid,
-            traversable=self.terrain.open_from(start, self.ledger.paths()[0][-MOST_BACK:]),
+            traversable=self.terrain.open_from(start, self.round_log.paths()[0][-MAX_BACK:]),
             start_m=start,
             observed_m=np.vstack((self.belief.places_m, ahead)),
             std_ppb=self.belief.map.std_ppb,
@@ -441,18 +443,18 @@ class Director:
     def _plan_made(self, work: PlanInWork, result: Any, now: MissionTime) -> list[Effect]:
         revision = self.revision + 1
         # The first plan of a round has the plain ids; they are never used for another place.
-        known = self.ledger.of_sample(sample_id(work.number, "", 1)) is not None
+        known = self.round_log.of_sample(sample_id(work.number, "", 1)) is not None
         version = f"v{revision}" if known else ""
         planned = round_plan(work, result, self.grid, version, self.scenario.sample_depth_m)
         self.revision = revision
         self._outlook_m = result.outlook_m
-        self.ledger.append(planned, revision)
+        self.round_log.append(planned, revision)
         self._origin = None
         self._attempt = 0
         self._last_sent = work.samples_left <= len(planned.samples)
         plan = MissionPlan(
             revision=revision,
-            rounds=tuple(record.plan for record in self.ledger.not_begun),
+            rounds=tuple(record.plan for record in self.round_log.not_begun),
             last=self._last_sent,
             samples_known=work.known,
             samples_pending=work.pending,
@@ -463,7 +465,7 @@ class Director:
     def _planning_failed(self, work: PlanInWork, error: Exception, now: MissionTime) -> list[Effect]:
         self._attempt = work.attempt + 1
         why = f"round {work.number} could not be planned: {error}"[:400]
-        if self._attempt >= MOST_ATTEMPTS:
+        if self._attempt >= MAX_ATTEMPTS:
             self._attempt = 0
             self._exhausted = why
             self._failed = not isinstance(error, NoRoute)
@@ -472,9 +474,9 @@ class Director:
     # --- the end ----------------------------------------------------------------------------------------------------
 
     def _end_if_over(self) -> list[Effect]:
-        if self.ledger.open_rounds:
+        if self.round_log.open_rounds:
             return []
-        if self._last_sent and not self._exhausted and self._completed < self.ledger.chain[-1].introduced:
+        if self._last_sent and not self._exhausted and self._completed < self.round_log.chain[-1].introduced:
             return []  # the rover has still to say that it is through
         taken, total = len(self.belief), self.scenario.samples
         why = f"{taken} of {total} samples are in the map"
@@ -485,5 +487,5 @@ class Director:
         return [self.ended]
 
 
-def _warning(text: str) -> Note:
-    return Note(Level.WARNING, text)
+def _warning(text: str) -> LogRecord:
+    return LogRecord(Level.WARNING, text)

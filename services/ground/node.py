@@ -50,32 +50,32 @@ from services.mission.regions import load_region
 from services.mission.scenario import Scenario
 from services.runtime.node import (
     SECOND,
-    Answer,
-    Answered,
-    Ask,
-    Asked,
     Computed,
-    Due,
     Effect,
     Event,
     Interface,
     Level,
+    LogRecord,
     MissionTime,
-    Note,
+    PublishSnapshot,
+    QueryFailed,
+    QueryReceived,
     Received,
-    Refuse,
+    RefuseQuery,
+    ReplyReceived,
     Send,
-    Show,
+    SendQuery,
+    SendReply,
+    SetTimer,
     Started,
-    Unanswered,
-    WakeAt,
+    TimerFired,
     seconds,
 )
 
 STATUS_TIMER = "status"
 LOOK, LOOK_TIMER = "commands-on-the-link", "look"
 LOST_TIMER = "lost:"
-MOST_INTERESTS = 100
+MAX_INTERESTS = 100
 _AWAY = frozenset({CommandKind.GO_TO, CommandKind.RETURN_TO_START})
 
 
@@ -132,21 +132,21 @@ class GroundNode:
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         match event:
-            case Asked(topic, request, token) if topic in MAP_TOPICS:
+            case QueryReceived(topic, request, token) if topic in MAP_TOPICS:
                 try:
-                    return [Answer(token, answer(topic, request, self._snapshot))]
+                    return [SendReply(token, answer(topic, request, self._snapshot))]
                 except He3Error as error:
-                    return [Refuse(token, str(error))]
-            case Asked(topic, _, token) if topic is LIST_COMMANDS:
-                return [Answer(token, CommandList(commands=self._commands.listed()))]
+                    return [RefuseQuery(token, str(error))]
+            case QueryReceived(topic, _, token) if topic is LIST_COMMANDS:
+                return [SendReply(token, CommandList(commands=self._commands.listed()))]
         effects = list(self._changed_by(event, now))
-        return [*effects, *self._shown(now), *self._told(now, anyway=event == Due(STATUS_TIMER))]
+        return [*effects, *self._shown(now), *self._told(now, anyway=event == TimerFired(STATUS_TIMER))]
 
     def _changed_by(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         match event:
             case Started():
                 self._commands.restarted()
-                yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
+                yield SetTimer(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
                 if not self._begun:
                     self._begun = True
                     yield from self._director.begin(now)
@@ -164,30 +164,30 @@ class GroundNode:
                 yield from self._command_passed(report, now)
             case Computed(job, result, error):
                 yield from self._director.computed(job, result, error, now)
-            case Asked(topic, Telecommand() as command, token) if topic is ISSUE_COMMAND:
+            case QueryReceived(topic, Telecommand() as command, token) if topic is ISSUE_COMMAND:
                 yield from self._issue(command, token, now)
-            case Asked(topic, InterestChange() as change, token) if topic is SET_INTEREST:
+            case QueryReceived(topic, InterestChange() as change, token) if topic is SET_INTEREST:
                 yield from self._set_interest(change, token, now)
-            case Due(timer) if timer == STATUS_TIMER:
-                yield WakeAt(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
+            case TimerFired(timer) if timer == STATUS_TIMER:
+                yield SetTimer(STATUS_TIMER, now + seconds(self._scenario.ground.status_period_s))
                 yield from self._listen_for_silence(now)
-            case Due(timer) if timer == REPLAN_TIMER:
+            case TimerFired(timer) if timer == REPLAN_TIMER:
                 yield from self._director.begin(now)
-            case Due(timer) if timer == LOOK_TIMER:
+            case TimerFired(timer) if timer == LOOK_TIMER:
                 yield from self._look_for_commands()
-            case Answered(_, question, LinkStatus() as link) if question == LOOK:
+            case ReplyReceived(_, query, LinkStatus() as link) if query == LOOK:
                 left, again = self._commands.seen_on_link(link, self.interface.name, now)
                 for departed in left:
                     yield from self._publish(departed)
                 if self._commands.leaving():
-                    yield WakeAt(LOOK_TIMER, again)
-            case Unanswered(_, question) if question == LOOK:
-                yield WakeAt(LOOK_TIMER, now + seconds(LOOK_AGAIN_S))
-            case Due(timer) if timer.startswith(LOST_TIMER):
+                    yield SetTimer(LOOK_TIMER, again)
+            case QueryFailed(_, query) if query == LOOK:
+                yield SetTimer(LOOK_TIMER, now + seconds(LOOK_AGAIN_S))
+            case TimerFired(timer) if timer.startswith(LOST_TIMER):
                 status = self._commands.give_up(timer.removeprefix(LOST_TIMER), now)
                 yield from self._publish(status)
             case _:
-                yield Note(Level.WARNING, f"ground: nothing to do upon {type(event).__name__}")
+                yield LogRecord(Level.WARNING, f"ground: nothing to do upon {type(event).__name__}")
 
     # --- telemetry --------------------------------------------------------------------------------------------------
 
@@ -204,7 +204,9 @@ class GroundNode:
 
     def _locate(self, state: RoverState, header: Header, now: MissionTime) -> Iterable[Effect]:
         if not self._director.grid.contains(np.array([(state.x_m, state.y_m)]))[0]:
-            return [Note(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")]
+            return [
+                LogRecord(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")
+            ]
         if self._rover_made_at is None or header.made_at >= self._rover_made_at:
             self._rover, self._rover_made_at = state, header.made_at
         return self._director.state(state, header.made_at, now)
@@ -213,7 +215,7 @@ class GroundNode:
         timeout = seconds(self._scenario.ground.rover_timeout_s)
         if self._heard_at is not None and now - self._heard_at > timeout and not self._silent:
             self._silent = True
-            yield Note(Level.WARNING, f"nothing heard of the rover for {(now - self._heard_at) / SECOND:.0f} s")
+            yield LogRecord(Level.WARNING, f"nothing heard of the rover for {(now - self._heard_at) / SECOND:.0f} s")
 
     # --- commands ---------------------------------------------------------------------------------------------------
 
@@ -221,35 +223,35 @@ class GroundNode:
         try:
             status, new = self._commands.issue(command, now)
         except InvalidInput as error:
-            yield Refuse(token, str(error))
+            yield RefuseQuery(token, str(error))
             return
-        yield Answer(token, status)
+        yield SendReply(token, status)
         if not new:
             return
         yield Send(COMMAND, command)
         yield from self._look_for_commands()
         overdue = self._commands.overdue_at(command)
         if overdue is not None:
-            yield WakeAt(LOST_TIMER + command.command_id, overdue)
+            yield SetTimer(LOST_TIMER + command.command_id, overdue)
         yield from self._publish(status)
         yield from self._keep_out(command, now)
 
     def _set_interest(self, change: InterestChange, token: int, now: MissionTime) -> Iterable[Effect]:
         director = self._director
         if change.polygon_m is not None and not director.grid.contains(np.array(change.polygon_m)).all():
-            yield Refuse(
+            yield RefuseQuery(
                 token,
                 f"interest: expected corners within 0..{director.grid.width_m:g} m east and "
                 f"0..{director.grid.height_m:g} m north, got one outside",
             )
             return
         if change.polygon_m is not None and (why := holds_nothing(director.grid, change.polygon_m)) is not None:
-            yield Refuse(token, f"interest: polygon_m: {why}")
+            yield RefuseQuery(token, f"interest: polygon_m: {why}")
             return
         effects: list[Effect] = []
         if change.area_id is not None:
-            if change.area_id not in director.interests and len(director.interests) >= MOST_INTERESTS:
-                yield Refuse(token, f"interest: expected at most {MOST_INTERESTS} areas, got one more")
+            if change.area_id not in director.interests and len(director.interests) >= MAX_INTERESTS:
+                yield RefuseQuery(token, f"interest: expected at most {MAX_INTERESTS} areas, got one more")
                 return
             changed = dict(director.interests)
             if change.polygon_m is None:
@@ -258,14 +260,14 @@ class GroundNode:
                 changed[change.area_id] = (change.polygon_m, change.weight)
             weights = interest_weights(director.grid, list(changed.values()))
             if (why := worth_nothing(weights, director.terrain.traversable)) is not None:
-                yield Refuse(token, f"interest: weight: {why}")
+                yield RefuseQuery(token, f"interest: weight: {why}")
                 return
             effects = director.set_interest(change.area_id, change.polygon_m, change.weight, now)
         areas = (
             InterestArea(area_id=name, polygon_m=tuple(polygon), weight=weight)
             for name, (polygon, weight) in director.interests.items()
         )
-        yield Answer(token, InterestList(areas=tuple(areas)))
+        yield SendReply(token, InterestList(areas=tuple(areas)))
         yield from effects
 
     def _keep_out(self, command: Telecommand, now: MissionTime) -> Iterable[Effect]:
@@ -283,7 +285,7 @@ class GroundNode:
         if report.stage is CommandStage.RECEIVED and all(
             passed.stage is not CommandStage.RADIATED for passed in status.stages
         ):
-            yield Ask(LINK_SET, LinkChange(), LOOK)  # it left between two looks
+            yield SendQuery(LINK_SET, LinkChange(), LOOK)  # it left between two looks
         command = status.command
         if report.stage in ENDS:
             yield from self._keep_out(command, now)
@@ -301,7 +303,7 @@ class GroundNode:
     def _look_for_commands(self) -> Iterable[Effect]:
         """Ask the link whether the commands that went out have left the Earth; with no link nobody answers."""
         if self._commands.leaving():
-            yield Ask(LINK_SET, LinkChange(), LOOK)
+            yield SendQuery(LINK_SET, LinkChange(), LOOK)
 
     def _publish(self, status: CommandStatus | None) -> Iterable[Effect]:
         if status is not None:
@@ -326,7 +328,7 @@ class GroundNode:
                 if director.fitted > self._fitted:
                     self._history = (*self._history, self._score)
             self._fitted = director.fitted
-        driven, planned = director.ledger.paths()
+        driven, planned = director.round_log.paths()
         before = self._snapshot
         if (
             before is not None
@@ -336,7 +338,7 @@ class GroundNode:
         ):
             if director.ended is not None and not self._shown_at_the_end:
                 self._shown_at_the_end = True
-                yield Show(before, awaited=True)
+                yield PublishSnapshot(before, awaited=True)
             return
         self._snapshot = MapSnapshot(
             grid=director.grid,
@@ -356,7 +358,7 @@ class GroundNode:
         )
         # Reports are made from answers that are asked for as soon as the mission is said to be over.
         self._shown_at_the_end = director.ended is not None
-        yield Show(self._snapshot, awaited=self._shown_at_the_end)
+        yield PublishSnapshot(self._snapshot, awaited=self._shown_at_the_end)
 
     def _told(self, now: MissionTime, anyway: bool) -> Iterable[Effect]:
         """The status, if it has changed or its time has come."""
@@ -371,7 +373,7 @@ class GroundNode:
         return GroundStatus(
             phase=self._phase(),
             planner=self._scenario.ground.planner,
-            round=director.ledger.completed,
+            round=director.round_log.completed,
             rounds=self._scenario.rounds,
             samples=len(director.belief),
             samples_total=self._scenario.samples,
@@ -400,7 +402,7 @@ class GroundNode:
             return MissionPhase.COMPLETED if director.ended.ok else MissionPhase.FAILED
         if self._heard_at is None:
             return MissionPhase.WAITING
-        return MissionPhase.EXECUTING if director.ledger.open_rounds else MissionPhase.PLANNING
+        return MissionPhase.EXECUTING if director.round_log.open_rounds else MissionPhase.PLANNING
 
     def _detail(self) -> str:
         if self._silent and self._director.ended is None:

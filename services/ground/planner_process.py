@@ -15,7 +15,7 @@ to judge, and ends, killing its children, when the socket does, however the owne
 child that dies otherwise, or a dead server, is reported as He3Error in the futures concerned; the next task gets a new
 server.
 
-Bounds. At most ``parallel`` children compute at once and at most ``MOST_WAITING`` tasks wait. A message has a length
+Bounds. At most ``parallel`` children compute at once and at most ``MAX_WAITING`` tasks wait. A message has a length
 of eight bytes, an identifier of eight, a kind of one, and a pickle. The socket joins two processes of one program: it
 is no way in for others.
 """
@@ -48,8 +48,8 @@ from services.ground.planners.interface import PlannedRound, PlanningRequest
 
 T = TypeVar("T")
 
-MOST_WAITING = 1000
-MOST_BYTES = 1 << 30
+MAX_WAITING = 1000
+MAX_BYTES = 1 << 30
 """Longest message [bytes]; a planning request of 500 x 500 cells has about 2 MB."""
 CLOSE_S = 0.5
 """How long the owner waits for the server to end before it kills it, and its children with it [s]."""
@@ -96,8 +96,8 @@ class PlannerProcess:
             raise InvalidInput(f"expected a task that can be pickled, got {task!r}: {error}") from None
         future: Future[T] = Future()
         with self._lock:
-            if len(self._pending) >= MOST_WAITING:
-                raise He3Error(f"{MOST_WAITING} tasks are waiting for the planner process: expected fewer")
+            if len(self._pending) >= MAX_WAITING:
+                raise He3Error(f"{MAX_WAITING} tasks are waiting for the planner process: expected fewer")
             channel = self._started()
             self._last += 1
             number = self._last
@@ -244,7 +244,7 @@ def _received(channel: socket.socket) -> tuple[int, bytes, bytes] | None:
         if header is None:
             return None
         size, number, kind = _HEADER.unpack(header)
-        payload = _exactly(channel, size) if size <= MOST_BYTES else None
+        payload = _exactly(channel, size) if size <= MAX_BYTES else None
         return None if payload is None else (number, kind, bytes(payload))
     except OSError:
         return None

@@ -11,11 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from he3.frames import FloatArray
+from he3.frames import FloatArray, Place
 from schemas.plans import PlannedSample, RoundPlan, Waypoint
 from services.runtime.node import MissionTime
-
-Place = tuple[float, float]
 
 
 @dataclass(slots=True, eq=False)
@@ -117,7 +115,7 @@ class RoundRecord:
         return whole, (x, y)
 
 
-class Ledger:
+class RoundLog:
     """The chain of rounds as it stands, and every version that was ever sent."""
 
     def __init__(self) -> None:

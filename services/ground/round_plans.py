@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, SiteGrid, as_points
+from he3.frames import FloatArray, Place, SiteGrid, as_points
 from he3.posterior.grid import GridPosterior
 from schemas.plans import PlannedSample, RoundPlan
 from services.ground.planners import planner_named
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 
-Place = tuple[float, float]
-
 START_TOLERANCE_M = 0.5  # how far from where it was asked to begin a planned round may begin
-MOST_VERTICES = 4096  # of a path, as the message admits
+MAX_VERTICES = 4096  # of a path, as the message admits
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +57,9 @@ def round_plan(work: PlanInWork, result: Any, grid: SiteGrid, version: str, dept
     if not isinstance(result, PlannedRound):
         raise InvalidInput(f"planner: expected a planned round, got {type(result).__name__}")
     path, places = as_points(result.path_m), as_points(result.samples_m)
-    if not (1 <= len(places) <= work.samples and 1 <= len(path) <= MOST_VERTICES):
+    if not (1 <= len(places) <= work.samples and 1 <= len(path) <= MAX_VERTICES):
         raise InvalidInput(
-            f"planner: expected 1 to {work.samples} samples on 1 to {MOST_VERTICES} vertices, "
+            f"planner: expected 1 to {work.samples} samples on 1 to {MAX_VERTICES} vertices, "
             f"got {len(places)} on {len(path)}"
         )
     if hypot(path[0, 0] - work.start_m[0], path[0, 1] - work.start_m[1]) > START_TOLERANCE_M:

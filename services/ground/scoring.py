@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
+from he3.frames import Float32Array
 from schemas.maps import MapScore
 from services.runtime.node import MissionTime
-
-Float32Array = NDArray[np.float32]
 
 
 class Scorer:

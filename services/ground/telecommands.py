@@ -15,8 +15,8 @@ from schemas.topics import COMMAND
 from services.ground.terrain import closes_nothing
 from services.runtime.node import SECOND, MissionTime, seconds
 
-MOST_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
-MOST_LISTED = 300  # commands in a list, the newest; with the largest polygons it stays under the size of a reply
+MAX_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
+MAX_LISTED = 300  # commands in a list, the newest; with the largest polygons it stays under the size of a reply
 LOOK_AGAIN_S = 30.0  # between looks at the link for a command that has not left yet
 LOST_AFTER_S = 60.0  # past its expiry and a round trip, before silence means that a command is lost
 
@@ -66,8 +66,8 @@ class CommandBook:
         if command.polygon_m is not None and (why := closes_nothing(self.grid, command.polygon_m)) is not None:
             raise InvalidInput(f"command {command.command_id}: polygon_m: {why}")
         under_way = sum(not is_over(status) for status in self._book.values())
-        if under_way >= MOST_UNDER_WAY:
-            raise InvalidInput(f"expected at most {MOST_UNDER_WAY} commands under way, got one more")
+        if under_way >= MAX_UNDER_WAY:
+            raise InvalidInput(f"expected at most {MAX_UNDER_WAY} commands under way, got one more")
         stages = tuple(
             CommandReport(command_id=command.command_id, stage=stage, at=now)
             for stage in (CommandStage.QUEUED, CommandStage.RELEASED)
@@ -168,7 +168,7 @@ class CommandBook:
 
     def listed(self) -> tuple[CommandStatus, ...]:
         """The newest commands with their stages, in the order in which they were issued."""
-        return tuple(self._book.values())[-MOST_LISTED:]
+        return tuple(self._book.values())[-MAX_LISTED:]
 
 
 def is_over(status: CommandStatus) -> bool:

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, SiteGrid
-
-BoolArray = NDArray[np.bool_]
-Place = tuple[float, float]
+from he3.frames import BoolArray, FloatArray, Place, SiteGrid
 
 _BOUNDARY_STEP_CELLS = 0.25  # a polygon's edge is followed in such steps, so that it misses corners of cells at most
 BESIDE_TRACK_M = 2.5  # no further from the end of its known track, a rover is taken to stand on it

@@ -26,7 +26,7 @@ from random import Random
 from schemas.link import AtEdge, DirectionConditions, DirectionCounts
 from schemas.topics import Custody
 from services.link.contact import Contact, Span
-from services.link.packet import Letter
+from services.link.packet import Packet
 from services.runtime.node import SECOND, MissionTime, seconds
 
 
@@ -43,7 +43,7 @@ class Reason(StrEnum):
 class Drop:
     """A letter that will not arrive."""
 
-    letter: Letter
+    packet: Packet
     reason: Reason
     at: MissionTime
 
@@ -52,7 +52,7 @@ class Drop:
 class Flight:
     """A letter that has begun to be sent, with the payload that will come out."""
 
-    letter: Letter
+    packet: Packet
     payload: bytes
     departs_at: MissionTime
     arrives_at: MissionTime
@@ -118,7 +118,7 @@ class Channel:
         self._at_edge = at_edge
         self._generator = generator
         self._limits = limits or Limits()
-        self._waiting: list[Letter] = []  # by (priority, order)
+        self._waiting: list[Packet] = []  # by (priority, order)
         self._waiting_bytes = 0
         self._flying: list[tuple[MissionTime, int, Flight]] = []  # heap by (arrival, count)
         self._flights = 0
@@ -129,17 +129,17 @@ class Channel:
         self._highest: dict[tuple[str, ...], int] = {}  # sequence offered so far, of each stream under custody
         self._drops: list[Drop] = []
 
-    def offer(self, letter: Letter, now: MissionTime) -> None:
+    def offer(self, packet: Packet, now: MissionTime) -> None:
         """Takes a letter in; it leaves at once when nothing is before it and there is contact."""
         self.advance(now)
         self._tally.offered += 1
-        self._tally.repeated += self._is_repetition(letter)
+        self._tally.repeated += self._is_repetition(packet)
         if self._at_edge is AtEdge.DROP and not self._contact.open_at(now):
-            self._drop(letter, Reason.OUT_OF_CONTACT, now)
+            self._drop(packet, Reason.OUT_OF_CONTACT, now)
             return
-        if not self._replaces(letter, now) and self._has_room_for(letter, now):
-            insort(self._waiting, letter, key=_turn)
-            self._waiting_bytes += len(letter.payload)
+        if not self._replaces(packet, now) and self._has_room_for(packet, now):
+            insort(self._waiting, packet, key=_turn)
+            self._waiting_bytes += len(packet.payload)
         self.advance(now)
 
     def advance(self, now: MissionTime) -> None:
@@ -189,7 +189,7 @@ class Channel:
         """What is under way, next to arrive first."""
         return [entry[2] for entry in sorted(self._flying, key=lambda entry: entry[:2])]
 
-    def waiting(self) -> list[Letter]:
+    def waiting(self) -> list[Packet]:
         """What waits to be sent, next to go first."""
         return list(self._waiting)
 
@@ -219,47 +219,47 @@ class Channel:
 
     # --- the queue ----------------------------------------------------------------------------------------------
 
-    def _is_repetition(self, letter: Letter) -> bool:
+    def _is_repetition(self, packet: Packet) -> bool:
         """Whether the message was offered before: under custody, a stream's new messages come in their order."""
-        if not isinstance(letter.topic.service, Custody) or not letter.subject:
+        if not isinstance(packet.topic.service, Custody) or not packet.subject:
             return False
-        stream = letter.subject[:-1]
+        stream = packet.subject[:-1]
         highest = self._highest.get(stream, -1)
-        self._highest[stream] = max(highest, letter.sequence)
-        return letter.sequence <= highest
+        self._highest[stream] = max(highest, packet.sequence)
+        return packet.sequence <= highest
 
-    def _replaces(self, letter: Letter, now: MissionTime) -> bool:
+    def _replaces(self, packet: Packet, now: MissionTime) -> bool:
         """Puts the letter in the place of an older one of its subject; False when there is none that waits."""
-        if not letter.subject:
+        if not packet.subject:
             return False
         for index, older in enumerate(self._waiting):
-            if older.subject == letter.subject:
+            if older.subject == packet.subject:
                 self._drop(older, Reason.SUPERSEDED, now)
-                self._waiting[index] = replace(letter, order=older.order)
-                self._waiting_bytes += len(letter.payload) - len(older.payload)
+                self._waiting[index] = replace(packet, order=older.order)
+                self._waiting_bytes += len(packet.payload) - len(older.payload)
                 return True
         return False
 
-    def _has_room_for(self, letter: Letter, now: MissionTime) -> bool:
+    def _has_room_for(self, packet: Packet, now: MissionTime) -> bool:
         """Makes room by dropping what matters less, newest first; False when that is the letter itself."""
-        limits, size = self._limits, len(letter.payload)
+        limits, size = self._limits, len(packet.payload)
         if len(self._flying) >= limits.flying or size > limits.waiting_bytes:
-            self._drop(letter, Reason.QUEUE_FULL, now)
+            self._drop(packet, Reason.QUEUE_FULL, now)
             return False
         while len(self._waiting) >= limits.waiting or self._waiting_bytes + size > limits.waiting_bytes:
             least = self._waiting[-1]
-            if least.priority <= letter.priority:
-                self._drop(letter, Reason.QUEUE_FULL, now)
+            if least.priority <= packet.priority:
+                self._drop(packet, Reason.QUEUE_FULL, now)
                 return False
             self._remove(least)
             self._drop(least, Reason.QUEUE_FULL, now)
         return True
 
-    def _remove(self, letter: Letter) -> None:
-        del self._waiting[bisect_left(self._waiting, _turn(letter), key=_turn)]
-        self._waiting_bytes -= len(letter.payload)
+    def _remove(self, packet: Packet) -> None:
+        del self._waiting[bisect_left(self._waiting, _turn(packet), key=_turn)]
+        self._waiting_bytes -= len(packet.payload)
 
-    def _drop(self, letter: Letter, reason: Reason, at: MissionTime) -> None:
+    def _drop(self, packet: Packet, reason: Reason, at: MissionTime) -> None:
         if reason is Reason.LOST:
             self._tally.lost += 1
         elif reason is Reason.OUT_OF_CONTACT:
@@ -268,7 +268,7 @@ class Channel:
             self._tally.dropped_queue_full += 1
         else:
             self._tally.superseded += 1
-        self._drops.append(Drop(letter, reason, at))
+        self._drops.append(Drop(packet, reason, at))
 
     # --- the transmitter ----------------------------------------------------------------------------------------
 
@@ -282,11 +282,11 @@ class Channel:
         span = self._contact.span_from(free)
         while span is not None and span.opens <= now:
             begins = max(free, span.opens)
-            for letter in self._waiting:
-                ends = self._last_bit(letter, begins, span)
+            for packet in self._waiting:
+                ends = self._last_bit(packet, begins, span)
                 if ends is not None:
-                    self._remove(letter)
-                    self._send(letter, begins, ends)
+                    self._remove(packet)
+                    self._send(packet, begins, ends)
                     return True
             span = self._contact.span_from(span.closes) if span.closes is not None else None
         return False
@@ -298,8 +298,8 @@ class Channel:
         edge = span.closes if span is not None and inside else self._seen
         if edge is None or edge > now or (inside and self._free_at < edge and self._someone_fits(span)):
             return False
-        for letter in self._waiting:
-            self._drop(letter, Reason.OUT_OF_CONTACT, edge)
+        for packet in self._waiting:
+            self._drop(packet, Reason.OUT_OF_CONTACT, edge)
         self._waiting.clear()
         self._waiting_bytes = 0
         return True
@@ -307,13 +307,13 @@ class Channel:
     def _someone_fits(self, span: Span | None) -> bool:
         begins = max(self._seen, self._free_at)
         return span is not None and any(
-            span.fits(begins, transmission_time(letter.size_bits, self._conditions.rate_bit_s))
-            for letter in self._waiting
+            span.fits(begins, transmission_time(packet.size_bits, self._conditions.rate_bit_s))
+            for packet in self._waiting
         )
 
-    def _last_bit(self, letter: Letter, begins: MissionTime, span: Span) -> MissionTime | None:
+    def _last_bit(self, packet: Packet, begins: MissionTime, span: Span) -> MissionTime | None:
         """When the last bit would leave if sending began then, within that contact; None: it may not begin."""
-        duration = transmission_time(letter.size_bits, self._conditions.rate_bit_s)
+        duration = transmission_time(packet.size_bits, self._conditions.rate_bit_s)
         if span.fits(begins, duration):
             return begins + duration
         if self._at_edge is AtEdge.DROP:
@@ -323,18 +323,18 @@ class Channel:
             return None
         return self._contact.after(begins, duration)
 
-    def _send(self, letter: Letter, begins: MissionTime, ends: MissionTime) -> None:
+    def _send(self, packet: Packet, begins: MissionTime, ends: MissionTime) -> None:
         conditions, fate = self._conditions, _Fate.drawn(self._generator)
         self._free_at = ends
         if fate.loss < conditions.loss:
-            self._drop(letter, Reason.LOST, begins)
+            self._drop(packet, Reason.LOST, begins)
             return
         light_time = seconds(conditions.one_way_light_time_s)
         jitter = round(seconds(conditions.jitter_s) * (2 * fate.jitter - 1))
         arrival = ends + max(0, light_time + jitter)
         if conditions.jitter_s > 0:
             arrival = max(arrival, self._last_arrival)
-        payload = letter.payload
+        payload = packet.payload
         if fate.corrupt < conditions.corrupt and payload:
             payload = damaged(payload, Random(fate.damage))
             self._tally.corrupted += 1
@@ -342,10 +342,10 @@ class Channel:
             arrival += round(light_time * fate.held_back)
         else:
             self._last_arrival = max(self._last_arrival, arrival)
-        self._fly(Flight(letter, payload, begins, arrival))
+        self._fly(Flight(packet, payload, begins, arrival))
         if fate.duplicate < conditions.duplicate:
             self._tally.duplicated += 1
-            self._fly(Flight(letter, payload, begins, arrival + round(light_time * fate.second_held_back)))
+            self._fly(Flight(packet, payload, begins, arrival + round(light_time * fate.second_held_back)))
 
     def _fly(self, flight: Flight) -> None:
         self._flights += 1
@@ -368,5 +368,5 @@ def damaged(payload: bytes, generator: Random) -> bytes:
     return bytes(damage)
 
 
-def _turn(letter: Letter) -> tuple[int, int]:
-    return letter.priority, letter.order
+def _turn(packet: Packet) -> tuple[int, int]:
+    return packet.priority, packet.order

@@ -20,11 +20,11 @@ from schemas.wire import Refused, decode, encode
 from services.runtime.drivers.wall_clock import CLOCKS, ONLOOKERS, Service, Stop
 from services.runtime.lockstep.pace import Pace
 from services.runtime.lockstep.process import JOIN, MEMBERS, TO_KEEPER, LockstepProcess, grant_to
-from services.runtime.lockstep.time_manager import TimeKeeper
+from services.runtime.lockstep.time_manager import TimeManager
 from services.runtime.node import MissionTime
 from services.runtime.options import Options
-from services.runtime.queries.server import request_of
-from services.runtime.transport.session import Bus, Question, open_session
+from services.runtime.queries.server import request_from_selector
+from services.runtime.transport.session import IncomingQuery, Session, open_session
 
 SHOW_TIME_EVERY_S = 0.1
 HANGS_AFTER_S = 5.0
@@ -38,7 +38,7 @@ class LockstepLinkProcess(LockstepProcess):
 
     def __init__(self, service: Service, options: Options, stop: Stop) -> None:
         super().__init__(service, options, stop)
-        self.keeper = TimeKeeper(
+        self.keeper = TimeManager(
             options.scenario.start_ns, frozenset(options.wait_for) | {service.name}, self.process_id
         )
         self.pace = Pace()
@@ -47,7 +47,7 @@ class LockstepLinkProcess(LockstepProcess):
         self._over = options.stop_when is None
         self._homes: dict[str, Side] = {}
         self._known: set[str] = set()
-        self._join_questions: dict[str, tuple[Side, Question]] = {}
+        self._join_questions: dict[str, tuple[Side, IncomingQuery]] = {}
         self._busy: dict[str, StepBusy] = {}
         self._shown = 0.0
         self._began_step = 0.0
@@ -55,9 +55,9 @@ class LockstepLinkProcess(LockstepProcess):
         self._computing_s = 0.0
         self._detail = ""
 
-    def open(self, side: Side, endpoint: str) -> Bus | None:
+    def open(self, side: Side, endpoint: str) -> Session | None:
         """The router of that side."""
-        return Bus(open_session(side, "router", endpoint), self.mission)
+        return Session(open_session(side, "router", endpoint), self.mission)
 
     def take_part(self) -> bool:
         """Be the one whom the others join."""
@@ -68,16 +68,18 @@ class LockstepLinkProcess(LockstepProcess):
         self._joined = True
         self.part.start(self._incarnation)
         self._show_time()
-        for side, bus in self.buses.items():
-            bus.serve(CLOCKS[side], lambda question: self.later(partial(self._tell_time, question)))
-            bus.serve(JOIN[side], partial(self._join_asked, side))
+        for side, session in self.sessions.items():
+            session.serve(CLOCKS[side], lambda query: self.later(partial(self._tell_time, query)))
+            session.serve(JOIN[side], partial(self._join_asked, side))
             for family in TO_KEEPER:
-                bus.subscribe(family[side], partial(self._heard, family[side]))
-            bus.watch_alive(
+                session.subscribe(family[side], partial(self._heard, family[side]))
+            session.watch_alive(
                 side, lambda process, alive: self.later(partial(self._member_seen, process, alive)), MEMBERS
             )
-            bus.watch_alive(side, lambda name, alive: self.later(partial(self._onlooker_seen, name, alive)), ONLOOKERS)
-        self.buses[Side.EARTH].serve(TIME_CONTROL, lambda question: self.later(partial(self._control, question)))
+            session.watch_alive(
+                side, lambda name, alive: self.later(partial(self._onlooker_seen, name, alive)), ONLOOKERS
+            )
+        self.sessions[Side.EARTH].serve(TIME_CONTROL, lambda query: self.later(partial(self._control, query)))
         missing = self.keeper.missing()
         if missing:
             self.log.info("mission time waits", for_=", ".join(missing))
@@ -131,7 +133,7 @@ class LockstepLinkProcess(LockstepProcess):
                 self.part.grant(grant)
             else:
                 side = self._homes[name]
-                self.buses[side].publish(grant_to(name, side), encode(self.header(), grant))
+                self.sessions[side].publish(grant_to(name, side), encode(self.header(), grant))
         self._last = max(self._last, instant)
 
     def report(self, done: StepDone) -> None:
@@ -190,29 +192,29 @@ class LockstepLinkProcess(LockstepProcess):
 
     # --- who takes part -----------------------------------------------------------------------------------------
 
-    def _join_asked(self, side: Side, question: Question) -> None:
-        self.later(partial(self._take_join, side, question))
+    def _join_asked(self, side: Side, query: IncomingQuery) -> None:
+        self.later(partial(self._take_join, side, query))
 
-    def _take_join(self, side: Side, question: Question) -> None:
+    def _take_join(self, side: Side, query: IncomingQuery) -> None:
         try:
-            _, joining = decode(JOIN[side], question.payload or b"", self.mission)
+            _, joining = decode(JOIN[side], query.payload or b"", self.mission)
             obeys = self.keeper.join(joining)
         except (Refused, InvalidInput) as refusal:
-            question.refuse(str(refusal))
+            query.refuse(str(refusal))
             return
         if obeys:
-            self._join_questions[joining.name] = (side, question)
+            self._join_questions[joining.name] = (side, query)
         else:
-            question.reply(encode(self.header(), self.keeper.answer(joining, admitted=False)))
+            query.reply(encode(self.header(), self.keeper.answer(joining, admitted=False)))
 
     def _admit(self) -> None:
         """Between two steps: take in who asked for it, and tell them where time stands."""
         for joining in self.keeper.admit():
-            side, question = self._join_questions.pop(joining.name, (None, None))
-            if side is None or question is None:
+            side, query = self._join_questions.pop(joining.name, (None, None))
+            if side is None or query is None:
                 continue
             self._homes[joining.name] = side
-            question.reply(encode(self.header(), self.keeper.answer(joining, admitted=True)))
+            query.reply(encode(self.header(), self.keeper.answer(joining, admitted=True)))
             if joining.process not in self._known:
                 self._known.add(joining.process)
                 missing = ", ".join(self.keeper.missing())
@@ -262,15 +264,15 @@ class LockstepLinkProcess(LockstepProcess):
         if busy.computing and self._computing_since is None:
             self._computing_since = time.monotonic()
 
-    def _control(self, question: Question) -> None:
-        payload = question.payload
+    def _control(self, query: IncomingQuery) -> None:
+        payload = query.payload
         try:
             if payload is None:
-                control = request_of(TIME_CONTROL, question.parameters)
+                control = request_from_selector(TIME_CONTROL, query.parameters)
             else:
                 _, control = decode(TIME_CONTROL, payload, self.mission)
         except (He3Error, Refused) as error:
-            question.refuse(str(error))
+            query.refuse(str(error))
             return
         if control != TimeControl():
             self._ask_of_pace(control)
@@ -278,7 +280,7 @@ class LockstepLinkProcess(LockstepProcess):
                 self.events.active = True
             self._show_time()
         status = self._status()
-        question.reply(status.model_dump_json().encode() if payload is None else encode(self.header(), status))
+        query.reply(status.model_dump_json().encode() if payload is None else encode(self.header(), status))
 
     def _ask_of_pace(self, control: TimeControl) -> None:
         self.pace.control(control, self.keeper.now, time.monotonic())
@@ -306,11 +308,11 @@ class LockstepLinkProcess(LockstepProcess):
     def _show_time(self) -> None:
         self._shown = time.monotonic()
         message = self._clock_message()
-        for side, bus in self.buses.items():
-            bus.show(CLOCKS[side], message)
+        for side, session in self.sessions.items():
+            session.show(CLOCKS[side], message)
 
-    def _tell_time(self, question: Question) -> None:
-        question.reply(self._clock_message())
+    def _tell_time(self, query: IncomingQuery) -> None:
+        query.reply(self._clock_message())
 
     def _clock_message(self) -> bytes:
         self.clock = ClockState(

@@ -12,21 +12,21 @@ from services.link.relay import Relay
 from services.mission.scenario import Scenario
 from services.runtime.node import (
     SECOND,
-    Answer,
-    Asked,
-    Due,
     Effect,
     Event,
     Forward,
     Interface,
     Level,
+    LogRecord,
     MissionTime,
-    Note,
-    Overheard,
-    Refuse,
+    QueryReceived,
+    ReceivedRaw,
+    RefuseQuery,
     Send,
+    SendReply,
+    SetTimer,
     Started,
-    WakeAt,
+    TimerFired,
 )
 
 STATUS_AT_MOST_EVERY: MissionTime = 1 * SECOND
@@ -48,7 +48,7 @@ class LinkNode:
         self._interface = Interface(
             name="link",
             sides=(Side.MOON, Side.EARTH),
-            overhears=(*crossing(Direction.UP), *crossing(Direction.DOWN)),
+            receives_raw=(*crossing(Direction.UP), *crossing(Direction.DOWN)),
             serves=(LINK_SET,),
             custody=False,
         )
@@ -70,17 +70,17 @@ class LinkNode:
                 self._woken_at.clear()
                 self._in_contact = self._relay.in_contact(now)
                 self._relay.restarted(incarnation)
-                yield Note(Level.INFO, "link up", {"incarnation": incarnation, "contact": self._in_contact})
+                yield LogRecord(Level.INFO, "link up", {"incarnation": incarnation, "contact": self._in_contact})
                 self._report_due = now
-            case Overheard(topic=topic, payload=payload):
+            case ReceivedRaw(topic=topic, payload=payload):
                 if topic.direction is not None:
                     self._relay.offer(topic, payload, now)
                     self._report_soon(now)
-            case Asked(topic=topic, request=LinkChange() as change, token=token):
+            case QueryReceived(topic=topic, request=LinkChange() as change, token=token):
                 yield from self._changed(change, token, now)
-            case Asked(topic=topic, token=token):
-                yield Refuse(token, f"expected a change of the link on {LINK_SET.name}, got {topic.name}")
-            case Due(timer=timer):
+            case QueryReceived(topic=topic, token=token):
+                yield RefuseQuery(token, f"expected a change of the link on {LINK_SET.name}, got {topic.name}")
+            case TimerFired(timer=timer):
                 self._woken_at.pop(timer, None)
         yield from self._carry_on(now)
 
@@ -88,25 +88,25 @@ class LinkNode:
         try:
             self._relay.change(change, now)
         except InvalidInput as error:
-            yield Refuse(token, str(error))
+            yield RefuseQuery(token, str(error))
             return
         what = change.model_dump(mode="json", exclude_defaults=True)
         if what:
-            yield Note(Level.INFO, "link changed", what)
+            yield LogRecord(Level.INFO, "link changed", what)
             self._report_due = now
-        yield Answer(token, self._relay.status(now, self._incarnation))
+        yield SendReply(token, self._relay.status(now, self._incarnation))
 
     def _carry_on(self, now: MissionTime) -> Iterator[Effect]:
         """What every event may have set in motion: arrivals, losses, contact, reports, timers."""
         for direction, flight in self._relay.arrived(now):
-            yield Forward(flight.letter.topic, flight.payload, _ARRIVES_ON[direction])
+            yield Forward(flight.packet.topic, flight.payload, _ARRIVES_ON[direction])
         for direction, drop in self._relay.drops():
             yield from _dropped(direction, drop)
         contact = self._relay.in_contact(now)
         if contact is not self._in_contact:
             self._in_contact = contact
             self._report_due = now
-            yield Note(Level.INFO, "contact regained" if contact else "contact lost", self._until(now))
+            yield LogRecord(Level.INFO, "contact regained" if contact else "contact lost", self._until(now))
         if self._report_due is not None and self._report_due <= now:
             yield Send(LINK_STATUS, self._relay.status(now, self._incarnation))
             self._reported_at = now
@@ -126,24 +126,24 @@ class LinkNode:
     def _wake(self, timer: str, at: MissionTime | None) -> Iterator[Effect]:
         if self._woken_at.get(timer) != at:
             self._woken_at[timer] = at
-            yield WakeAt(timer, at)
+            yield SetTimer(timer, at)
 
 
 def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
     """A line for the log about a loss; that the newest replaced an older one is no loss."""
     if drop.reason is Reason.SUPERSEDED:
         return
-    letter = drop.letter
+    packet = drop.packet
     level = Level.DEBUG if drop.reason is Reason.LOST else Level.WARNING
     fields = {
         "why": drop.reason.value,
         "direction": direction.value,
-        "topic": letter.topic.name,
-        "source": letter.source,
-        "sequence": letter.sequence,
+        "topic": packet.topic.name,
+        "source": packet.source,
+        "sequence": packet.sequence,
         "at": drop.at,
     }
-    yield Note(level, "letter dropped", fields)
+    yield LogRecord(level, "letter dropped", fields)
 
 
 def build_node(scenario: Scenario) -> LinkNode:

@@ -21,7 +21,7 @@ _DECODER = json.JSONDecoder()
 
 
 @dataclass(frozen=True, slots=True)
-class Letter:
+class Packet:
     """A message offered to one direction of the link."""
 
     topic: Topic
@@ -48,7 +48,7 @@ class Letter:
         return 8 * len(self.payload)
 
 
-def sealed(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) -> Letter:
+def sealed(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) -> Packet:
     """The letter that such a payload makes; one that cannot be read has source '?' and sequence 0."""
     header = _header(payload)
     source, sequence = header.get("source"), header.get("sequence")
@@ -59,7 +59,7 @@ def sealed(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) ->
         subject = (topic.name, str(source), *_distinct(topic.service, payload))
     elif readable and isinstance(topic.service, Custody):
         subject = (topic.name, str(source), str(header.get("incarnation")), str(sequence))
-    return Letter(
+    return Packet(
         topic=topic,
         payload=payload,
         source=str(source)[:64] if readable else UNKNOWN_SOURCE,

@@ -17,8 +17,8 @@ from schemas.wire import Header, Refused, decode, encode
 from services.runtime.clock import at_rate, started
 from services.runtime.drivers.wall_clock import CLOCKS, Process, Service, Stop
 from services.runtime.options import Options
-from services.runtime.queries.server import request_of
-from services.runtime.transport.session import Bus, Question, open_session
+from services.runtime.queries.server import request_from_selector
+from services.runtime.transport.session import IncomingQuery, Session, open_session
 
 CLOCK_FILE = "clock.json"
 
@@ -31,9 +31,9 @@ class LinkProcess(Process):
         self._missing = set(options.wait_for)
         self._clock_sequence = 0
 
-    def open(self, side: Side, endpoint: str) -> Bus | None:
+    def open(self, side: Side, endpoint: str) -> Session | None:
         """The router of that side."""
-        return Bus(open_session(side, "router", endpoint), self.mission)
+        return Session(open_session(side, "router", endpoint), self.mission)
 
     def learn_time(self) -> bool:
         """Start the clock, or go on with the one that an earlier start of this process left."""
@@ -45,11 +45,11 @@ class LinkProcess(Process):
         else:
             rate = 0.0 if self._missing else scenario.rate
             self.clock = started(scenario.start_ns, rate, time.time_ns())
-        for side, bus in self.buses.items():
-            bus.serve(CLOCKS[side], partial(self._tell_time, side))
+        for side, session in self.sessions.items():
+            session.serve(CLOCKS[side], partial(self._tell_time, side))
             if self._missing:
-                bus.watch_alive(side, lambda name, alive: self.later(partial(self._seen, name, alive)))
-        self.buses[Side.EARTH].serve(CLOCK_SET, lambda question: self.later(partial(self._set_rate, question)))
+                session.watch_alive(side, lambda name, alive: self.later(partial(self._seen, name, alive)))
+        self.sessions[Side.EARTH].serve(CLOCK_SET, lambda query: self.later(partial(self._set_rate, query)))
         self._announce_time()
         if self._missing:
             self.log.info("mission time waits", for_=", ".join(sorted(self._missing)))
@@ -62,20 +62,20 @@ class LinkProcess(Process):
                 self._change_rate(self.options.scenario.rate)
                 self.log.info("mission time runs", rate=self.options.scenario.rate)
 
-    def _set_rate(self, question: Question) -> None:
-        payload = question.payload
+    def _set_rate(self, query: IncomingQuery) -> None:
+        payload = query.payload
         try:
             if payload is None:
-                change = request_of(CLOCK_SET, question.parameters)
+                change = request_from_selector(CLOCK_SET, query.parameters)
             else:
                 _, change = decode(CLOCK_SET, payload, self.mission)
         except (He3Error, Refused) as error:
-            question.refuse(str(error))
+            query.refuse(str(error))
             self.refused(str(error))
             return
         self._missing.clear()
         self._change_rate(change.rate)
-        question.reply(self._time_message())
+        query.reply(self._time_message())
 
     def _change_rate(self, rate: float) -> None:
         assert self.clock is not None, "the link's clock exists before anybody can change it"
@@ -84,11 +84,11 @@ class LinkProcess(Process):
 
     def _announce_time(self) -> None:
         self._remember()
-        for side, bus in self.buses.items():
-            bus.publish(CLOCKS[side], self._time_message())
+        for side, session in self.sessions.items():
+            session.publish(CLOCKS[side], self._time_message())
 
-    def _tell_time(self, _side: Side, question: Question) -> None:
-        question.reply(self._time_message())
+    def _tell_time(self, _side: Side, query: IncomingQuery) -> None:
+        query.reply(self._time_message())
 
     def _time_message(self) -> bytes:
         clock = self.clock

@@ -22,7 +22,7 @@ from schemas.topics import COMMAND, Topic
 from schemas.wire import one_line
 from services.link.channel import Channel, Drop, Flight, Limits
 from services.link.contact import Contact
-from services.link.packet import Letter, sealed
+from services.link.packet import Packet, sealed
 from services.runtime.node import MissionTime
 
 SHOWN_IN_FLIGHT = 200
@@ -67,9 +67,9 @@ class Relay:
         arrived = [
             (direction, flight) for direction, channel in self._channels.items() for flight in channel.arrived(now)
         ]
-        arrived.sort(key=lambda pair: (pair[1].arrives_at, pair[1].letter.order))
+        arrived.sort(key=lambda pair: (pair[1].arrives_at, pair[1].packet.order))
         self._commands_arrived.extend(
-            _shown_flight(direction, flight) for direction, flight in arrived if flight.letter.topic is COMMAND
+            _shown_flight(direction, flight) for direction, flight in arrived if flight.packet.topic is COMMAND
         )
         return arrived
 
@@ -116,7 +116,7 @@ class Relay:
             for direction, channel in self._channels.items()
             for entry in (
                 *(_shown_flight(direction, flight) for flight in channel.flights()[:SHOWN_IN_FLIGHT]),
-                *(_shown_waiting(direction, letter) for letter in channel.waiting()[:SHOWN_IN_FLIGHT]),
+                *(_shown_waiting(direction, packet) for packet in channel.waiting()[:SHOWN_IN_FLIGHT]),
             )
         ]
         shown.sort(key=lambda entry: (entry.arrives_at is None, entry.arrives_at or entry.offered_at))
@@ -162,27 +162,27 @@ def _of(conditions: LinkConditions, direction: Direction) -> DirectionConditions
 
 
 def _shown_flight(direction: Direction, flight: Flight) -> InFlight:
-    letter = flight.letter
+    packet = flight.packet
     return InFlight(
-        topic=letter.topic.name,
-        source=letter.source,
-        sequence=letter.sequence,
+        topic=packet.topic.name,
+        source=packet.source,
+        sequence=packet.sequence,
         direction=direction,
-        size_bytes=len(letter.payload),
-        offered_at=letter.offered_at,
+        size_bytes=len(packet.payload),
+        offered_at=packet.offered_at,
         departs_at=flight.departs_at,
         arrives_at=flight.arrives_at,
     )
 
 
-def _shown_waiting(direction: Direction, letter: Letter) -> InFlight:
+def _shown_waiting(direction: Direction, packet: Packet) -> InFlight:
     return InFlight(
-        topic=letter.topic.name,
-        source=letter.source,
-        sequence=letter.sequence,
+        topic=packet.topic.name,
+        source=packet.source,
+        sequence=packet.sequence,
         direction=direction,
-        size_bytes=len(letter.payload),
-        offered_at=letter.offered_at,
+        size_bytes=len(packet.payload),
+        offered_at=packet.offered_at,
         departs_at=None,
         arrives_at=None,
     )
@@ -190,9 +190,9 @@ def _shown_waiting(direction: Direction, letter: Letter) -> InFlight:
 
 def _shown_dropped(direction: Direction, drop: Drop) -> Dropped:
     return Dropped(
-        topic=drop.letter.topic.name,
-        source=drop.letter.source,
-        sequence=drop.letter.sequence,
+        topic=drop.packet.topic.name,
+        source=drop.packet.source,
+        sequence=drop.packet.sequence,
         direction=direction,
         why=drop.reason.value,
         at=drop.at,

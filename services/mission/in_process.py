@@ -14,7 +14,7 @@ from schemas.wire import Refused, Wire, decode
 from services.mission.scenario import Scenario
 from services.recorder.node import Sink
 from services.runtime.drivers.simulation import Simulation
-from services.runtime.host import Trace
+from services.runtime.host import EventSink
 from services.runtime.node import SECOND, MissionTime, Node
 from services.runtime.scheduler import Executor
 
@@ -52,7 +52,7 @@ class InProcessMission:
         scenario: Scenario,
         executor: Executor | None = None,
         sink: Sink | None = None,
-        trace: Trace | None = None,
+        trace: EventSink | None = None,
         nodes: Iterable[Node] | None = None,
     ) -> None:
         self.scenario = scenario

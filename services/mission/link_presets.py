@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from he3.errors import InvalidInput
-from he3.light_time import MEAN_LIGHT_TIME_S, preset_light_time_s
+from he3.lighttime import MEAN_LIGHT_TIME_S, preset_light_time_s
 from schemas.link import DirectionConditions, DutyCycle, LinkConditions
 
 _DAY_S: Final = 86_400.0

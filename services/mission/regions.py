@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from he3.constants import HELIUM3_MAX_PPB, RELIEF_WINDOW_M
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
+from he3.frames import FloatArray, SiteGrid
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
 from he3.terrain import relief_m, slope_deg, traversable
-
-FloatArray = NDArray[np.float64]
 
 # Name of a region -> its coarse rasters in this package. They are synthetic stand-ins, and their file names say so.
 EMBEDDED: Final[Mapping[str, str]] = {

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from he3.errors import InvalidInput
+from he3.frames import Place
 from schemas.link import LinkConditions
 from schemas.wire import MissionName, one_line
 from services.runtime.node import MissionTime
@@ -25,8 +26,7 @@ MAX_SCENARIO_BYTES = 1_000_000
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Point = tuple[float, float]
-Polygon = Annotated[tuple[Point, ...], Field(min_length=3, max_length=256)]
+Polygon = Annotated[tuple[Place, ...], Field(min_length=3, max_length=256)]
 
 
 class Section(BaseModel):
@@ -175,7 +175,7 @@ class Scenario(Section):
     rounds: Annotated[int, Field(ge=1, le=1000)] = 30
     samples_per_round: Annotated[int, Field(ge=1, le=256)] = 5
     sample_depth_m: Annotated[float, Field(gt=0, le=3)] = 0.1
-    start_m: Point = (25.0, 25.0)
+    start_m: Place = (25.0, 25.0)
     """Where the rover lands (x, y) [m]."""
     rate: Annotated[float, Field(gt=0, le=100_000)] = 1.0
     """Mission seconds a wall second, on the wall clock."""

@@ -12,7 +12,7 @@ from services.runtime.node import Node
 from services.runtime.options import Options
 
 DEFAULT_FILE = Path("mission.mcap")
-LEAST_FLUSH_S = 0.2
+MIN_FLUSH_S = 0.2
 """Wall time between flushes: what a kill can cost at most."""
 
 
@@ -22,7 +22,7 @@ def main() -> int:
 
         def build(options: Options) -> Node:
             stream = stack.enter_context(open_recording(options.out or DEFAULT_FILE))
-            writer = stack.enter_context(RecordingWriter(stream, options.scenario.name, LEAST_FLUSH_S))
+            writer = stack.enter_context(RecordingWriter(stream, options.scenario.name, MIN_FLUSH_S))
             return build_node(options.scenario, writer)
 
         return serve(Service("recorder", build, onlooker=True))

@@ -9,16 +9,16 @@ from schemas.topics import TOPICS, Side, Topic
 from schemas.wire import encode
 from services.mission.scenario import Scenario
 from services.runtime.node import (
-    Due,
     Effect,
     Event,
     Interface,
     Level,
+    LogRecord,
     MissionTime,
-    Note,
     Received,
+    SetTimer,
     Started,
-    WakeAt,
+    TimerFired,
     seconds,
 )
 
@@ -56,13 +56,13 @@ class RecorderNode:
         """Nothing but a timer: a recorder says nothing."""
         match event:
             case Started(incarnation):
-                return [Note(Level.INFO, "recording", {"incarnation": incarnation, "topics": len(RECORDED)})]
+                return [LogRecord(Level.INFO, "recording", {"incarnation": incarnation, "topics": len(RECORDED)})]
             case Received(topic, header, body):
                 self._sink.write(topic, encode(header, body), now, header.made_at, header.sequence)
                 if not self._flush_pending:
                     self._flush_pending = True
-                    return [WakeAt(FLUSH, now + self._flush_after)]
-            case Due(timer) if timer == FLUSH:
+                    return [SetTimer(FLUSH, now + self._flush_after)]
+            case TimerFired(timer) if timer == FLUSH:
                 self._flush_pending = False
                 self._sink.flush()
         return []

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
+from he3.frames import Place
 from schemas.plans import PlannedSample, RoundPlan
 from services.rover.drill import Hole
-from services.rover.geometry import Point, nearest_share, squared_distance
+from services.rover.geometry import nearest_share, squared_distance
 
 SAMPLE_TOLERANCE_M: Final = 0.5  # m that a sample may lie beside its path; the rover drives to the sample itself
 _SAME_PLACE_M: Final = 1e-6
@@ -18,7 +19,7 @@ _SAME_PLACE_M: Final = 1e-6
 class Leg:
     """A way to a stop: vertices still to be reached, and the sample to take at the last of them, if any."""
 
-    way_m: tuple[Point, ...]
+    way_m: tuple[Place, ...]
     sample: PlannedSample | None
 
 
@@ -45,14 +46,14 @@ def legs_of(planned: RoundPlan) -> tuple[Leg, ...] | str:
     return (Leg((path[0], *legs[0].way_m), legs[0].sample), *legs[1:])
 
 
-def _along(path: tuple[Point, ...], vertex: int, place: Point, target: Point) -> tuple[int, Point] | None:
+def _along(path: tuple[Place, ...], vertex: int, place: Place, target: Place) -> tuple[int, Place] | None:
     """Segment and place on it, at or after the given ones, where the path first comes nearest to the target.
 
     The first approach counts, not the nearest of all: later samples need what of the path is left.
     """
     if len(path) == 1:
         return (0, place) if math.dist(place, target) <= SAMPLE_TOLERANCE_M else None
-    best: tuple[float, int, Point] | None = None
+    best: tuple[float, int, Place] | None = None
     for index in range(vertex, len(path) - 1):
         a, b = (place if index == vertex else path[index]), path[index + 1]
         squared = squared_distance(target, a, b)
@@ -67,7 +68,7 @@ def _along(path: tuple[Point, ...], vertex: int, place: Point, target: Point) ->
 
 
 @dataclass(slots=True)
-class Job:
+class Activity:
     """What is being executed: a round of a plan (`round` > 0), or an errand of a telecommand."""
 
     legs: tuple[Leg, ...]
@@ -83,7 +84,7 @@ class Job:
     """Closed areas that it began in, and has not come out of yet."""
 
     @property
-    def ends_m(self) -> Point | None:
+    def ends_m(self) -> Place | None:
         """Where it ends; None if it leads nowhere else."""
         for leg in reversed(self.legs):
             if leg.way_m:

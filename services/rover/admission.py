@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from he3.frames import SiteGrid
+from he3.frames import Place, SiteGrid
 from schemas.plans import MissionPlan, RoundPlan
-from services.rover.activities import Job, Leg, legs_of
-from services.rover.geometry import Area, Point
+from services.rover.activities import Activity, Leg, legs_of
+from services.rover.geometry import Area
 
 JOIN_TOLERANCE_M: Final = 2.0  # m between where a round begins and where the rover will be
 MAX_ROUND_M: Final = 50_000.0  # m of way in a round: more is a mistake, the whole mission drives 20 km
@@ -29,7 +29,7 @@ class Situation:
     """The last round that has begun; 0 before the first."""
     replannable: bool
     """That round was aborted, so it may be planned again."""
-    place_m: Point
+    place_m: Place
     """Where the rover will be when the next round begins."""
     measured: frozenset[str] | set[str]
     """Samples that must not be taken again: done, or part of the round under way."""
@@ -39,7 +39,7 @@ class Situation:
     """Distance to keep from those areas [m]."""
 
 
-def admitted(plan: MissionPlan, situation: Situation) -> tuple[Job, ...] | str:
+def admitted(plan: MissionPlan, situation: Situation) -> tuple[Activity, ...] | str:
     """The plan's rounds that have not begun, laid out; or one line that says why the plan is rejected."""
     newest = situation.accepted
     if newest is not None and plan.revision <= newest.revision:
@@ -50,19 +50,19 @@ def admitted(plan: MissionPlan, situation: Situation) -> tuple[Job, ...] | str:
         return f"expected rounds from {first} on, got {plan.rounds[-1].round} as the last: all have begun"
     if rounds[0].round > situation.begun + 1:
         return f"expected round {situation.begun + 1} next, got {rounds[0].round}"
-    jobs: list[Job] = []
+    jobs: list[Activity] = []
     place = situation.place_m
     for planned in rounds:
         laid_out = _laid_out(planned, place, situation)
         if isinstance(laid_out, str):
             return laid_out
-        job = Job(laid_out, round=planned.round, revision=plan.revision)
+        job = Activity(laid_out, round=planned.round, revision=plan.revision)
         place = job.ends_m or place
         jobs.append(job)
     return tuple(jobs)
 
 
-def _laid_out(planned: RoundPlan, place: Point, situation: Situation) -> tuple[Leg, ...] | str:
+def _laid_out(planned: RoundPlan, place: Place, situation: Situation) -> tuple[Leg, ...] | str:
     begins = planned.path_m[0]
     gap = math.dist(begins, place)
     if gap > JOIN_TOLERANCE_M:
@@ -86,7 +86,7 @@ def _laid_out(planned: RoundPlan, place: Point, situation: Situation) -> tuple[L
     return legs if closed is None else f"round {planned.round}: {closed}"
 
 
-def outside(site: SiteGrid, places_m: tuple[Point, ...]) -> str | None:
+def outside(site: SiteGrid, places_m: tuple[Place, ...]) -> str | None:
     """One line on the first of the places that lies outside the site; None if all are in it."""
     within = site.contains(np.array(places_m))
     if within.all():
@@ -95,7 +95,7 @@ def outside(site: SiteGrid, places_m: tuple[Point, ...]) -> str | None:
     return f"expected places within 0..{site.width_m:g} m east and 0..{site.height_m:g} m north, got ({x:g}, {y:g})"
 
 
-def closed_off(way_m: tuple[Point, ...], areas: Mapping[str, Area], margin_m: float) -> str | None:
+def closed_off(way_m: tuple[Place, ...], areas: Mapping[str, Area], margin_m: float) -> str | None:
     """One line on the first closed area that the way comes near; None if it keeps clear of all.
 
     An area that the way begins in does not count until the way has left it: that is how the rover gets out.

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from he3.frames import Place
 from schemas.commands import CommandKind, CommandStage, Telecommand
 from schemas.wire import Header
-from services.rover.activities import Job, Leg
+from services.rover.activities import Activity, Leg
 from services.rover.admission import closed_off, outside
 from services.rover.command_registry import MAX_WAITING, is_past
 from services.rover.executive import Executive
-from services.rover.geometry import Area, Point
+from services.rover.geometry import Area
 from services.rover.states import Hold
 from services.rover.track import way_home
-from services.runtime.node import Level, MissionTime, Note
+from services.runtime.node import Level, LogRecord, MissionTime
 
 MAX_AREAS: Final = 100
 
@@ -30,10 +31,12 @@ def take(executive: Executive, command: Telecommand, header: Header, now: Missio
     if earlier is not None:
         if table.differs(command):
             executive.out.append(
-                Note(Level.WARNING, "another command under a known id is ignored", {"command_id": command.command_id})
+                LogRecord(
+                    Level.WARNING, "another command under a known id is ignored", {"command_id": command.command_id}
+                )
             )
         else:
-            executive.voice.report(earlier)
+            executive.reporter.report(earlier)
         return
     _pass(executive, command, CommandStage.RECEIVED, now)
     if is_past(command, now):
@@ -74,7 +77,7 @@ def _start(executive: Executive, command: Telecommand, now: MissionTime) -> None
 
 
 def _pass(executive: Executive, command: Telecommand, stage: CommandStage, now: MissionTime, why: str = "") -> None:
-    executive.voice.report(executive.commands.passed(command, stage, now, why))
+    executive.reporter.report(executive.commands.passed(command, stage, now, why))
 
 
 def _refusal(executive: Executive, command: Telecommand) -> str | None:
@@ -170,10 +173,10 @@ def _return_to_start(executive: Executive, command: Telecommand, now: MissionTim
     return _errand(executive, command, way_home(executive.vehicle.track_m), now)
 
 
-def _errand(executive: Executive, command: Telecommand, way: tuple[Point, ...], now: MissionTime) -> bool:
+def _errand(executive: Executive, command: Telecommand, way: tuple[Place, ...], now: MissionTime) -> bool:
     executive.abandon(now, _by(command))
     executive.release(now, _by(command))
-    executive.start(Job((Leg(way, None),), command_id=command.command_id))
+    executive.start(Activity((Leg(way, None),), command_id=command.command_id))
     return False
 
 
@@ -189,7 +192,7 @@ def _by(command: Telecommand) -> str:
     return f"{command.kind.value} {command.command_id}"
 
 
-def _target(command: Telecommand) -> Point:
+def _target(command: Telecommand) -> Place:
     assert command.target_m is not None  # a go_to without one is refused at the edge
     return command.target_m
 

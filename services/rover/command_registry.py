@@ -28,7 +28,7 @@ class IllegalStage(Exception):
 
 
 @dataclass(slots=True)
-class CommandTable:
+class CommandRegistry:
     """Every command received, its last report, and those accepted that wait for the next safe point."""
 
     waiting: deque[Telecommand] = field(default_factory=deque)

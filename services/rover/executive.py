@@ -13,21 +13,21 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from he3.frames import SiteGrid
+from he3.frames import Place, SiteGrid
 from schemas.commands import CommandStage
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverMode, RoverState, SampleReport
 from schemas.topics import MEASURE, SAMPLE, TERRAIN, Topic
 from services.mission.scenario import RoverConfig
-from services.rover.activities import Job
-from services.rover.command_registry import CommandTable
+from services.rover.activities import Activity
+from services.rover.command_registry import CommandRegistry
 from services.rover.drill import Hole
 from services.rover.energy import full_battery
-from services.rover.geometry import Area, Point
+from services.rover.geometry import Area
 from services.rover.instruments import Instruments
-from services.rover.plan_queue import Programme
-from services.rover.reporter import Voice
+from services.rover.plan_queue import PlanQueue
+from services.rover.reporter import Reporter
 from services.rover.states import (
     ENDED_BY_PLAN,
     HOLD_TRIGGERS,
@@ -41,7 +41,7 @@ from services.rover.states import (
 )
 from services.rover.traverse import Look, Piece, corridor, drive, forbidden
 from services.rover.vehicle import Vehicle
-from services.runtime.node import Effect, Finish, Level, MissionTime, Note, Send, Silence, WakeAt, seconds
+from services.runtime.node import Effect, Finish, Level, LogRecord, MissionTime, NoReply, Send, SetTimer, seconds
 
 STEP: Final = "step"
 CHARGED: Final = "charged"
@@ -61,21 +61,21 @@ class _Ahead:
 class Executive:
     """What the rover is doing and why. Each method takes the time, and leaves its effects in ``out``."""
 
-    def __init__(self, config: RoverConfig, site: SiteGrid, start_m: Point, start: MissionTime) -> None:
+    def __init__(self, config: RoverConfig, site: SiteGrid, start_m: Place, start: MissionTime) -> None:
         self.config = config
         self.site = site
         self.vehicle = Vehicle(start_m, full_battery(config, start))
-        self.commands = CommandTable()
+        self.commands = CommandRegistry()
         self.areas: dict[str, Area] = {}
         self.phase = Phase.IDLE
         self.hold: Hold | None = None
-        self.job: Job | None = None
+        self.job: Activity | None = None
         self.out: list[Effect] = []
         self.at_safe_point: Callable[[MissionTime], None] = lambda now: None
         """Carries out what was commanded; whoever takes the telecommands puts it here."""
         self._corridor = corridor(config, site)
-        self._programme = Programme()
-        self.voice = Voice(self.vehicle, self._programme, self.out)
+        self._plan_queue = PlanQueue()
+        self.reporter = Reporter(self.vehicle, self._plan_queue, self.out)
         self._instruments = Instruments(config.instrument_retry_s)
         self._ahead: _Ahead | None = None
         self._busy = False
@@ -92,10 +92,10 @@ class Executive:
         return self.vehicle.state(
             now,
             mode=self.mode,
-            round_=self._programme.round,
-            plan_revision=self._programme.revision,
-            rounds_on_board=len(self._programme.on_board),
-            samples_done=len(self._programme.measured),
+            round_=self._plan_queue.round,
+            plan_revision=self._plan_queue.revision,
+            rounds_on_board=len(self._plan_queue.on_board),
+            samples_done=len(self._plan_queue.measured),
             queue_depth=queue_depth,
         )
 
@@ -103,18 +103,18 @@ class Executive:
 
     def take_plan(self, plan: MissionPlan, now: MissionTime) -> None:
         """Accepts the plan in place of all rounds that have not begun, or rejects it and changes nothing."""
-        programme = self._programme
-        if plan == programme.plan:
-            self.out.append(Note(Level.DEBUG, "plan received again", {"revision": plan.revision}))
+        plan_queue = self._plan_queue
+        if plan == plan_queue.plan:
+            self.out.append(LogRecord(Level.DEBUG, "plan received again", {"revision": plan.revision}))
             return
         place = (self.job.ends_m if self.job else None) or self.vehicle.standing_m
         margin = self.config.footprint_radius_m
-        why = programme.take(plan, self.job, place, site=self.site, areas=self.areas, margin_m=margin)
+        why = plan_queue.take(plan, self.job, place, site=self.site, areas=self.areas, margin_m=margin)
         if why is not None:
-            self.voice.tell(EventKind.PLAN_REJECTED, now, why, round_=plan.rounds[0].round, revision=plan.revision)
+            self.reporter.tell(EventKind.PLAN_REJECTED, now, why, round_=plan.rounds[0].round, revision=plan.revision)
             return
-        first, last = programme.on_board[0].round, programme.on_board[-1].round
-        self.voice.tell(EventKind.PLAN_ACCEPTED, now, f"rounds {first} to {last}", round_=first)
+        first, last = plan_queue.on_board[0].round, plan_queue.on_board[-1].round
+        self.reporter.tell(EventKind.PLAN_ACCEPTED, now, f"rounds {first} to {last}", round_=first)
         if self.hold in ENDED_BY_PLAN:
             self.release(now, f"plan {plan.revision}")
         if self.phase in STANDING:
@@ -137,7 +137,7 @@ class Executive:
     def _next_step(self, now: MissionTime) -> None:
         while True:
             if self.job is None:
-                if not self._programme.on_board:
+                if not self._plan_queue.on_board:
                     self._park(now)
                     return
                 self._begin_round(now)
@@ -147,7 +147,7 @@ class Executive:
             elif self._next_piece(self.job, now):
                 return
 
-    def _next_piece(self, job: Job, now: MissionTime) -> bool:
+    def _next_piece(self, job: Activity, now: MissionTime) -> bool:
         """Looks along the next piece of the leg, if there is one; else turns to what is at the leg's end."""
         leg = job.legs[job.leg]
         piece = self._corridor.cut(self.vehicle.standing_m, leg.way_m, job.vertex)
@@ -163,22 +163,24 @@ class Executive:
             self._next_leg(job, now)
         return False
 
-    def _next_leg(self, job: Job, now: MissionTime) -> None:
+    def _next_leg(self, job: Activity, now: MissionTime) -> None:
         job.hole, job.vertex = None, 0
         job.leg += 1
         if job.leg == len(job.legs):
             self.job = None
             if job.command_id is not None:
-                self.voice.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.COMPLETED, now))
+                self.reporter.report(
+                    self.commands.passed(self.commands.find(job.command_id), CommandStage.COMPLETED, now)
+                )
             else:
-                self.voice.tell_of_job(EventKind.ROUND_COMPLETED, job, now)
+                self.reporter.tell_of_job(EventKind.ROUND_COMPLETED, job, now)
 
     def _begin_round(self, now: MissionTime) -> None:
-        job = self._programme.next_round()
+        job = self._plan_queue.next_round()
         self.start(job)
-        self.voice.tell_of_job(EventKind.ROUND_STARTED, job, now)
+        self.reporter.tell_of_job(EventKind.ROUND_STARTED, job, now)
 
-    def start(self, job: Job) -> None:
+    def start(self, job: Activity) -> None:
         """Makes the job what the rover is about; it may leave the closed areas that it stands in."""
         here, margin = self.vehicle.standing_m, self.config.footprint_radius_m
         job.leaving = {name for name, area in self.areas.items() if area.is_near(here, here, margin)}
@@ -187,13 +189,15 @@ class Executive:
     def abandon(self, now: MissionTime, why: str) -> None:
         """Gives up what the rover is about, and the rounds on board: they begin where it now will not be."""
         job, self.job = self.job, None
-        dropped = self._programme.abort(job)
+        dropped = self._plan_queue.abort(job)
         if job is not None and job.round:
-            self.voice.tell_of_job(EventKind.ROUND_ABORTED, job, now, why)
+            self.reporter.tell_of_job(EventKind.ROUND_ABORTED, job, now, why)
         elif dropped:  # no round tells of it, so the plan must
-            self.voice.tell(EventKind.PLAN_REJECTED, now, f"the rover will not be where its rounds begin: {why}")
+            self.reporter.tell(EventKind.PLAN_REJECTED, now, f"the rover will not be where its rounds begin: {why}")
         if job is not None and job.command_id is not None:
-            self.voice.report(self.commands.passed(self.commands.find(job.command_id), CommandStage.FAILED, now, why))
+            self.reporter.report(
+                self.commands.passed(self.commands.find(job.command_id), CommandStage.FAILED, now, why)
+            )
 
     def _park(self, now: MissionTime) -> None:
         if self.phase in (Phase.IDLE, Phase.PARKED) and not self._busy:
@@ -201,11 +205,11 @@ class Executive:
         self._enter(Trigger.NOTHING_LEFT, now)
         self._busy = False
         self.watch(now)
-        if not self._programme.completes():
-            self.voice.tell(EventKind.PARKED, now)
+        if not self._plan_queue.completes():
+            self.reporter.tell(EventKind.PARKED, now)
             return
-        self.voice.tell(EventKind.MISSION_COMPLETED, now)
-        done = f"{self._programme.round} rounds and {len(self._programme.measured)} samples are done"
+        self.reporter.tell(EventKind.MISSION_COMPLETED, now)
+        done = f"{self._plan_queue.round} rounds and {len(self._plan_queue.measured)} samples are done"
         self.out.append(Finish(True, done))
 
     def _enter(self, trigger: Trigger, now: MissionTime, load_w: float = 0.0) -> None:
@@ -218,25 +222,25 @@ class Executive:
         """Stands still for that reason from now on; the job is kept."""
         safe_before = self.hold is not None and self.hold is not Hold.PAUSE
         if self.hold is Hold.ENERGY:
-            self.out.append(WakeAt(CHARGED, None))
+            self.out.append(SetTimer(CHARGED, None))
         self.hold = hold
         self._enter(HOLD_TRIGGERS[hold], now)
         if hold is Hold.PAUSE:
             if safe_before:
-                self.voice.tell(EventKind.SAFE_MODE_LEFT, now, why)
-            self.voice.tell(EventKind.PAUSED, now, why)
+                self.reporter.tell(EventKind.SAFE_MODE_LEFT, now, why)
+            self.reporter.tell(EventKind.PAUSED, now, why)
         else:
-            self.voice.tell(EventKind.SAFE_MODE_ENTERED, now, f"{hold.value}: {why}" if why else hold.value)
+            self.reporter.tell(EventKind.SAFE_MODE_ENTERED, now, f"{hold.value}: {why}" if why else hold.value)
 
     def release(self, now: MissionTime, why: str) -> None:
         """Ends what holds the rover; the next step is taken by ``proceed``."""
         if self.hold is None:
             return
         if self.hold is Hold.ENERGY:
-            self.out.append(WakeAt(CHARGED, None))
+            self.out.append(SetTimer(CHARGED, None))
         kind = EventKind.RESUMED if self.hold is Hold.PAUSE else EventKind.SAFE_MODE_LEFT
         self.hold = None
-        self.voice.tell(kind, now, why)
+        self.reporter.tell(kind, now, why)
 
     def _can_afford(self, load_w: float, duration_s: float, now: MissionTime) -> bool:
         """Whether the step leaves the reserve untouched; if not, the rover holds to charge."""
@@ -250,25 +254,25 @@ class Executive:
         self.vehicle.rest(now)
         ready = self.vehicle.battery.reaches(level, now)
         why = f"{charge:.1f} Wh left, the next step takes {need:.1f} Wh, {floor:.1f} Wh are in reserve"
-        self.voice.tell(EventKind.LOW_ENERGY, now, why)
+        self.reporter.tell(EventKind.LOW_ENERGY, now, why)
         if level > config.capacity_wh or ready is None:
             self.hold_for(Hold.SPENT, now, why)
         else:
             self.hold_for(Hold.ENERGY, now, f"until {level:.1f} Wh")
-            self.out.append(WakeAt(CHARGED, ready))
+            self.out.append(SetTimer(CHARGED, ready))
         return False
 
     def charged(self, now: MissionTime) -> None:
         """The battery holds enough again: goes on where it stopped."""
         if self.hold is Hold.ENERGY:
-            self.voice.tell(EventKind.CHARGED, now, f"{self.vehicle.battery.charge_at(now):.1f} Wh")
+            self.reporter.tell(EventKind.CHARGED, now, f"{self.vehicle.battery.charge_at(now):.1f} Wh")
             self.release(now, "charged")
             self.proceed(now)
 
     def watch(self, now: MissionTime) -> None:
         """Waits for a word from the ground, if the rover has nothing else to do."""
         if self.config.watchdog_s is not None and self.phase in (Phase.IDLE, Phase.PARKED):
-            self.out.append(WakeAt(WATCHDOG, now + seconds(self.config.watchdog_s)))
+            self.out.append(SetTimer(WATCHDOG, now + seconds(self.config.watchdog_s)))
 
     def unheard(self, now: MissionTime) -> None:
         """Nothing has been heard of the ground for too long."""
@@ -277,7 +281,7 @@ class Executive:
 
     # --- driving ------------------------------------------------------------------------------------------------
 
-    def _look(self, job: Job, piece: Piece, now: MissionTime) -> None:
+    def _look(self, job: Activity, piece: Piece, now: MissionTime) -> None:
         if self.areas:
             closed = self._closed(job, piece)
             if closed is not None:
@@ -289,7 +293,7 @@ class Executive:
         self._enter(Trigger.LOOK, now)
         self._put(TERRAIN, TerrainRequest(points_m=look.points_m))
 
-    def _closed(self, job: Job, piece: Piece) -> tuple[str, Point] | None:
+    def _closed(self, job: Activity, piece: Piece) -> tuple[str, Place] | None:
         """The closed area that the piece enters, and a place of the piece that is too near to it; None if clear."""
         margin, here = self.config.footprint_radius_m, piece.points_m[0]
         still_in = (name for name in job.leaving if name in self.areas)
@@ -301,10 +305,10 @@ class Executive:
                     return name, place
         return None
 
-    def seen(self, question: str, seen: TerrainReply, now: MissionTime) -> None:
+    def seen(self, query: str, seen: TerrainReply, now: MissionTime) -> None:
         """The terrain ahead is known: drives, or stops before what it may not cross."""
         job, ahead = self.job, self._ahead
-        if not self._instruments.expects(question) or ahead is None or job is None:
+        if not self._instruments.expects(query) or ahead is None or job is None:
             return
         if len(seen.traversable) != len(ahead.look.points_m):
             self._unclear(
@@ -324,11 +328,11 @@ class Executive:
         self._ahead = None
         self.phase = after(self.phase, Trigger.WAY_CLEAR)
         self.vehicle.set_off(under_way, now)
-        self.out.append(WakeAt(STEP, now + seconds(under_way.duration_s)))
+        self.out.append(SetTimer(STEP, now + seconds(under_way.duration_s)))
 
-    def _blocked(self, job: Job, now: MissionTime, why: str, obstacle_m: Point) -> None:
+    def _blocked(self, job: Activity, now: MissionTime, why: str, obstacle_m: Place) -> None:
         self._ahead = None
-        self.voice.tell_of_job(EventKind.BLOCKED, job, now, why, obstacle_m)
+        self.reporter.tell_of_job(EventKind.BLOCKED, job, now, why, obstacle_m)
         self.abandon(now, why)
         self.hold_for(Hold.TERRAIN, now, why)
 
@@ -349,7 +353,7 @@ class Executive:
     def _work(self, trigger: Trigger, load_w: float, duration_s: float, now: MissionTime) -> None:
         if self._can_afford(load_w, duration_s, now):
             self._enter(trigger, now, load_w)
-            self.out.append(WakeAt(STEP, now + seconds(duration_s)))
+            self.out.append(SetTimer(STEP, now + seconds(duration_s)))
 
     def step_over(self, now: MissionTime) -> None:
         """The piece, the bite or the analysis under way is done."""
@@ -361,14 +365,14 @@ class Executive:
         elif self.phase is Phase.ANALYSING and hole is not None:
             hole.analysed = True
         else:
-            self.out.append(Note(Level.WARNING, "step ended that is not under way", {"phase": self.phase.value}))
+            self.out.append(LogRecord(Level.WARNING, "step ended that is not under way", {"phase": self.phase.value}))
             return
         self.proceed(now)
 
-    def measured(self, question: str, reply: MeasurementReply, now: MissionTime) -> None:
+    def measured(self, query: str, reply: MeasurementReply, now: MissionTime) -> None:
         """The sample's number is known: reports it, and goes on."""
         job = self.job
-        if not self._instruments.expects(question) or job is None or job.hole is None:
+        if not self._instruments.expects(query) or job is None or job.hole is None:
             return
         sample = job.hole.sample
         if reply.sample_id != sample.sample_id:
@@ -376,7 +380,7 @@ class Executive:
             return
         self._instruments.answered(MEASURE)
         x, y = self.vehicle.standing_m
-        self._programme.measured.add(sample.sample_id)
+        self._plan_queue.measured.add(sample.sample_id)
         job.measured.append(sample.sample_id)
         report = SampleReport(
             sample_id=sample.sample_id,
@@ -399,14 +403,14 @@ class Executive:
     def _put(self, topic: Topic, request: TerrainRequest | MeasurementRequest) -> None:
         self.out.append(self._instruments.ask(topic, request))
 
-    def unanswered(self, topic: Topic, question: str, why: Silence, detail: str, now: MissionTime) -> None:
+    def unanswered(self, topic: Topic, query: str, why: NoReply, detail: str, now: MissionTime) -> None:
         """An instrument does not answer: asks again later; a sample that it refuses is given up."""
-        if not self._instruments.expects(question):
+        if not self._instruments.expects(query):
             return
         job = self.job
-        if topic == MEASURE and why is Silence.REFUSED and job is not None and job.hole is not None:
+        if topic == MEASURE and why is NoReply.REFUSED and job is not None and job.hole is not None:
             self._instruments.answered(MEASURE)
-            self.voice.tell(
+            self.reporter.tell(
                 EventKind.SAMPLE_SKIPPED, now, detail, revision=job.revision, sample_id=job.hole.sample.sample_id
             )
             self._next_leg(job, now)
@@ -417,7 +421,7 @@ class Executive:
     def _unclear(self, topic: Topic, now: MissionTime, why: str) -> None:
         first, wait = self._instruments.failed(topic, now)
         if first:
-            self.voice.tell(EventKind.INSTRUMENT_SILENT, now, f"{topic.name}: {why}")
+            self.reporter.tell(EventKind.INSTRUMENT_SILENT, now, f"{topic.name}: {why}")
         self.out.append(wait)
 
     def retry(self, now: MissionTime) -> None:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-Point = tuple[float, float]
+from he3.frames import Place
 
 _NEARNESS_M: Final = 0.01
 
 
-def inside(polygon_m: Sequence[Point], place_m: Point) -> bool:
+def inside(polygon_m: Sequence[Place], place_m: Place) -> bool:
     """Whether the place lies in the polygon, by the even-odd rule."""
     x, y = place_m
     within = False
@@ -29,17 +29,17 @@ def inside(polygon_m: Sequence[Point], place_m: Point) -> bool:
 class Area:
     """A closed polygon and the box around it."""
 
-    polygon_m: tuple[Point, ...]
-    south_west_m: Point
-    north_east_m: Point
+    polygon_m: tuple[Place, ...]
+    south_west_m: Place
+    north_east_m: Place
 
     @classmethod
-    def within(cls, polygon_m: Sequence[Point]) -> Area:
+    def within(cls, polygon_m: Sequence[Place]) -> Area:
         """The area of a polygon of at least three corners."""
         xs, ys = [x for x, _ in polygon_m], [y for _, y in polygon_m]
         return cls(tuple(polygon_m), (min(xs), min(ys)), (max(xs), max(ys)))
 
-    def is_near(self, a: Point, b: Point, margin_m: float) -> bool:
+    def is_near(self, a: Place, b: Place, margin_m: float) -> bool:
         """Whether the segment from a to b touches the area, or comes nearer to it than the margin [m]."""
         (west, south), (east, north) = self.south_west_m, self.north_east_m
         if (
@@ -58,7 +58,7 @@ class Area:
             c = d
         return False
 
-    def first_near(self, way_m: Sequence[Point], margin_m: float) -> Point | None:
+    def first_near(self, way_m: Sequence[Place], margin_m: float) -> Place | None:
         """Where a way first comes nearer to the area than the margin [m], to a centimetre; None if it keeps clear."""
         for a, b in pairwise(way_m):
             if self.is_near(a, b, margin_m):
@@ -73,33 +73,33 @@ class Area:
         return None
 
 
-def _part(a: Point, b: Point, share: float) -> Point:
+def _part(a: Place, b: Place, share: float) -> Place:
     return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
 
 
-def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
+def _cross(a: Place, b: Place, c: Place, d: Place) -> bool:
     """Whether the segments ab and cd have a point in common, other than by lying along one line."""
     return (_side(a, b, c) * _side(a, b, d) <= 0) and (_side(c, d, a) * _side(c, d, b) < 0)
 
 
-def _side(a: Point, b: Point, p: Point) -> float:
+def _side(a: Place, b: Place, p: Place) -> float:
     return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
 
 
-def _squared_gap(a: Point, b: Point, c: Point, d: Point) -> float:
+def _squared_gap(a: Place, b: Place, c: Place, d: Place) -> float:
     """Squared distance [m^2] of two segments that do not cross: it is attained at one of the four ends."""
     return min(
         squared_distance(a, c, d), squared_distance(b, c, d), squared_distance(c, a, b), squared_distance(d, a, b)
     )
 
 
-def squared_distance(p: Point, a: Point, b: Point) -> float:
+def squared_distance(p: Place, a: Place, b: Place) -> float:
     """Squared distance [m^2] of a place from the segment from a to b."""
     share = nearest_share(p, a, b)
     return (a[0] + share * (b[0] - a[0]) - p[0]) ** 2 + (a[1] + share * (b[1] - a[1]) - p[1]) ** 2
 
 
-def nearest_share(p: Point, a: Point, b: Point) -> float:
+def nearest_share(p: Place, a: Place, b: Place) -> float:
     """How far along the segment from a (0) to b (1) the point nearest to the place is."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     squared = dx * dx + dy * dy

@@ -7,7 +7,7 @@ from typing import Final
 
 from schemas.topics import Topic
 from schemas.wire import Wire
-from services.runtime.node import Ask, Effect, MissionTime, WakeAt, seconds
+from services.runtime.node import Effect, MissionTime, SendQuery, SetTimer, seconds
 
 RETRY: Final = "retry"
 
@@ -30,11 +30,11 @@ class Instruments:
         """Asks; any answer to an earlier question is outdated with that."""
         self._asked += 1
         self._question = f"{topic.name.rsplit('/', 1)[-1]}-{self._asked}"
-        return Ask(topic, request, self._question)
+        return SendQuery(topic, request, self._question)
 
-    def expects(self, question: str) -> bool:
+    def expects(self, query: str) -> bool:
         """Whether that is the question that stands."""
-        return question == self._question
+        return query == self._question
 
     def answered(self, topic: Topic) -> None:
         """The question that stands is answered: the instrument is not silent."""
@@ -46,10 +46,10 @@ class Instruments:
         if self._question is None:
             return []
         self._question = None
-        return [WakeAt(RETRY, None)]
+        return [SetTimer(RETRY, None)]
 
     def failed(self, topic: Topic, now: MissionTime) -> tuple[bool, Effect]:
         """Whether this instrument had answered until now, and the wait until it is asked again."""
         first = topic.name not in self._silent
         self._silent.add(topic.name)
-        return first, WakeAt(RETRY, now + seconds(self.retry_s))
+        return first, SetTimer(RETRY, now + seconds(self.retry_s))

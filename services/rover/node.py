@@ -7,27 +7,27 @@ from functools import partial
 from typing import Final
 
 from he3 import constants
-from he3.frames import SiteGrid
+from he3.frames import Place, SiteGrid
 from schemas.telemetry import RoverMode
 from schemas.topics import COMMAND, MEASURE, PLAN, STATE, TERRAIN, Side
 from services.mission.regions import EMBEDDED, load_region
 from services.mission.scenario import RoverConfig, Scenario
 from services.rover import command_handlers as orders
 from services.rover.executive import CHARGED, STEP, WATCHDOG, Executive
-from services.rover.geometry import Area, Point
+from services.rover.geometry import Area
 from services.rover.instruments import RETRY
 from services.runtime.node import (
-    Answered,
-    Due,
     Effect,
     Event,
     Interface,
     MissionTime,
+    QueryFailed,
     Received,
+    ReplyReceived,
     Send,
+    SetTimer,
     Started,
-    Unanswered,
-    WakeAt,
+    TimerFired,
     seconds,
 )
 
@@ -41,9 +41,9 @@ class RoverNode:
         self,
         config: RoverConfig,
         site: SiteGrid,
-        start_m: Point,
+        start_m: Place,
         start: MissionTime,
-        keep_outs_m: Sequence[Sequence[Point]] = (),
+        keep_outs_m: Sequence[Sequence[Place]] = (),
     ) -> None:
         """keep_outs_m: corners of the areas closed from the beginning; they have the ids that the ground gives them."""
         self.queue_depth = 0
@@ -68,14 +68,14 @@ class RoverNode:
         match event:
             case Received():
                 self._receive(event, now)
-            case Answered():
+            case ReplyReceived():
                 if event.topic == TERRAIN:
-                    executive.seen(event.question, event.reply, now)
+                    executive.seen(event.query, event.reply, now)
                 elif event.topic == MEASURE:
-                    executive.measured(event.question, event.reply, now)
-            case Unanswered():
-                executive.unanswered(event.topic, event.question, event.why, event.detail, now)
-            case Due():
+                    executive.measured(event.query, event.reply, now)
+            case QueryFailed():
+                executive.unanswered(event.topic, event.query, event.why, event.detail, now)
+            case TimerFired():
                 self._wake(event.timer, now)
             case Started():
                 self._start(now)
@@ -88,7 +88,7 @@ class RoverNode:
         self._tell_state(now)
         if not self._awake:
             self._awake = True
-            self._executive.out.append(WakeAt(TELL_STATE, now + seconds(self._config.state_period_s)))
+            self._executive.out.append(SetTimer(TELL_STATE, now + seconds(self._config.state_period_s)))
             self._executive.watch(now)
 
     def _receive(self, event: Received, now: MissionTime) -> None:
@@ -103,7 +103,7 @@ class RoverNode:
             self._executive.step_over(now)
         elif timer == TELL_STATE:
             self._tell_state(now)
-            self._executive.out.append(WakeAt(TELL_STATE, now + seconds(self._config.state_period_s)))
+            self._executive.out.append(SetTimer(TELL_STATE, now + seconds(self._config.state_period_s)))
         elif timer == RETRY:
             self._executive.retry(now)
         elif timer == CHARGED:

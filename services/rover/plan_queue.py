@@ -6,21 +6,21 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Final
 
-from he3.frames import SiteGrid
+from he3.frames import Place, SiteGrid
 from schemas.plans import MissionPlan
-from services.rover.activities import Job
+from services.rover.activities import Activity
 from services.rover.admission import Situation, admitted
-from services.rover.geometry import Area, Point
+from services.rover.geometry import Area
 
 BEFORE_THE_FIRST: Final = 0  # the revision and the round before any
 
 
-class Programme:
+class PlanQueue:
     """Which round is next, and whether a new plan fits behind those that have begun."""
 
     def __init__(self) -> None:
         self.plan: MissionPlan | None = None
-        self.on_board: deque[Job] = deque()
+        self.on_board: deque[Activity] = deque()
         self.round = BEFORE_THE_FIRST
         """The last round that has begun."""
         self.measured: set[str] = set()
@@ -36,8 +36,8 @@ class Programme:
     def take(
         self,
         plan: MissionPlan,
-        under_way: Job | None,
-        place_m: Point,
+        under_way: Activity | None,
+        place_m: Place,
         *,
         site: SiteGrid,
         areas: Mapping[str, Area],
@@ -64,13 +64,13 @@ class Programme:
         self.plan, self.on_board = plan, deque(jobs)
         return None
 
-    def next_round(self) -> Job:
+    def next_round(self) -> Activity:
         """The next round on board, which has begun with that."""
         job = self.on_board.popleft()
         self.round, self._aborted = job.round, False
         return job
 
-    def abort(self, job: Job | None) -> int:
+    def abort(self, job: Activity | None) -> int:
         """Gives up the job and drops the rounds on board; returns how many those were."""
         self._aborted = self._aborted or (job is not None and job.round > 0)
         dropped = len(self.on_board)

@@ -6,13 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from he3.frames import FloatArray
-from services.rover.geometry import Point
+from he3.frames import FloatArray, Place
 
 _SAME_PLACE_M: Final = 1e-6
 
 
-def way_home(track_m: list[Point]) -> tuple[Point, ...]:
+def way_home(track_m: list[Place]) -> tuple[Place, ...]:
     """Vertices of the way back from the track's end to its beginning, over ground already driven, without its loops.
 
     Wherever the track comes back to itself, what lies between is left out, so the way crosses itself nowhere.

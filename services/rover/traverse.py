@@ -14,15 +14,14 @@ from itertools import pairwise
 from typing import Final
 
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
+from he3.frames import Place, SiteGrid
 from schemas.measurement import TerrainReply
 from services.mission.scenario import RoverConfig
-from services.rover.geometry import Point
 from services.runtime.node import SECOND, MissionTime
 
 _LINE_PLACES: Final = 320  # of the 512 places of one question, for the lines along a piece
 _TURN_PLACES: Final = 176  # and for the rings where it turns, and what each turn adds to the lines
-_MOST_TURNS: Final = 64  # of a piece, for a vehicle without width
+_MAX_TURNS: Final = 64  # of a piece, for a vehicle without width
 _DIRECTIONS: Final = 16
 _SAME_PLACE_M: Final = 1e-9  # shorter legs are rounding, not driving
 
@@ -31,7 +30,7 @@ _SAME_PLACE_M: Final = 1e-9  # shorter legs are rounding, not driving
 class Piece:
     """A stretch of way: its polyline, from where the rover stands, and how many vertices of the way it uses up."""
 
-    points_m: tuple[Point, ...]
+    points_m: tuple[Place, ...]
     vertices: int
     length_m: float
 
@@ -40,7 +39,7 @@ class Piece:
 class Look:
     """What must be looked at before a piece is driven: `middle` stretches on its line first, then sides and rings."""
 
-    points_m: tuple[Point, ...]
+    points_m: tuple[Place, ...]
     middle: int
     beside: tuple[tuple[int, int], ...]
     """Where among the places those of each line begin and end that starts at the vehicle's side, as it stands."""
@@ -54,7 +53,7 @@ class Corridor:
 
     offsets_m: tuple[float, ...]
     """Of the lines beside the middle one, to the left [m]."""
-    ring_m: tuple[Point, ...]
+    ring_m: tuple[Place, ...]
     """Places around a turn, relative to it [m]."""
     site: SiteGrid
     length_m: float
@@ -62,7 +61,7 @@ class Corridor:
     turns: int
     """Most vertices of a piece."""
 
-    def cut(self, place_m: Point, ahead_m: Sequence[Point], first: int) -> Piece:
+    def cut(self, place_m: Place, ahead_m: Sequence[Place], first: int) -> Piece:
         """The next piece of a way that leads from the place to its vertices from number `first` on."""
         points, used, left = [place_m], 0, self.length_m
         x, y = place_m
@@ -82,8 +81,8 @@ class Corridor:
 
     def look(self, piece: Piece) -> Look:
         """The places to look at before that piece is driven: the middle of each stretch of a line in one cell."""
-        middle: list[Point] = []
-        around: list[Point] = []
+        middle: list[Place] = []
+        around: list[Place] = []
         beside: list[tuple[int, int]] = []
         ends: list[float] = []
         driven = 0.0
@@ -105,7 +104,7 @@ class Corridor:
         count = len(middle)
         return Look((*middle, *around), count, tuple((count + i, count + j) for i, j in beside), tuple(ends))
 
-    def _within(self, places_m: list[Point]) -> list[Point]:
+    def _within(self, places_m: list[Place]) -> list[Place]:
         """Those of the places within the site: what sticks out over its edge meets nothing that anybody knows of."""
         width, height = self.site.width_m, self.site.height_m
         return [place for place in places_m if 0 <= place[0] <= width and 0 <= place[1] <= height]
@@ -130,7 +129,7 @@ def corridor(config: RoverConfig, site: SiteGrid) -> Corridor:
         ring_m=tuple((r * math.cos(a), r * math.sin(a)) for r in radii for a in angles),
         site=site,
         length_m=min(config.look_ahead_m, max(cells, 1.0) * cell_m),
-        turns=_TURN_PLACES // places_a_turn if lines else _MOST_TURNS,
+        turns=_TURN_PLACES // places_a_turn if lines else _MAX_TURNS,
     )
 
 
@@ -146,13 +145,13 @@ def _crossings(x: float, y: float, dx: float, dy: float, cell_m: float) -> list[
     return shares
 
 
-def _middles(x: float, y: float, dx: float, dy: float, shares: list[float]) -> list[Point]:
+def _middles(x: float, y: float, dx: float, dy: float, shares: list[float]) -> list[Place]:
     """The middle of each stretch of a segment between two shares of it."""
     halves = [(begin + end) / 2 for begin, end in zip([0.0, *shares], shares, strict=False)]
     return [(x + half * dx, y + half * dy) for half in halves]
 
 
-def forbidden(look: Look, seen: TerrainReply, config: RoverConfig, cell_m: float, place_m: Point) -> list[Point]:
+def forbidden(look: Look, seen: TerrainReply, config: RoverConfig, cell_m: float, place_m: Place) -> list[Place]:
     """Those of the places looked at that the rover may not cover; empty when the way is clear.
 
     Ground that it stands on already does not hold it there: bad places under the vehicle are left out, and on each
@@ -199,7 +198,7 @@ class Drive:
         t0, s0 = (self.ends_s[index - 1], self.ends_m[index - 1]) if index else (0.0, 0.0)
         return s0 + (self.ends_m[index] - s0) * (max(0.0, elapsed) - t0) / (self.ends_s[index] - t0)
 
-    def place_m(self, now: MissionTime) -> tuple[Point, float]:
+    def place_m(self, now: MissionTime) -> tuple[Place, float]:
         """Place (x, y) [m] and heading [deg clockwise from north] at that time."""
         left = self.driven_m(now)
         a, b = self.piece.points_m[:2]
@@ -229,7 +228,7 @@ def drive(piece: Piece, look: Look, seen: TerrainReply, config: RoverConfig, now
     return Drive(piece, now, look.ends_m, tuple(ends_s), energy_j / elapsed)
 
 
-def heading_deg(a: Point, b: Point) -> float:
+def heading_deg(a: Place, b: Place) -> float:
     """Direction from a to b [deg clockwise from north], at least 0 and below 360."""
     heading = math.degrees(math.atan2(b[0] - a[0], b[1] - a[1])) % 360
     return heading if heading < 360 else 0.0

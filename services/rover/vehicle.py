@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from he3.frames import Place
 from schemas.telemetry import RoverMode, RoverState
 from services.rover.energy import Battery
-from services.rover.geometry import Point
 from services.rover.traverse import Drive
 from services.runtime.node import MissionTime
 
@@ -12,10 +12,10 @@ from services.runtime.node import MissionTime
 class Vehicle:
     """The rover's body. Between two calls it stands, or drives the piece that was begun."""
 
-    def __init__(self, place_m: Point, battery: Battery) -> None:
+    def __init__(self, place_m: Place, battery: Battery) -> None:
         self.battery = battery
         self.drilled_m = 0.0
-        self.track_m: list[Point] = [place_m]
+        self.track_m: list[Place] = [place_m]
         """Every vertex of the way driven, the landing place first."""
         self._place_m = place_m
         self._heading_deg = 0.0
@@ -23,11 +23,11 @@ class Vehicle:
         self._drive: Drive | None = None
 
     @property
-    def standing_m(self) -> Point:
+    def standing_m(self) -> Place:
         """Where it stands, or stood when the piece that it drives began."""
         return self._place_m
 
-    def place_m(self, now: MissionTime) -> Point:
+    def place_m(self, now: MissionTime) -> Place:
         """Where it is at that time."""
         return self._drive.place_m(now)[0] if self._drive else self._place_m
 

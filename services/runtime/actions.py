@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from schemas.topics import Side, Topic
-from services.runtime.node import Compute, Finish, Note, Show, WakeAt
+from services.runtime.node import Compute, Finish, LogRecord, PublishSnapshot, SetTimer
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,13 +18,13 @@ class Publish:
 
 
 @dataclass(frozen=True, slots=True)
-class PutQuestion:
+class PutQuery:
     """Ask whoever serves the topic on that side; report back under the question's name."""
 
     topic: Topic
     side: Side
     payload: bytes
-    question: str
+    query: str
     timeout_s: float
 
 
@@ -46,4 +46,4 @@ class ReplyError:
     why: str
 
 
-Action = Publish | PutQuestion | Reply | ReplyError | WakeAt | Compute | Show | Note | Finish
+Action = Publish | PutQuery | Reply | ReplyError | SetTimer | Compute | PublishSnapshot | LogRecord | Finish

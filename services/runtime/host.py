@@ -13,31 +13,31 @@ from typing import Any
 
 from schemas.topics import Crosses, Side, Topic
 from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
-from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
-from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyDesk
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
+from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.protocol import CustodyConfig, under_custody
 from services.runtime.node import (
-    Answer,
-    Answered,
-    Ask,
-    Asked,
     Computed,
-    Due,
     Effect,
     Event,
     Forward,
     Interface,
     Level,
+    LogRecord,
     MissionTime,
     Node,
-    Note,
-    Overheard,
+    NoReply,
+    QueryFailed,
+    QueryReceived,
     Received,
-    Refuse,
+    ReceivedRaw,
+    RefuseQuery,
+    ReplyReceived,
     Send,
-    Silence,
+    SendQuery,
+    SendReply,
     Started,
-    Unanswered,
+    TimerFired,
 )
 
 
@@ -59,7 +59,7 @@ class Input:
     arguments: tuple[Any, ...]
 
 
-Trace = Callable[[MissionTime, str, str], None]
+EventSink = Callable[[MissionTime, str, str], None]
 """Called with mission time, node and a line for each event handled: the event log."""
 
 _OF_THE_PROCESS = frozenset({"_trace", "_queue_depth"})
@@ -69,7 +69,7 @@ class Host:
     """One node, ready to be driven."""
 
     def __init__(
-        self, node: Node, mission: str, trace: Trace | None = None, custody: CustodyConfig | None = None
+        self, node: Node, mission: str, trace: EventSink | None = None, custody: CustodyConfig | None = None
     ) -> None:
         self._node = node
         self._interface = node.interface
@@ -78,13 +78,13 @@ class Host:
         self._incarnation = 0
         self._sequences: dict[str, int] = {}
         self._asked: dict[int, Topic] = {}
-        self._questions: dict[str, PutQuestion] = {}
+        self._queries: dict[str, PutQuery] = {}
         self._refused = 0
         self._events = 0
         interface = self._interface
-        self._desk: CustodyDesk | None = None
+        self._custody: CustodyEndpoint | None = None
         if interface.custody and any(under_custody(topic) for topic in interface.subscribes):
-            self._desk = CustodyDesk(interface.name, interface.sides[0], custody)
+            self._custody = CustodyEndpoint(interface.name, interface.sides[0], custody)
         self._queue_depth: Callable[[int], None] | None = getattr(node, "queue_depth_is", None)
 
     @property
@@ -107,7 +107,7 @@ class Host:
     @property
     def retransmitted(self) -> int:
         """Messages under custody that were sent again."""
-        return 0 if self._desk is None else self._desk.retransmitted
+        return 0 if self._custody is None else self._custody.retransmitted
 
     @property
     def events(self) -> int:
@@ -121,14 +121,18 @@ class Host:
         """
         if side not in self._interface.sides:
             return False
-        if topic in self._interface.overhears:
+        if topic in self._interface.receives_raw:
             return side is origin(topic)
-        return topic in self._interface.subscribes or (self._desk is not None and topic is self._desk.hears)
+        return topic in self._interface.subscribes or (self._custody is not None and topic is self._custody.hears)
 
     def heard_topics(self) -> list[tuple[Topic, Side]]:
         """Everything that reaches this node, and where."""
         interface = self._interface
-        topics = [*interface.subscribes, *interface.overhears, *([self._desk.hears] if self._desk is not None else [])]
+        topics = [
+            *interface.subscribes,
+            *interface.receives_raw,
+            *([self._custody.hears] if self._custody is not None else []),
+        ]
         return [(topic, side) for side in interface.sides for topic in topics if self.hears(topic, side)]
 
     def served_topics(self) -> list[tuple[Topic, Side]]:
@@ -136,9 +140,9 @@ class Host:
         interface = self._interface
         return [(topic, side) for side in interface.sides for topic in interface.serves if side in topic.sides]
 
-    def open_questions(self) -> list[PutQuestion]:
+    def open_questions(self) -> list[PutQuery]:
         """Questions of this node that have not been answered: to be put again after a restart."""
-        return list(self._questions.values())
+        return list(self._queries.values())
 
     # --- what a checkpoint keeps --------------------------------------------------------------------------------
 
@@ -157,8 +161,8 @@ class Host:
         """Actions upon that input: the method that it names, with its arguments and the time."""
         handle: Callable[..., list[Action]] = getattr(self, given.what)
         actions = handle(*given.arguments, now)
-        if self._desk is not None:
-            actions += self._desk.timer()
+        if self._custody is not None:
+            actions += self._custody.timer()
         return actions
 
     def start(self, incarnation: int, now: MissionTime) -> list[Action]:
@@ -166,27 +170,27 @@ class Host:
         self._incarnation = incarnation
         self._sequences = {}
         self._asked = {}
-        if self._desk is not None:
-            self._desk.starts(self._mission, incarnation)
+        if self._custody is not None:
+            self._custody.starts(self._mission, incarnation)
         return self._handle(Started(incarnation), now, f"started {incarnation}")
 
     def deliver(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
         """Actions upon a message that came; one that is not what its topic asks for is refused and counted."""
         what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}"
-        if topic in self._interface.overhears:
-            return self._handle(Overheard(topic, payload), now, what)
+        if topic in self._interface.receives_raw:
+            return self._handle(ReceivedRaw(topic, payload), now, what)
         try:
             header, body = decode(topic, payload, self._mission)
         except Refused as refusal:
             return [self.refuse(str(refusal))]
-        desk = self._desk
-        if desk is None or topic.direction is None:
+        endpoint = self._custody
+        if endpoint is None or topic.direction is None:
             return self._handle(Received(topic, header, body), now, what)
-        if topic is desk.hears:
-            return desk.acknowledged(body, header, now)
-        letters, actions = desk.received(topic, header, body, len(payload), now)
-        for letter in letters:
-            actions += self._handle(Received(*letter), now, what)
+        if topic is endpoint.hears:
+            return endpoint.acknowledged(body, header, now)
+        deliveries, actions = endpoint.received(topic, header, body, len(payload), now)
+        for delivery in deliveries:
+            actions += self._handle(Received(*delivery), now, what)
         return actions
 
     def ask(self, topic: Topic, payload: bytes, token: int, now: MissionTime) -> list[Action]:
@@ -200,38 +204,36 @@ class Host:
     def ask_checked(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
         """Like `ask`, with a request that was made from selector parameters and is checked already."""
         self._asked[token] = topic
-        return self._handle(Asked(topic, request, token), now, f"asked {topic.name}")
+        return self._handle(QueryReceived(topic, request, token), now, f"asked {topic.name}")
 
-    def answered(self, question: str, payload: bytes, now: MissionTime) -> list[Action]:
+    def answered(self, query: str, payload: bytes, now: MissionTime) -> list[Action]:
         """Actions upon the answer to this node's question."""
-        put = self._questions.pop(question, None)
+        put = self._queries.pop(query, None)
         if put is None:
             return []
         topic = put.topic
         try:
             _, reply = decode_reply(topic, payload, self._mission)
         except Refused as refusal:
-            unanswered = Unanswered(topic, question, Silence.REFUSED, str(refusal))
+            unanswered = QueryFailed(topic, query, NoReply.REFUSED, str(refusal))
             return [self.refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
         return self._handle(
-            Answered(topic, question, reply), now, f"answered {topic.name} {zlib.crc32(payload):08x} {question}"
+            ReplyReceived(topic, query, reply), now, f"answered {topic.name} {zlib.crc32(payload):08x} {query}"
         )
 
-    def unanswered(self, question: str, why: Silence, detail: str, now: MissionTime) -> list[Action]:
+    def unanswered(self, query: str, why: NoReply, detail: str, now: MissionTime) -> list[Action]:
         """Actions upon the news that a question of this node has no answer."""
-        put = self._questions.pop(question, None)
+        put = self._queries.pop(query, None)
         if put is None:
             return []
         topic = put.topic
-        return self._handle(
-            Unanswered(topic, question, why, detail), now, f"unanswered {topic.name} {why.name} {question}"
-        )
+        return self._handle(QueryFailed(topic, query, why, detail), now, f"unanswered {topic.name} {why.name} {query}")
 
     def due(self, timer: str, now: MissionTime) -> list[Action]:
         """Actions upon a timer."""
-        if self._desk is not None and timer == CUSTODY_TIMER:
-            return self._desk.due(now)
-        return self._handle(Due(timer), now, f"due {timer}")
+        if self._custody is not None and timer == CUSTODY_TIMER:
+            return self._custody.due(now)
+        return self._handle(TimerFired(timer), now, f"due {timer}")
 
     def computed(self, job: str, result: Any, error: Exception | None, now: MissionTime) -> list[Action]:
         """Actions upon the end of a computation."""
@@ -244,8 +246,8 @@ class Host:
         if self._trace is not None:
             self._trace(now, self._interface.name, what)
         actions = list(self._actions(self._node.handle(event, now), now))
-        if self._desk is not None and self._queue_depth is not None:
-            self._queue_depth(self._desk.depth)
+        if self._custody is not None and self._queue_depth is not None:
+            self._queue_depth(self._custody.depth)
         return actions
 
     def _actions(self, effects: Iterable[Effect], now: MissionTime) -> Iterable[Action]:
@@ -253,22 +255,22 @@ class Host:
             match effect:
                 case Send(topic, body):
                     header = self._header(topic, now)
-                    if self._desk is not None and under_custody(topic):
-                        yield from self._desk.offer(topic, header, body, now)
+                    if self._custody is not None and under_custody(topic):
+                        yield from self._custody.offer(topic, header, body, now)
                     else:
                         yield Publish(topic, self._side_of(topic), encode(header, body))
                 case Forward(topic, payload, side):
                     yield Publish(topic, side, payload)
-                case Ask(topic, request, question, timeout_s):
+                case SendQuery(topic, request, query, timeout_s):
                     payload = encode(self._header(topic, now), request)
-                    put = PutQuestion(topic, self._side_of(topic), payload, question, timeout_s)
-                    self._questions[question] = put
+                    put = PutQuery(topic, self._side_of(topic), payload, query, timeout_s)
+                    self._queries[query] = put
                     yield put
-                case Answer(token, reply):
+                case SendReply(token, reply):
                     asked = self._asked.pop(token, None)
                     if asked is not None:
                         yield Reply(token, asked, encode(self._header(asked, now), reply))
-                case Refuse(token, why):
+                case RefuseQuery(token, why):
                     asked = self._asked.pop(token, None)
                     if asked is not None:
                         yield ReplyError(token, asked, why)
@@ -290,7 +292,7 @@ class Host:
             made_at=now,
         )
 
-    def refuse(self, why: str) -> Note:
+    def refuse(self, why: str) -> LogRecord:
         """The line for the log about something from outside that was refused, which is counted."""
         self._refused += 1
-        return Note(Level.WARNING, f"refused: {why}", {"refused": self._refused})
+        return LogRecord(Level.WARNING, f"refused: {why}", {"refused": self._refused})

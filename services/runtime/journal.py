@@ -33,7 +33,7 @@ from he3.errors import He3Error, InvalidInput
 from schemas.topics import BY_NAME
 from services.mission.scenario import Scenario
 from services.runtime.host import Input
-from services.runtime.node import MissionTime, Silence
+from services.runtime.node import MissionTime, NoReply
 
 IDENTITY = "he3-journal"
 CRC_BYTES = 4
@@ -243,10 +243,10 @@ def encode_input(given: Input) -> tuple[str, bytes]:
             return f"ask/{topic.name}", b"%d\n" % token + payload
         case Input("ask_checked", (topic, request, token)):
             return f"ask_checked/{topic.name}", b"%d\n" % token + request.model_dump_json().encode()
-        case Input("answered", (question, payload)):
-            return "answered", question.encode() + b"\n" + payload
-        case Input("unanswered", (question, why, detail)):
-            return "unanswered", json.dumps([question, why.name, detail]).encode()
+        case Input("answered", (query, payload)):
+            return "answered", query.encode() + b"\n" + payload
+        case Input("unanswered", (query, why, detail)):
+            return "unanswered", json.dumps([query, why.name, detail]).encode()
         case Input("computed", (job, result, error)):
             return "computed", job.encode() + b"\n" + pickle.dumps((result, error))
         case Input("due", (timer,)):
@@ -270,8 +270,8 @@ def decode_input(channel: str, data: bytes) -> Input:
         case "answered":
             return Input(what, (head.decode(), rest))
         case "unanswered":
-            question, why, detail = json.loads(data)
-            return Input(what, (question, Silence[why], detail))
+            query, why, detail = json.loads(data)
+            return Input(what, (query, NoReply[why], detail))
         case "computed":
             outcome: tuple[Any, Any] = pickle.loads(rest)
             return Input(what, (head.decode(), *outcome))

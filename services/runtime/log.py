@@ -9,7 +9,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any, TextIO
 
-from services.runtime.node import SECOND, Level, MissionTime, Note
+from services.runtime.node import SECOND, Level, LogRecord, MissionTime
 
 ORDER = {Level.DEBUG: 0, Level.INFO: 1, Level.WARNING: 2, Level.ERROR: 3}
 
@@ -32,7 +32,7 @@ class Log:
         self._stream = stream or sys.stderr
         self._lock = threading.Lock()
 
-    def write(self, note: Note, now: MissionTime | None = None) -> None:
+    def write(self, note: LogRecord, now: MissionTime | None = None) -> None:
         """Log the note, at that mission time or the present one."""
         if ORDER[note.level] < self._least:
             return
@@ -47,19 +47,19 @@ class Log:
                 return  # nobody reads any more; a service does not die of that
 
     def info(self, text: str, **fields: Any) -> None:
-        self.write(Note(Level.INFO, text, fields))
+        self.write(LogRecord(Level.INFO, text, fields))
 
     def warning(self, text: str, **fields: Any) -> None:
-        self.write(Note(Level.WARNING, text, fields))
+        self.write(LogRecord(Level.WARNING, text, fields))
 
     def error(self, text: str, **fields: Any) -> None:
-        self.write(Note(Level.ERROR, text, fields))
+        self.write(LogRecord(Level.ERROR, text, fields))
 
-    def _json(self, note: Note, wall: datetime, mission_ns: MissionTime | None) -> str:
+    def _json(self, note: LogRecord, wall: datetime, mission_ns: MissionTime | None) -> str:
         head = {"wall": wall.isoformat(timespec="milliseconds"), "mission_ns": mission_ns, "service": self._name}
         return json.dumps({**head, "level": note.level.value, "text": note.text, **note.fields}, default=str)
 
-    def _text(self, note: Note, wall: datetime, mission_ns: MissionTime | None) -> str:
+    def _text(self, note: LogRecord, wall: datetime, mission_ns: MissionTime | None) -> str:
         mission = "-" * 19 if mission_ns is None else datetime.fromtimestamp(mission_ns / SECOND, UTC).isoformat()[:19]
         fields = "".join(f" {name}={value}" for name, value in note.fields.items())
         head = f"{wall:%H:%M:%S.%f}"[:12]

@@ -46,7 +46,7 @@ class Received:
 
 
 @dataclass(frozen=True, slots=True)
-class Overheard:
+class ReceivedRaw:
     """A message came on a topic that this node handles unread (the link carries sealed letters)."""
 
     topic: Topic
@@ -54,15 +54,15 @@ class Overheard:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """Someone asks; answer it with `Answer` or `Refuse` and the same token, now or later."""
+class QueryReceived:
+    """Someone asks; answer it with `SendReply` or `RefuseQuery` and the same token, now or later."""
 
     topic: Topic
     request: Any
     token: int
 
 
-class Silence(Enum):
+class NoReply(Enum):
     """Why a question has no answer."""
 
     NO_ROUTE = "nobody is there to answer"
@@ -71,27 +71,27 @@ class Silence(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Answered:
+class ReplyReceived:
     """The answer to this node's question of that name."""
 
     topic: Topic
-    question: str
+    query: str
     reply: Any
 
 
 @dataclass(frozen=True, slots=True)
-class Unanswered:
+class QueryFailed:
     """This node's question of that name has no answer; `detail` is what a refusal said."""
 
     topic: Topic
-    question: str
-    why: Silence
+    query: str
+    why: NoReply
     detail: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Due:
-    """The time asked for with `WakeAt` under that name has come."""
+class TimerFired:
+    """The time asked for with `SetTimer` under that name has come."""
 
     timer: str
 
@@ -105,7 +105,7 @@ class Computed:
     error: Exception | None = None
 
 
-Event = Started | Received | Overheard | Asked | Answered | Unanswered | Due | Computed
+Event = Started | Received | ReceivedRaw | QueryReceived | ReplyReceived | QueryFailed | TimerFired | Computed
 
 # --- effects: what a node wants done ----------------------------------------------------------------------------
 
@@ -128,34 +128,34 @@ class Forward:
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
-    """Put a question to whoever serves the topic on this side; `Answered` or `Unanswered` follows, exactly once."""
+class SendQuery:
+    """Send a query to the server of the topic on this side; `ReplyReceived` or `QueryFailed` follows, exactly once."""
 
     topic: Topic
     request: Wire
-    question: str
+    query: str
     timeout_s: float = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """Answer an `Asked`."""
+class SendReply:
+    """Answer an `QueryReceived`."""
 
     token: int
     reply: Wire
 
 
 @dataclass(frozen=True, slots=True)
-class Refuse:
-    """Answer an `Asked` with one line that says what was wrong."""
+class RefuseQuery:
+    """Answer an `QueryReceived` with one line that says what was wrong."""
 
     token: int
     why: str
 
 
 @dataclass(frozen=True, slots=True)
-class WakeAt:
-    """Ask for `Due(timer)` at that time; the same name again moves it, None takes it back. A past time means now."""
+class SetTimer:
+    """Request `TimerFired(timer)` at that time. The same name again moves the timer, None cancels it."""
 
     timer: str
     at: MissionTime | None
@@ -175,7 +175,7 @@ class Compute:
 
 
 @dataclass(frozen=True, slots=True)
-class Show:
+class PublishSnapshot:
     """Hand a new immutable snapshot to those who answer operators' queries; the old one is dropped."""
 
     snapshot: object
@@ -191,7 +191,7 @@ class Level(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Note:
+class LogRecord:
     """A line for the structured log."""
 
     level: Level
@@ -207,7 +207,9 @@ class Finish:
     why: str
 
 
-Effect = Send | Forward | Ask | Answer | Refuse | WakeAt | Compute | Show | Note | Finish
+Effect = (
+    Send | Forward | SendQuery | SendReply | RefuseQuery | SetTimer | Compute | PublishSnapshot | LogRecord | Finish
+)
 
 
 class Node(Protocol):
@@ -228,7 +230,7 @@ class Interface:
     name: str
     sides: tuple[Side, ...]
     subscribes: tuple[Topic, ...] = ()
-    overhears: tuple[Topic, ...] = ()
+    receives_raw: tuple[Topic, ...] = ()
     """Topics taken unread, on every side the node stands on where they are not its own output: see `Forward`."""
     serves: tuple[Topic, ...] = ()
     custody: bool = True

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, Protocol
 
-from services.runtime.actions import Action, PutQuestion
+from services.runtime.actions import Action, PutQuery
 from services.runtime.host import Host, Input
-from services.runtime.node import Compute, Finish, MissionTime, Show, WakeAt, seconds
+from services.runtime.node import Compute, Finish, MissionTime, PublishSnapshot, SetTimer, seconds
 
 CHECKPOINT_EVERY: Final = 300
 """Inputs after which a checkpoint is made at the latest: so many are handled again, at most, after a restart."""
@@ -77,7 +77,7 @@ class _Computation:
         return self.what.job
 
 
-class Seat:
+class NodeScheduler:
     """One host's inputs, timers and computations."""
 
     def __init__(self, host: Host, executor: Executor, journal: Journal | None = None) -> None:
@@ -182,12 +182,12 @@ class Seat:
                 match action:
                     case Compute(job, takes_s=takes_s):
                         begun[job] = (now + seconds(takes_s), action)
-                    case WakeAt() | Show() | Finish():
+                    case SetTimer() | PublishSnapshot() | Finish():
                         self._performed(action, now)
         for ends, computation in begun.values():
             self._begin(computation, ends)
-        questions: list[PutQuestion] = self.host.open_questions()
-        return [*self._lasting.values(), *questions]
+        queries: list[PutQuery] = self.host.open_questions()
+        return [*self._lasting.values(), *queries]
 
     def _collect_results(self, now: MissionTime, wait: bool) -> None:
         ready = [each for each in self._running if each.ends <= now and (wait or each.future.done())]
@@ -208,14 +208,14 @@ class Seat:
 
     def _performed(self, action: Action, now: MissionTime) -> bool:
         match action:
-            case WakeAt(timer, None):
+            case SetTimer(timer, None):
                 self._timers.pop(timer, None)
-            case WakeAt(timer, at) if at is not None:
+            case SetTimer(timer, at) if at is not None:
                 self._timers[timer] = at
                 heapq.heappush(self._heap, (at, timer))
             case Compute(takes_s=takes_s):
                 self._begin(action, now + seconds(takes_s))
-            case Show() | Finish():
+            case PublishSnapshot() | Finish():
                 self._lasting[type(action)] = action
                 return False
             case _:

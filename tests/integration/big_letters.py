@@ -14,17 +14,17 @@ from services.runtime.drivers.wall_clock import Service
 from services.runtime.entry import leave, serve
 from services.runtime.node import (
     SECOND,
-    Due,
     Effect,
     Event,
     Finish,
     Interface,
     Level,
+    LogRecord,
     Node,
-    Note,
     Received,
     Send,
-    WakeAt,
+    SetTimer,
+    TimerFired,
 )
 from services.runtime.options import Options
 
@@ -49,9 +49,9 @@ class Sender:
     interface = Interface("ground", (Side.EARTH,))
 
     def handle(self, event: Event, now: int) -> Iterable[Effect]:
-        if isinstance(event, Due):
+        if isinstance(event, TimerFired):
             return [Send(PLAN, big_plan(number, now)) for number in range(1, LETTERS + 1)]
-        return [WakeAt("begin", now + SECOND)]
+        return [SetTimer("begin", now + SECOND)]
 
 
 class Receiver:
@@ -68,7 +68,7 @@ class Receiver:
         plan: MissionPlan = event.body
         whole = plan == big_plan(plan.revision, plan.planned_at)
         self.came.append(plan.revision)
-        yield Note(Level.INFO, "a letter came", {"number": plan.revision, "whole": whole})
+        yield LogRecord(Level.INFO, "a letter came", {"number": plan.revision, "whole": whole})
         if len(self.came) == LETTERS:
             yield Finish(whole, f"letters {self.came}")
 

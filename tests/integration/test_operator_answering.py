@@ -14,7 +14,7 @@ from he3.frames import SiteGrid
 from schemas.topics import Side
 from services.ground.map.process import MODULE
 from services.ground.map.snapshot import MapSnapshot
-from services.runtime.queries.process import AnsweringProcess
+from services.runtime.queries.process import QueryProcess
 
 GRID = SiteGrid(50, 60, 1.0)
 WITHIN_S = 60.0
@@ -37,23 +37,21 @@ def warnings() -> list[str]:
 
 
 @pytest.fixture
-def answering(warnings: list[str]) -> Iterator[AnsweringProcess]:
+def answering(warnings: list[str]) -> Iterator[QueryProcess]:
     # Nobody listens there: what is shown is taken in all the same.
-    process = AnsweringProcess(MODULE, Side.EARTH, "tcp/127.0.0.1:9", "answering", warnings.append)
+    process = QueryProcess(MODULE, Side.EARTH, "tcp/127.0.0.1:9", "answering", warnings.append)
     yield process
     process.close()
 
 
-def test_what_is_settled_is_answered_from(answering: AnsweringProcess) -> None:
+def test_what_is_settled_is_answered_from(answering: QueryProcess) -> None:
     assert answering.settle(0.0)  # nothing was shown, so nothing is to come
     for revision in range(1, 20):
         answering.show(snapshot(revision))
     assert answering.settle(WITHIN_S)
 
 
-def test_one_that_died_is_replaced_and_is_shown_the_newest_again(
-    answering: AnsweringProcess, warnings: list[str]
-) -> None:
+def test_one_that_died_is_replaced_and_is_shown_the_newest_again(answering: QueryProcess, warnings: list[str]) -> None:
     answering.show(snapshot(1))
     assert answering.settle(WITHIN_S)
     before = answering.pid
@@ -65,13 +63,13 @@ def test_one_that_died_is_replaced_and_is_shown_the_newest_again(
     assert len(warnings) == 1
 
 
-def test_waiting_for_one_that_never_gets_ready_ends_when_told_to_stop(answering: AnsweringProcess) -> None:
+def test_waiting_for_one_that_never_gets_ready_ends_when_told_to_stop(answering: QueryProcess) -> None:
     stop = threading.Event()
     stop.set()
     answering.wait_until_ready(stop)
 
 
-def test_nothing_is_left_behind(answering: AnsweringProcess) -> None:
+def test_nothing_is_left_behind(answering: QueryProcess) -> None:
     answering.show(snapshot(1))
     assert answering.settle(WITHIN_S)
     pid = answering.pid

@@ -27,7 +27,7 @@ Examples:
 DRAWN_EVERY_S = 0.25
 MAP_EVERY_S = 1.0
 SILENT_S = 15.0
-MOST_EVENTS = 40
+MAX_EVENTS = 40
 
 
 def watch(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
@@ -107,7 +107,7 @@ class _Screen:
 
         self._mission = client
         self._watcher = watcher
-        self._events: deque[str] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[str] = deque(maxlen=MAX_EVENTS)
         self._commands: dict[str, CommandStatus] = {}
         self._curve: list[float] = []
         self._map: list[str] = []

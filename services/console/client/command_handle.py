@@ -15,7 +15,7 @@ ENDS = frozenset(
 """Stages after which nothing more comes of a command."""
 
 
-class IssuedCommand:
+class CommandHandle:
     """A telecommand on its way."""
 
     def __init__(self, client: Client, status: CommandStatus) -> None:

@@ -60,7 +60,7 @@ from schemas.topics import (
     Topic,
 )
 from schemas.wire import Header, Wire, one_line
-from services.console.client.command_handle import IssuedCommand
+from services.console.client.command_handle import CommandHandle
 from services.console.client.run_file import find
 from services.ground.map.feed import FeedMap, FeedReader
 from services.runtime.clock import mission_time
@@ -277,7 +277,7 @@ class MissionClient:
         polygon_m: Polygon | None = None,
         expires_in_s: float | None = None,
         command_id: str | None = None,
-    ) -> IssuedCommand:
+    ) -> CommandHandle:
         """Send a telecommand; what comes back follows it through its stages. Equal ids execute once.
 
         Raises InvalidInput or He3Error, in one line, for one that cannot go up.
@@ -296,7 +296,7 @@ class MissionClient:
         except ValueError:
             known = ", ".join(each.value for each in CommandKind)
             raise InvalidInput(f"command: expected one of {known}; got '{kind}'") from None
-        return IssuedCommand(self._client, self._client.query(ISSUE_COMMAND, command))
+        return CommandHandle(self._client, self._client.query(ISSUE_COMMAND, command))
 
     def set_interest(
         self, area_id: str | None = None, polygon_m: Polygon | None = None, weight: float = 2.0

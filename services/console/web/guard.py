@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 TOKEN_HEADER = b"x-he3-console"
-MOST_BODY_BYTES = 65_536
+MAX_BODY_BYTES = 65_536
 
 _HEADERS = (
     (
@@ -65,8 +65,8 @@ class Guard:
             return f"expected the origin {host}, got '{origin}'"
         if TOKEN_HEADER not in headers or not headers.get(b"content-type", "").startswith("application/json"):
             return "expected JSON and the header that this page sends"
-        if int(headers.get(b"content-length", "0") or 0) > MOST_BODY_BYTES or b"transfer-encoding" in headers:
-            return f"expected at most {MOST_BODY_BYTES} bytes with their length said, got more"
+        if int(headers.get(b"content-length", "0") or 0) > MAX_BODY_BYTES or b"transfer-encoding" in headers:
+            return f"expected at most {MAX_BODY_BYTES} bytes with their length said, got more"
         return None
 
 

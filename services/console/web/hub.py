@@ -31,14 +31,14 @@ from services.console.web.alarms import Alarms, documents
 from services.runtime.clock import mission_time, newer
 from services.runtime.node import MissionTime
 
-MOST_EVENTS = 300
-MOST_POINTS = 1500
+MAX_EVENTS = 300
+MAX_POINTS = 1500
 """Of a chart's curve; when there are more, every second one goes."""
-MOST_WAITING = 400
+MAX_WAITING = 400
 """Messages that a browser may be behind; then it is let go, comes back by itself, and starts afresh."""
 LOOK_EVERY_S = 0.5
 FLIGHTS_TOLD_S = 0.5
-MOST_FLIGHTS = 100
+MAX_FLIGHTS = 100
 LATEST_EVERY_S = 0.1
 """A status that is said more often is told no more often than this."""
 
@@ -48,7 +48,7 @@ class Viewer:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
-        self.queue: asyncio.Queue[str | None] = asyncio.Queue(MOST_WAITING)
+        self.queue: asyncio.Queue[str | None] = asyncio.Queue(MAX_WAITING)
 
     def put(self, text: str) -> None:
         """Hand over a message; called in the server's loop. A browser that is too far behind is let go."""
@@ -69,7 +69,7 @@ class Hub:
         self._lock = threading.Lock()
         self._viewers: set[Viewer] = set()
         self._alarms = Alarms(state_period_s)
-        self._events: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
         self._curves: dict[str, list[tuple[float, float]]] = {
             name: [] for name in ("energy_wh", "queue", "mean_std_ppb", "rmse_ppb")
         }
@@ -173,7 +173,7 @@ class Hub:
                     self._flights[key] = (wall, flight.model_dump(mode="json"))
             self._flights = {key: seen for key, seen in self._flights.items() if wall - seen[0] < FLIGHTS_TOLD_S}
             document = body.model_dump(mode="json", exclude={"in_flight", "dropped"})
-            document["in_flight"] = [flight for _, flight in self._flights.values()][-MOST_FLIGHTS:]
+            document["in_flight"] = [flight for _, flight in self._flights.values()][-MAX_FLIGHTS:]
             self._tell_latest("link", {"at": header.made_at, **document})
 
     def _keep_clock(self, header: Header, body: ClockState) -> None:
@@ -224,7 +224,7 @@ class Hub:
                 points[-1] = (seconds, value)
             return
         points.append((seconds, value))
-        if len(points) > MOST_POINTS:
+        if len(points) > MAX_POINTS:
             del points[1:-1:2]
         self._tell_latest(f"curve:{curve}", {"name": curve, "points": points[-200:]}, kind="curve")
 

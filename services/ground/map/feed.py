@@ -21,18 +21,16 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
+from he3.frames import BoolArray, Float32Array
 from schemas.maps import FrameKind, MapFrame
 from schemas.wire import one_line
 from services.runtime.node import MissionTime
 
 MAGIC: Final = b"HE3F"
 _LENGTH: Final = struct.Struct("<I")
-MOST_HEAD_BYTES: Final = 4096
-MOST_CELLS: Final = 4_000_000
+MAX_HEAD_BYTES: Final = 4096
+MAX_CELLS: Final = 4_000_000
 LEVEL: Final = 1  # of zlib: the numbers are noise below, zeros above; more effort gains 2 %
-
-Float32Array = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,14 +182,14 @@ def read_head(frame: bytes) -> tuple[MapFrame, bytes]:
     if frame[: len(MAGIC)] != MAGIC or len(frame) < start:
         raise InvalidInput(f"map feed: expected a frame that begins with {MAGIC!r}, got {frame[:8]!r}")
     (length,) = _LENGTH.unpack_from(frame, len(MAGIC))
-    if length > MOST_HEAD_BYTES or len(frame) < start + length:
-        raise InvalidInput(f"map feed: expected a head of at most {MOST_HEAD_BYTES} bytes, got {length}")
+    if length > MAX_HEAD_BYTES or len(frame) < start + length:
+        raise InvalidInput(f"map feed: expected a head of at most {MAX_HEAD_BYTES} bytes, got {length}")
     try:
         head = MapFrame.model_validate_json(frame[start : start + length])
     except ValidationError as error:
         raise InvalidInput(f"map feed: {one_line(error)}") from None
-    if not 0 < head.rows * head.columns <= MOST_CELLS:
-        raise InvalidInput(f"map feed: expected 1 to {MOST_CELLS} cells, got {head.rows} x {head.columns}")
+    if not 0 < head.rows * head.columns <= MAX_CELLS:
+        raise InvalidInput(f"map feed: expected 1 to {MAX_CELLS} cells, got {head.rows} x {head.columns}")
     return head, frame[start + length :]
 
 

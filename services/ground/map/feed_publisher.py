@@ -9,7 +9,7 @@ from typing import Any, Final
 from schemas.topics import MAP_FEED
 from services.ground.map.feed import FeedMap, FeedWriter
 from services.ground.map.snapshot import MapSnapshot
-from services.runtime.transport.session import Bus, Question
+from services.runtime.transport.session import IncomingQuery, Session
 
 BEAT_S: Final = 2.0  # between two frames that say where the feed stands
 END_S: Final = 0.2  # how long the end of a feed may take: what is being published at that moment
@@ -41,9 +41,9 @@ class FeedPublisher:
         self._ended = False
         self._thread: threading.Thread | None = None
 
-    def begin(self, bus: Bus) -> None:
-        bus.serve(MAP_FEED, lambda question: threading.Thread(target=self._answer, args=(question,)).start())
-        self._thread = threading.Thread(target=self._work, args=(bus,), name="feed", daemon=True)
+    def begin(self, session: Session) -> None:
+        session.serve(MAP_FEED, lambda query: threading.Thread(target=self._answer, args=(query,)).start())
+        self._thread = threading.Thread(target=self._work, args=(session,), name="feed", daemon=True)
         self._thread.start()
 
     def end(self) -> None:
@@ -59,16 +59,16 @@ class FeedPublisher:
             self._newest = snapshot
             self._changed.notify_all()
 
-    def _answer(self, question: Question) -> None:
+    def _answer(self, query: IncomingQuery) -> None:
         self._asked_at = time.monotonic()
         with self._lock:
             frame = self._writer.key()
         if frame is None:
-            question.refuse(f"{MAP_FEED.name}: there is no map yet; ask again in a moment")
+            query.refuse(f"{MAP_FEED.name}: there is no map yet; ask again in a moment")
         else:
-            question.reply(frame, media_type="application/octet-stream")
+            query.reply(frame, media_type="application/octet-stream")
 
-    def _work(self, bus: Bus) -> None:
+    def _work(self, session: Session) -> None:
         shown = None
         while True:
             with self._changed:
@@ -77,7 +77,7 @@ class FeedPublisher:
                 if self._ended:
                     return
                 newest = self._newest
-            wanted = bus.listened(MAP_FEED) or time.monotonic() - self._asked_at < WANTED_S
+            wanted = session.listened(MAP_FEED) or time.monotonic() - self._asked_at < WANTED_S
             with self._lock:
                 if newest is shown:
                     frame = self._writer.beat() if wanted else None
@@ -85,4 +85,4 @@ class FeedPublisher:
                     frame = self._writer.take(feed_of(newest), wanted)
             shown = newest
             if frame is not None:
-                bus.show(MAP_FEED, frame, media_type="application/octet-stream")
+                session.show(MAP_FEED, frame, media_type="application/octet-stream")

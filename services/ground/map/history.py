@@ -11,11 +11,11 @@ from he3.errors import InvalidInput
 from services.ground.map.snapshot import MapSnapshot
 from services.runtime.node import SECOND, MissionTime
 
-MOST_BYTES = 256 * 1024 * 1024
+MAX_BYTES = 256 * 1024 * 1024
 """Of arrays in all that is held. When it is exceeded, every second revision of the older half is let go."""
-FEWEST_HELD = 4
+MIN_HELD = 4
 
-LARGEST_REVISION = 10**12
+MAX_REVISION = 10**12
 """A larger number is a time [ns]: that moment was 17 minutes into 1970."""
 
 
@@ -37,7 +37,7 @@ def remembering(shown: MapSnapshot, before: MapSnapshot | None) -> MapSnapshot:
 
 def _thinned(held: tuple[MapSnapshot, ...]) -> tuple[MapSnapshot, ...]:
     each = held[-1].mean_ppb.nbytes + held[-1].std_ppb.nbytes
-    if len(held) <= max(FEWEST_HELD, MOST_BYTES // each):
+    if len(held) <= max(MIN_HELD, MAX_BYTES // each):
         return held
     half = len(held) // 2
     return (*held[:half:2], *held[half:])
@@ -57,7 +57,7 @@ def as_of(snapshot: MapSnapshot, when: str | None) -> MapSnapshot:
         return snapshot
     held = revisions(snapshot)
     number = int(when) if when.isdigit() else None
-    if number is not None and number < LARGEST_REVISION:
+    if number is not None and number < MAX_REVISION:
         found = [each for each in held if each.revision <= number]
         if not found:
             raise InvalidInput(f"as_of: expected a revision of {held[0].revision} to {snapshot.revision}, got {when}")

@@ -22,7 +22,7 @@ UNITS = {
     MapLayer.INFORMATION: "nat",
     MapLayer.EXCEEDANCE: "1",
 }
-MOST_CELLS = 4_000_000
+MAX_CELLS = 4_000_000
 """Of one answer: 16 MB of float32, a site of 2 km at 1 m."""
 
 
@@ -75,9 +75,9 @@ def box(request: MapBoxQuery, snapshot: MapSnapshot) -> Cells:
     resolution = request.resolution_m or grid.resolution_m
     # A hair less, so that 0.3 / 0.1 is 3 cells and not 4.
     columns, rows = (max(1, math.ceil((edge[1] - edge[0]) / resolution - 1e-9)) for edge in (x, y))
-    if rows * columns > MOST_CELLS or max(rows, columns) > 4096:
+    if rows * columns > MAX_CELLS or max(rows, columns) > 4096:
         raise InvalidInput(
-            f"map box: expected at most {MOST_CELLS} cells and 4096 on a side, got {columns} x {rows}: "
+            f"map box: expected at most {MAX_CELLS} cells and 4096 on a side, got {columns} x {rows}: "
             f"ask for a smaller box or a resolution_m above {resolution:g}"
         )
     part = np.ix_(

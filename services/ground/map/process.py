@@ -6,16 +6,16 @@ from services.ground.map.feed_publisher import FeedPublisher
 from services.ground.map.history import remembering
 from services.ground.map.rendering import Renderer
 from services.ground.map.service import MAP_TOPICS, answer
-from services.runtime.queries.process import answer_from_pipe
-from services.runtime.queries.server import SnapshotService
+from services.runtime.queries.process import serve_from_pipe
+from services.runtime.queries.server import QueryService
 
 MODULE = "services.ground.map.process"
 
 
-def map_answers() -> SnapshotService:
+def map_answers() -> QueryService:
     """How the map is asked, and how it answers."""
-    return SnapshotService(MAP_TOPICS, answer, render=Renderer(), keep=remembering, module=MODULE)
+    return QueryService(MAP_TOPICS, answer, render=Renderer(), keep=remembering, module=MODULE)
 
 
 if __name__ == "__main__":
-    sys.exit(answer_from_pipe(map_answers(), "ground", FeedPublisher(), sys.argv[1:]))
+    sys.exit(serve_from_pipe(map_answers(), "ground", FeedPublisher(), sys.argv[1:]))

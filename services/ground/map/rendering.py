@@ -31,14 +31,14 @@ MEDIA_TYPES = {
     MapFormat.TIFF: "image/tiff",
     MapFormat.CSV: "text/csv",
 }
-MOST_KEPT_BYTES = 64 * 1024 * 1024
+MAX_KEPT_BYTES = 64 * 1024 * 1024
 _TABLES = (MapLayer.SAMPLES, MapLayer.PLAN)
 
 
 class Renderer:
     """Renders for several threads; equal requests of one revision are rendered once."""
 
-    def __init__(self, most_kept_bytes: int = MOST_KEPT_BYTES) -> None:
+    def __init__(self, most_kept_bytes: int = MAX_KEPT_BYTES) -> None:
         self._most = most_kept_bytes
         self._lock = threading.Lock()
         self._kept: OrderedDict[tuple[Any, ...], Encoded] = OrderedDict()

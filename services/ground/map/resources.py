@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from he3.constants import REGOLITH_BULK_DENSITY_KG_M3
 from he3.errors import InvalidInput, OutsideRegion
-from he3.frames import SiteGrid
+from he3.frames import Place, SiteGrid
 from he3.resource import area_mean, share_above
 from schemas.maps import Interval, ResourceEstimate, ResourceQuery
 from services.ground.map.layers import exceedance
@@ -19,9 +19,7 @@ from services.ground.terrain import inside
 
 PPB = 1e-9
 DRAWS = 2000
-MOST_CORNERS = 256
-
-Place = tuple[float, float]
+MAX_CORNERS = 256
 
 
 def corners_of(text: str) -> tuple[Place, ...]:
@@ -30,9 +28,9 @@ def corners_of(text: str) -> tuple[Place, ...]:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         raise InvalidInput(f"polygon: expected numbers as x,y,x,y,..., got '{text[:60]}'") from None
-    if len(numbers) % 2 or not 3 <= len(numbers) // 2 <= MOST_CORNERS or not np.isfinite(numbers).all():
+    if len(numbers) % 2 or not 3 <= len(numbers) // 2 <= MAX_CORNERS or not np.isfinite(numbers).all():
         raise InvalidInput(
-            f"polygon: expected 3 to {MOST_CORNERS} corners as x,y,x,y,... [m], got {len(numbers)} numbers"
+            f"polygon: expected 3 to {MAX_CORNERS} corners as x,y,x,y,... [m], got {len(numbers)} numbers"
         )
     return tuple(zip(numbers[::2], numbers[1::2], strict=True))
 

@@ -24,7 +24,7 @@ from services.ground.planners.interface import PlannedRound, Planner, PlanningRe
 from services.ground.planners.traversability import OpenGround
 
 START_TOLERANCE_M = 0.5  # a round may begin so far from where the rover was said to be
-MOST_VERTICES = 4096  # of a path, as a message admits
+MAX_VERTICES = 4096  # of a path, as a message admits
 ON_PATH_M = 0.01  # a sample may be so far from the path
 
 
@@ -61,8 +61,8 @@ def _checked(name: str, planner: Planner, request: PlanningRequest) -> PlannedRo
     if not isinstance(answer, PlannedRound):
         raise InvalidInput(f"planner {name}: expected a PlannedRound, got {type(answer).__name__}")
     path, samples = _points(name, "path_m", answer.path_m), _points(name, "samples_m", answer.samples_m)
-    if not (1 <= len(path) <= MOST_VERTICES and 1 <= len(samples) <= request.samples):
-        raise InvalidInput(f"planner {name}: expected 1 to {MOST_VERTICES} vertices and 1 to {request.samples} "
+    if not (1 <= len(path) <= MAX_VERTICES and 1 <= len(samples) <= request.samples):
+        raise InvalidInput(f"planner {name}: expected 1 to {MAX_VERTICES} vertices and 1 to {request.samples} "
                            f"samples, got {len(path)} and {len(samples)}")  # fmt: skip
     if hypot(*(path[0] - request.start_m)) > START_TOLERANCE_M:
         raise InvalidInput(f"planner {name}: expected a path from {request.start_m}, got {tuple(path[0].tolist())}")

@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import InvalidInput, NoRoute
-from he3.frames import FloatArray, SiteGrid, path_length
+from he3.frames import FloatArray, Place, SiteGrid, path_length
 from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
 from services.ground.planners.rounds import PACE, budget_share_m, cut, places_along, planned
 from services.ground.planners.traversability import OpenGround
-from services.ground.planners.trees import Growth, Place, tree_path
+from services.ground.planners.trees import Growth, tree_path
 
 TARGETS_TRIED = 3
 TIE = 1e-4

@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import InvalidInput, NoRoute
-from he3.frames import FloatArray, SiteGrid, as_points
-
-BoolArray = NDArray[np.bool_]
+from he3.frames import BoolArray, FloatArray, SiteGrid, as_points
 
 TOUCH = 1e-6
 """Distance [cells] within which a leg counts as touching a cell: a thousand times what rounding does to a

@@ -15,16 +15,12 @@ from dataclasses import dataclass, replace
 from math import isfinite, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from he3.frames import FloatArray
+from he3.frames import FloatArray, IntArray, Place
 from services.ground.planners.traversability import OpenGround, SegmentCheck
-
-IntArray = NDArray[np.intp]
-Place = tuple[float, float]
 
 _SEEDING = threading.Lock()
 _SEEDS = 2**31 - 1  # OMPL takes seeds from 1 up to what fits 32 bits

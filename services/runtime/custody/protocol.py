@@ -12,7 +12,7 @@ from typing import Final
 
 from he3.errors import He3Error
 from schemas.link import Direction, DirectionConditions, LinkConditions
-from schemas.topics import TC_ACK, TM_ACK, Custody, Topic
+from schemas.topics import ACK_DOWN, ACK_UP, Custody, Topic
 from services.runtime.node import SECOND, MissionTime
 
 MAX_GAPS: Final = 64  # runs of missing messages that one acknowledgement may name, by its schema
@@ -20,7 +20,7 @@ MARGIN_S: Final = 2.0  # s beyond the round trip; covers the pause between ackno
 ACK_BITS: Final = 3_600  # bits of one acknowledgement on the wire, about 450 bytes [calc]
 
 
-class OutboxFull(He3Error):
+class CustodyQueueFull(He3Error):
     """More messages await acknowledgement than the outbox may hold; nothing was dropped for the new one."""
 
 
@@ -127,7 +127,7 @@ def under_custody(topic: Topic) -> bool:
 
 def acknowledged_on(topic: Topic) -> Topic:
     """The topic on which messages of that topic are acknowledged: the other way."""
-    return TC_ACK if topic.direction is Direction.UP else TM_ACK
+    return ACK_DOWN if topic.direction is Direction.UP else ACK_UP
 
 
 class RoundTrip:

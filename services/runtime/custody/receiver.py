@@ -23,7 +23,7 @@ MAX_STREAMS: Final = 1_024
 """Streams that are remembered; the one whose turn is longest past is forgotten first."""
 
 
-class Letter(NamedTuple):
+class Delivery(NamedTuple):
     """A message to be handed up."""
 
     topic: Topic
@@ -39,7 +39,7 @@ class Ack(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class InboxCounts:
+class ReceiverCounts:
     """What became of the messages since the start."""
 
     delivered: int
@@ -54,7 +54,7 @@ class InboxCounts:
 class _Stream:
     next: int = 0
     """Everything below it was handed up."""
-    held: dict[int, tuple[Letter, int]] = field(default_factory=dict)
+    held: dict[int, tuple[Delivery, int]] = field(default_factory=dict)
     held_bytes: int = 0
     last: tuple[int, int, MissionTime] | None = None
     """Sequence, repetition and time of the latest arrival."""
@@ -62,7 +62,7 @@ class _Stream:
     ack_due: MissionTime | None = None
 
 
-class Inbox:
+class CustodyReceiver:
     """What comes from the other side under custody."""
 
     def __init__(self, config: CustodyConfig | None = None) -> None:
@@ -72,9 +72,9 @@ class Inbox:
         self._delivered = self._repeated = self._overflowed = 0
 
     @property
-    def counts(self) -> InboxCounts:
+    def counts(self) -> ReceiverCounts:
         held = sum(len(stream.held) for stream in self._streams.values())
-        return InboxCounts(self._delivered, self._repeated, held, self._overflowed)
+        return ReceiverCounts(self._delivered, self._repeated, held, self._overflowed)
 
     def delivered(self, topic: Topic, header: Header) -> None:
         """Notes that this message was handed up in an earlier life; it is not handed up again."""
@@ -83,21 +83,21 @@ class Inbox:
 
     def received(
         self, topic: Topic, header: Header, body: Any, size_bytes: int, now: MissionTime
-    ) -> tuple[list[Letter], list[Ack]]:
+    ) -> tuple[list[Delivery], list[Ack]]:
         """What is now to be handed up, in order, and the acknowledgements to send once that is safe in the journal."""
         stream = self._stream(topic, header)
-        ready: list[Letter] = []
+        ready: list[Delivery] = []
         if header.held_from is not None and header.held_from > stream.next:
             ready += self._skips_to(stream, header.held_from)
         sequence = header.sequence
         if sequence < stream.next or sequence in stream.held:
             self._repeated += 1
         elif sequence == stream.next:
-            ready.append(Letter(topic, header, body))
+            ready.append(Delivery(topic, header, body))
             stream.next += 1
             ready += self._follow(stream)
         elif self._has_room(stream, size_bytes):
-            stream.held[sequence] = (Letter(topic, header, body), size_bytes)
+            stream.held[sequence] = (Delivery(topic, header, body), size_bytes)
             stream.held_bytes += size_bytes
         else:
             self._overflowed += 1
@@ -129,23 +129,23 @@ class Inbox:
             del self._streams[next(iter(self._streams))]
         return stream
 
-    def _skips_to(self, stream: _Stream, held_from: int) -> Iterable[Letter]:
+    def _skips_to(self, stream: _Stream, held_from: int) -> Iterable[Delivery]:
         """The source no longer has what is missing below, as it was acknowledged in a life that is forgotten here."""
         ready = []
         for sequence in sorted(sequence for sequence in stream.held if sequence < held_from):
-            letter, size = stream.held.pop(sequence)
+            delivery, size = stream.held.pop(sequence)
             stream.held_bytes -= size
-            ready.append(letter)
+            ready.append(delivery)
         stream.next = held_from
         return [*ready, *self._follow(stream)]
 
-    def _follow(self, stream: _Stream) -> Iterable[Letter]:
+    def _follow(self, stream: _Stream) -> Iterable[Delivery]:
         """What was held and now has its turn."""
         ready = []
         while stream.next in stream.held:
-            letter, size = stream.held.pop(stream.next)
+            delivery, size = stream.held.pop(stream.next)
             stream.held_bytes -= size
-            ready.append(letter)
+            ready.append(delivery)
             stream.next += 1
         return ready
 

@@ -25,7 +25,7 @@ from schemas.topics import Custody, Topic
 from schemas.wire import Header, restamped
 from services.runtime.custody.protocol import (
     CustodyConfig,
-    OutboxFull,
+    CustodyQueueFull,
     RoundTrip,
     Signal,
     State,
@@ -39,7 +39,7 @@ from services.runtime.node import MissionTime, seconds
 REMEMBERED_SENDINGS = 8
 MAX_DOUBLINGS = 5
 """A wait grows 32-fold at most: what is lost here is lost to noise more often than to a queue."""
-MOST_SURPRISE = 4
+MAX_SURPRISE = 4
 """No measured round trip counts for more than so many waits: a blackout within it must not spoil the measure."""
 
 
@@ -54,7 +54,7 @@ class Transmit:
 
 
 @dataclass(frozen=True, slots=True)
-class OutboxCounts:
+class SenderCounts:
     """What became of the messages since the start."""
 
     offered: int
@@ -65,7 +65,7 @@ class OutboxCounts:
     suspensions: int
 
 
-class Outbox:
+class CustodySender:
     """Messages of one source under custody, on their way to the other side."""
 
     def __init__(self, source: str, config: CustodyConfig | None = None) -> None:
@@ -102,8 +102,8 @@ class Outbox:
         return self._round_trip.mean
 
     @property
-    def counts(self) -> OutboxCounts:
-        return OutboxCounts(
+    def counts(self) -> SenderCounts:
+        return SenderCounts(
             offered=self._offered,
             sent=self._sendings,
             repeated=self._repeated,
@@ -148,7 +148,7 @@ class Outbox:
         """Keeps a new message; raises OutboxFull when there is no room, InvalidInput when it is not ours to keep."""
         config = self._config
         if self.depth >= config.max_messages or self._bytes + len(payload) > config.max_bytes:
-            raise OutboxFull(
+            raise CustodyQueueFull(
                 f"{topic.name}: expected at most {config.max_messages} messages and {config.max_bytes} bytes to await "
                 f"acknowledgement, got {self.depth} and {self._bytes} before one of {len(payload)} bytes"
             )
@@ -382,7 +382,7 @@ class Outbox:
         """Measures by the sending whose arrival was acknowledged."""
         sending = stream.last_to_come(ack)
         if sending is not None:
-            most = MOST_SURPRISE * self._round_trip.wait
+            most = MAX_SURPRISE * self._round_trip.wait
             self._round_trip.measured(min(most, max(0, now - sending.last_bit_at)))
             stream.doublings = 0
 

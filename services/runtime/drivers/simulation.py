@@ -17,12 +17,12 @@ from he3.errors import He3Error
 from schemas.link import LinkConditions
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire, decode_reply, encode
-from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import custody_config
-from services.runtime.host import Host, Input, Trace
+from services.runtime.host import EventSink, Host, Input
 from services.runtime.journal import JournalReader, JournalWriter, Mark
-from services.runtime.node import SECOND, Finish, Level, MissionTime, Node, Note, Show, Silence, seconds
-from services.runtime.scheduler import Executor, InlineExecutor, Kind, Seat
+from services.runtime.node import SECOND, Finish, Level, LogRecord, MissionTime, Node, NoReply, PublishSnapshot, seconds
+from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
 
 Tap = Callable[[Topic, Side, bytes, MissionTime], None]
 """Called with every message published, on the side where it was, at its time."""
@@ -40,7 +40,7 @@ class Simulation:
         mission: str,
         start_ns: MissionTime,
         executor: Executor | None = None,
-        trace: Trace | None = None,
+        trace: EventSink | None = None,
         link: LinkConditions | None = None,
     ) -> None:
         """link: what the nodes' custody expects of the link between them; None: its ordinary conditions."""
@@ -52,22 +52,22 @@ class Simulation:
         self.now: MissionTime = start_ns
         self.snapshots: dict[str, object] = {}
         """The latest snapshot that each node showed."""
-        self.notes: list[tuple[MissionTime, str, Note]] = []
+        self.notes: list[tuple[MissionTime, str, LogRecord]] = []
         self.finished: dict[str, Finish] = {}
         """Which nodes said that they have nothing left to do."""
         self.messages = 0
         """Messages published so far."""
         self._mission = mission
         self._executor = executor or InlineExecutor()
-        self._seats: dict[str, Seat] = {}
+        self._schedulers: dict[str, NodeScheduler] = {}
         self._taps: list[Tap] = []
         self._order = 0
-        self._questions: dict[int, tuple[str, str]] = {}
+        self._queries: dict[int, tuple[str, str]] = {}
         self._outside: dict[int, list[bytes | str]] = {}
         self._served_by: dict[int, str] = {}
         for node in nodes:
             host = Host(node, mission, trace, custody_config(self._link, node.interface))
-            self._take_seat(Seat(host, self._executor))
+            self._add_scheduler(NodeScheduler(host, self._executor))
 
     # --- driving ------------------------------------------------------------------------------------------------
 
@@ -106,27 +106,27 @@ class Simulation:
         for name in names:
             journal = SimulatedJournal(identity)
             self._journals[name] = [journal]
-            self._seats[name] = Seat(self._seats[name].host, self._executor, journal)
-            self._seats[name].put((Kind.MESSAGE, NOBODY, 0), Input("start", (1,)))
+            self._schedulers[name] = NodeScheduler(self._schedulers[name].host, self._executor, journal)
+            self._schedulers[name].put((Kind.MESSAGE, NOBODY, 0), Input("start", (1,)))
 
     def alive(self, name: str) -> bool:
         """Whether that node's process runs."""
-        return name in self._seats
+        return name in self._schedulers
 
     def crash_next(self, name: str) -> None:
         """Let that node's process end the next time it acts: after its journal, before anything that follows."""
-        if name in self._seats:
+        if name in self._schedulers:
             self._crashing.add(name)
 
     def kill(self, name: str) -> None:
         """End a node's process at this instant; what waited for it is lost, and who asked it learns so."""
-        if self._seats.pop(name, None) is None:
+        if self._schedulers.pop(name, None) is None:
             return
         self._crashing.discard(name)
         self.finished.pop(name, None)
         for token, server in list(self._served_by.items()):
             if server == name:
-                self._answer(NOBODY, token, Silence.NO_ROUTE)
+                self._answer(NOBODY, token, NoReply.NO_ROUTE)
 
     def restart(self, node: Node, torn_tail: bytes = b"") -> None:
         """Start a node's process again, from its journals if it keeps any.
@@ -137,7 +137,7 @@ class Simulation:
         host = Host(node, self._mission, self._trace, custody_config(self._link, node.interface))
         journals = self._journals.get(name)
         if journals is None:
-            self._take_seat(Seat(host, self._executor))
+            self._add_scheduler(NodeScheduler(host, self._executor))
             return
         journals[-1].tear(torn_tail)
         # Whoever dies in the middle of a record may lose the checkpoint as well: then the journals tell everything.
@@ -149,25 +149,29 @@ class Simulation:
             later = [entry for journal in journals[latest + 1 :] for entry in journal.entries()]
             kept = [*journals[latest].entries(since_checkpoint=True), *later]
         journals.append(SimulatedJournal(journals[-1].identity))
-        seat = Seat(host, self._executor, journals[-1])
-        remaining = seat.replay(kept, state)
-        self._take_seat(seat)
+        scheduler = NodeScheduler(host, self._executor, journals[-1])
+        remaining = scheduler.replay(kept, state)
+        self._add_scheduler(scheduler)
         for action in remaining:
-            self._perform(seat, action)
+            self._perform(scheduler, action)
 
     def replayed_snapshot(self, node: Node) -> object | None:
         """The snapshot that a fresh node of that name shows after its journals, leaving this mission alone."""
         name = node.interface.name
         host = Host(node, self._mission, None, custody_config(self._link, node.interface))
         kept = [entry for journal in self._journals[name] for entry in journal.entries()]
-        shown = [action.snapshot for action in Seat(host, _Idle()).replay(kept) if isinstance(action, Show)]
+        shown = [
+            action.snapshot
+            for action in NodeScheduler(host, _Idle()).replay(kept)
+            if isinstance(action, PublishSnapshot)
+        ]
         return shown[-1] if shown else None
 
-    def _take_seat(self, seat: Seat) -> None:
-        starts = self._starts.get(seat.name, 0) + 1
-        self._starts[seat.name] = starts
-        self._seats[seat.name] = seat
-        seat.put((Kind.MESSAGE, NOBODY, 0), Input("start", (starts,)))
+    def _add_scheduler(self, scheduler: NodeScheduler) -> None:
+        starts = self._starts.get(scheduler.name, 0) + 1
+        self._starts[scheduler.name] = starts
+        self._schedulers[scheduler.name] = scheduler
+        scheduler.put((Kind.MESSAGE, NOBODY, 0), Input("start", (starts,)))
 
     # --- the outside world --------------------------------------------------------------------------------------
 
@@ -195,9 +199,9 @@ class Simulation:
             self._round()
         return answers[0]
 
-    def seat(self, name: str) -> Host:
+    def scheduler(self, name: str) -> Host:
         """The host of that node."""
-        return self._seats[name].host
+        return self._schedulers[name].host
 
     # --- inside -------------------------------------------------------------------------------------------------
 
@@ -207,78 +211,78 @@ class Simulation:
 
     def _next_instant(self) -> MissionTime | None:
         """Never before now: what was due earlier is due now."""
-        if any(seat.waiting for seat in self._seats.values()):
+        if any(scheduler.waiting for scheduler in self._schedulers.values()):
             return self.now
-        times = [wake for seat in self._seats.values() if (wake := seat.next_wake()) is not None]
+        times = [wake for scheduler in self._schedulers.values() if (wake := scheduler.next_wake()) is not None]
         return max(self.now, min(times)) if times else None
 
     def _round(self) -> None:
         """Every node handles what was there when the round began."""
-        ready = [seat for seat in self._seats.values() if seat.waiting or self._is_due(seat)]
-        for seat, actions in [(seat, seat.run(self.now)) for seat in ready]:
-            if seat.name in self._crashing:
-                self.kill(seat.name)
+        ready = [scheduler for scheduler in self._schedulers.values() if scheduler.waiting or self._is_due(scheduler)]
+        for scheduler, actions in [(scheduler, scheduler.run(self.now)) for scheduler in ready]:
+            if scheduler.name in self._crashing:
+                self.kill(scheduler.name)
                 continue
             for action in actions:
-                self._perform(seat, action)
+                self._perform(scheduler, action)
 
-    def _is_due(self, seat: Seat) -> bool:
-        wake = seat.next_wake()
+    def _is_due(self, scheduler: NodeScheduler) -> bool:
+        wake = scheduler.next_wake()
         return wake is not None and wake <= self.now
 
-    def _perform(self, seat: Seat, action: Action) -> None:
+    def _perform(self, scheduler: NodeScheduler, action: Action) -> None:
         match action:
             case Publish():
-                seat.emitted += 1
-                self._publish(action, seat.name, seat.emitted)
-            case PutQuestion(topic, side, payload, question, _):
+                scheduler.emitted += 1
+                self._publish(action, scheduler.name, scheduler.emitted)
+            case PutQuery(topic, side, payload, query, _):
                 token = self._next_order()
-                self._questions[token] = (seat.name, question)
-                self._route_question(topic, side, payload, token, seat.name)
+                self._queries[token] = (scheduler.name, query)
+                self._route_question(topic, side, payload, token, scheduler.name)
             case Reply(token, _, payload):
-                self._answer(seat.name, token, payload)
+                self._answer(scheduler.name, token, payload)
             case ReplyError(token, _, why):
-                self._answer(seat.name, token, why)
-            case Show(snapshot):
-                self.snapshots[seat.name] = snapshot
-            case Note():
-                self.notes.append((self.now, seat.name, action))
+                self._answer(scheduler.name, token, why)
+            case PublishSnapshot(snapshot):
+                self.snapshots[scheduler.name] = snapshot
+            case LogRecord():
+                self.notes.append((self.now, scheduler.name, action))
             case Finish():
-                self.finished[seat.name] = action
+                self.finished[scheduler.name] = action
 
     def _publish(self, action: Publish, sender: str, emission: int) -> None:
         self.messages += 1
         for tap in self._taps:
             tap(action.topic, action.side, action.payload, self.now)
-        for name, seat in self._seats.items():
-            if name != sender and seat.host.hears(action.topic, action.side):
-                seat.put((Kind.MESSAGE, sender, emission), Input("deliver", (action.topic, action.payload)))
+        for name, scheduler in self._schedulers.items():
+            if name != sender and scheduler.host.hears(action.topic, action.side):
+                scheduler.put((Kind.MESSAGE, sender, emission), Input("deliver", (action.topic, action.payload)))
 
     def _route_question(self, topic: Topic, side: Side, payload: bytes, token: int, asker: str) -> None:
-        for seat in self._seats.values():
-            if (topic, side) in seat.host.served_topics():
-                seat.put((Kind.QUESTION, asker, token), Input("ask", (topic, payload, token)))
-                self._served_by[token] = seat.name
+        for scheduler in self._schedulers.values():
+            if (topic, side) in scheduler.host.served_topics():
+                scheduler.put((Kind.QUESTION, asker, token), Input("ask", (topic, payload, token)))
+                self._served_by[token] = scheduler.name
                 return
-        self._answer(NOBODY, token, Silence.NO_ROUTE)
+        self._answer(NOBODY, token, NoReply.NO_ROUTE)
 
-    def _answer(self, answerer: str, token: int, answer: bytes | str | Silence) -> None:
+    def _answer(self, answerer: str, token: int, answer: bytes | str | NoReply) -> None:
         self._served_by.pop(token, None)
         if token in self._outside:
-            self._outside.pop(token).append(answer.value if isinstance(answer, Silence) else answer)
+            self._outside.pop(token).append(answer.value if isinstance(answer, NoReply) else answer)
             return
-        name, question = self._questions.pop(token, (NOBODY, ""))
-        seat = self._seats.get(name)
-        if seat is None:
+        name, query = self._queries.pop(token, (NOBODY, ""))
+        scheduler = self._schedulers.get(name)
+        if scheduler is None:
             return  # its asker is gone, or it was asked of an earlier start of the one who answers
         order = (Kind.ANSWER, answerer, token)
         match answer:
             case bytes():
-                seat.put(order, Input("answered", (question, answer)))
-            case Silence():
-                seat.put(order, Input("unanswered", (question, answer, "")))
+                scheduler.put(order, Input("answered", (query, answer)))
+            case NoReply():
+                scheduler.put(order, Input("unanswered", (query, answer, "")))
             case _:
-                seat.put(order, Input("unanswered", (question, Silence.REFUSED, answer)))
+                scheduler.put(order, Input("unanswered", (query, NoReply.REFUSED, answer)))
 
 
 class _Idle:

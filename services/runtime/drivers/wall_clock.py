@@ -21,7 +21,7 @@ from he3.errors import He3Error
 from schemas.link import ClockState
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
 from schemas.wire import Refused, Wire, decode
-from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.clock import mission_time, newer, wall_time
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.event_log import EventLog
@@ -30,12 +30,12 @@ from services.runtime.host import Host, Input
 from services.runtime.journal import JournalFolder, identity_of
 from services.runtime.lockstep.stamp import read_stamp
 from services.runtime.log import Log
-from services.runtime.node import Finish, MissionTime, Node, Note, Show, Silence
+from services.runtime.node import Finish, LogRecord, MissionTime, Node, NoReply, PublishSnapshot
 from services.runtime.options import Options
-from services.runtime.queries.process import AnsweringProcess
-from services.runtime.queries.server import SnapshotServer, SnapshotService, request_of
-from services.runtime.scheduler import Executor, InlineExecutor, Kind, Seat
-from services.runtime.transport.session import Bus, Question, close_all, open_client
+from services.runtime.queries.process import QueryProcess
+from services.runtime.queries.server import QueryServer, QueryService, request_from_selector
+from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
+from services.runtime.transport.session import IncomingQuery, Session, close_all, connect_client
 
 CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
 ONLOOKERS = "onlooker"
@@ -57,7 +57,7 @@ class Service:
     name: str
     build: Callable[[Options], Node]
     executor: Callable[[], OwnedExecutor] | None = None
-    answers: SnapshotService | None = None
+    answers: QueryService | None = None
     """Which questions are answered from snapshots, and how."""
     journals: bool = False
     """Whether it goes on from a journal after a restart; who keeps none has nothing to forget."""
@@ -88,8 +88,8 @@ class Process:
         self.mission = options.scenario.name
         self.clock: ClockState | None = None
         self._last: MissionTime = 0
-        self.buses: dict[Side, Bus] = {}
-        self._tokens: dict[int, Question] = {}
+        self.sessions: dict[Side, Session] = {}
+        self._tokens: dict[int, IncomingQuery] = {}
         self._resume: list[Action] = []
         self._incarnation = 1
         self._counter = 0
@@ -97,14 +97,14 @@ class Process:
         self.log = Log(service.name, self._now_or_none, options.level, options.log_json)
         self._answers = self._answering(service)
 
-    def _answering(self, service: Service) -> SnapshotServer | AnsweringProcess | None:
+    def _answering(self, service: Service) -> QueryServer | QueryProcess | None:
         """Who answers operators, if anybody is to."""
         if service.answers is None:
             return None
         if service.answers.module is None:
-            return SnapshotServer(service.answers, service.name, self.mission, self._now_or_none)
+            return QueryServer(service.answers, service.name, self.mission, self._now_or_none)
         earth = self.options.scenario.network.earth
-        return AnsweringProcess(service.answers.module, Side.EARTH, earth, self.mission, self.log.warning)
+        return QueryProcess(service.answers.module, Side.EARTH, earth, self.mission, self.log.warning)
 
     # --- life ---------------------------------------------------------------------------------------------------
 
@@ -115,7 +115,7 @@ class Process:
             node = self._service.build(self.options)
             self.events = EventLog(self.options.events) if self.options.events else None
             host = Host(node, self.mission, self.events, custody_config(self.options.scenario.link, node.interface))
-            self.seat = self._seated(host, _Waking(executor, self.stop.inbox))
+            self.scheduler = self._seated(host, _Waking(executor, self.stop.inbox))
             if not self._connect(host):
                 return 0
             self.heartbeat = Heartbeat(host, self._publish_quietly)
@@ -126,82 +126,82 @@ class Process:
                 self.events.close()
             if self._answers is not None:
                 self._answers.close()
-            close_all(self.buses.values())
+            close_all(self.sessions.values())
             if executor is not None and not isinstance(executor, InlineExecutor):
                 executor.close()
 
-    def _seated(self, host: Host, executor: Executor) -> Seat:
+    def _seated(self, host: Host, executor: Executor) -> NodeScheduler:
         """The seat of that host, where its journal says that it was."""
         if self.options.journal is None or not self._service.journals:
             # Without a journal a start must still differ from an earlier one: the other side remembers what it had.
             self._incarnation = 1 if self.options.lockstep else int(time.time())
-            return Seat(host, executor)
+            return NodeScheduler(host, executor)
         folder = JournalFolder(self.options.journal, self.name, identity_of(self.options.scenario))
         history = folder.history()
-        seat = Seat(host, executor, folder.begin(history))
+        scheduler = NodeScheduler(host, executor, folder.begin(history))
         began = time.monotonic()
-        self._resume = seat.replay(history.inputs, history.state)
+        self._resume = scheduler.replay(history.inputs, history.state)
         self._incarnation = history.starts + 1
         if history.starts:
-            self._last = seat.last
+            self._last = scheduler.last
             self.log.info(
                 "restarted from its journal",
                 inputs=len(history.inputs),
                 torn_bytes=history.torn_bytes,
                 seconds=f"{time.monotonic() - began:.3f}",
             )
-        return seat
+        return scheduler
 
     def _connect(self, host: Host) -> bool:
         """Join both networks the node stands on, and learn the time; False when told to stop first."""
         endpoints = {Side.MOON: self.options.scenario.network.moon, Side.EARTH: self.options.scenario.network.earth}
         interface = host.interface
         for side in interface.sides:
-            bus = self.open(side, endpoints[side])
-            if bus is None:
+            session = self.open(side, endpoints[side])
+            if session is None:
                 return False
-            self.buses[side] = bus
-            self._listen(host, side, bus)
+            self.sessions[side] = session
+            self._listen(host, side, session)
         if not self.learn_time():
             return False
-        if isinstance(self._answers, AnsweringProcess) and not self._resume:
+        if isinstance(self._answers, QueryProcess) and not self._resume:
             # Nobody waits for a process that goes on; for a new one the mission waits, and so may operators.
             self._answers.wait_until_ready(self.stop.event)
-        for side, bus in self.buses.items():
-            bus.announce(interface.name, side)
+        for side, session in self.sessions.items():
+            session.announce(interface.name, side)
             if self._service.onlooker:
-                bus.announce(interface.name, side, ONLOOKERS)
+                session.announce(interface.name, side, ONLOOKERS)
         self.log.info("ready", sides="+".join(side.value for side in interface.sides), pid=os.getpid())
         return True
 
-    def _listen(self, host: Host, side: Side, bus: Bus) -> None:
+    def _listen(self, host: Host, side: Side, session: Session) -> None:
         for topic, where in host.heard_topics():
             if where is side:
-                bus.subscribe(self.heard_as(topic), partial(self._came, topic))
+                session.subscribe(self.heard_as(topic), partial(self._came, topic))
         for topic in host.interface.serves:
             if side in topic.sides:
                 if self._answers is not None and self._service.answers and topic in self._service.answers.topics:
-                    if isinstance(self._answers, SnapshotServer):
-                        self._answers.serve(topic, bus)
+                    if isinstance(self._answers, QueryServer):
+                        self._answers.serve(topic, session)
                 else:
-                    bus.serve(topic, partial(self._asked, topic))
+                    session.serve(topic, partial(self._asked, topic))
 
     def heard_as(self, topic: Topic) -> Topic:
         """On which topic's key that topic's messages reach this process."""
         return topic
 
-    def open(self, side: Side, endpoint: str) -> Bus | None:
+    def open(self, side: Side, endpoint: str) -> Session | None:
         """A bus on that side, as soon as its router is there; None when told to stop first."""
-        return open_client(side, endpoint, self.mission, self.stop.event, self.log.warning)
+        return connect_client(side, endpoint, self.mission, self.stop.event, self.log.warning)
 
     def learn_time(self) -> bool:
         """Ask the time keeper until it answers; a subscription brings every later change. False when told to stop."""
-        side, bus = next(iter(self.buses.items()))
+        side, session = next(iter(self.sessions.items()))
         topic = CLOCKS[side]
-        bus.subscribe(topic, lambda payload, _attachment: self.later(partial(self.set_clock, side, payload)))
+        session.subscribe(topic, lambda payload, _attachment: self.later(partial(self.set_clock, side, payload)))
         told = False
         while self.clock is None and not self.stop.event.is_set():
-            bus.ask(topic, b"", 2.0, lambda answer, *_: self.later(partial(self.set_clock, side, answer)))
+            session.ask(topic, b"", 2.0, lambda answer, *_: self.later(partial(self.set_clock, side, answer)))
             try:
                 self.stop.inbox.get(timeout=IDLE_S)()
             except queue.Empty:
@@ -214,7 +214,7 @@ class Process:
 
     def _loop(self) -> None:
         now = self._now()
-        self.seat.put((Kind.MESSAGE, "", 0), Input("start", (self._incarnation,)))
+        self.scheduler.put((Kind.MESSAGE, "", 0), Input("start", (self._incarnation,)))
         self.perform_all(self._resume)
         self._run_seat(now)
         while not self.stop.event.is_set():
@@ -227,7 +227,7 @@ class Process:
     def _drain(self) -> None:
         """Take in everything that waits, timers first: what is due is handled at the time it was due."""
         while not self.stop.event.is_set():
-            if self.seat.waiting:
+            if self.scheduler.waiting:
                 self._run_seat(self._now())
             try:
                 take_in = self.stop.inbox.get_nowait()
@@ -238,21 +238,21 @@ class Process:
 
     def _run_due(self) -> None:
         while not self.stop.event.is_set():
-            wake = self.seat.next_wake(wait=False)
+            wake = self.scheduler.next_wake(wait=False)
             if wake is None or wake > self._now():
                 return
             self._run_seat(max(wake, self._last))
 
     def _run_seat(self, now: MissionTime) -> None:
         self._last = max(self._last, now)
-        self.perform_all(self.seat.run(self._last, wait=False))
+        self.perform_all(self.scheduler.run(self._last, wait=False))
 
     def perform_all(self, actions: Iterable[Action]) -> None:
         for action in actions:
             self._perform(action)
 
     def _patience_s(self) -> float:
-        wake = self.seat.next_wake(wait=False)
+        wake = self.scheduler.next_wake(wait=False)
         if wake is None or self.clock is None:
             return IDLE_S
         at = wall_time(self.clock, wake)
@@ -261,28 +261,28 @@ class Process:
     def _perform(self, action: Action) -> None:
         match action:
             case Publish(topic, side, payload):
-                self.buses[side].publish(topic, payload)
-            case PutQuestion(topic, side, payload, question, timeout_s):
-                on_end = partial(self._answer_came, question)
-                self.buses[side].ask(topic, payload, timeout_s, on_end)
+                self.sessions[side].publish(topic, payload)
+            case PutQuery(topic, side, payload, query, timeout_s):
+                on_end = partial(self._answer_came, query)
+                self.sessions[side].ask(topic, payload, timeout_s, on_end)
             case Reply(token, _, payload):
-                self._question_of(token, lambda question: question.reply(payload))
+                self._question_of(token, lambda query: query.reply(payload))
             case ReplyError(token, _, why):
-                self._question_of(token, lambda question: question.refuse(why))
-            case Show(snapshot, awaited):
+                self._question_of(token, lambda query: query.refuse(why))
+            case PublishSnapshot(snapshot, awaited):
                 if self._answers is not None:
                     self._answers.show(snapshot)
-                if awaited and isinstance(self._answers, AnsweringProcess):
+                if awaited and isinstance(self._answers, QueryProcess):
                     self._answers.settle()
-            case Note():
+            case LogRecord():
                 self.log.write(action, self._last)
             case Finish(ok, why):
                 self.log.info(f"finished: {why}", ok=ok)
 
-    def _question_of(self, token: int, answer: Callable[[Question], None]) -> None:
-        question = self._tokens.pop(token, None)
-        if question is not None:  # else it was asked of an earlier start of this process, and its asker is gone
-            answer(question)
+    def _question_of(self, token: int, answer: Callable[[IncomingQuery], None]) -> None:
+        query = self._tokens.pop(token, None)
+        if query is not None:  # else it was asked of an earlier start of this process, and its asker is gone
+            answer(query)
 
     # --- what comes in, in other threads ------------------------------------------------------------------------
 
@@ -298,39 +298,39 @@ class Process:
             self._last = max(self._last, stamp.at)
         self._put(Kind.MESSAGE, given)
 
-    def _asked(self, topic: Topic, question: Question) -> None:
-        self.later(partial(self._take_question, topic, question))
+    def _asked(self, topic: Topic, query: IncomingQuery) -> None:
+        self.later(partial(self._take_question, topic, query))
 
-    def _answer_came(self, question: str, answer: bytes | Silence, detail: str, _attachment: bytes) -> None:
+    def _answer_came(self, query: str, answer: bytes | NoReply, detail: str, _attachment: bytes) -> None:
         if isinstance(answer, bytes):
-            self.later(partial(self._put, Kind.QUESTION, Input("answered", (question, answer))))
+            self.later(partial(self._put, Kind.QUESTION, Input("answered", (query, answer))))
         else:
-            self.later(partial(self._put, Kind.QUESTION, Input("unanswered", (question, answer, detail))))
+            self.later(partial(self._put, Kind.QUESTION, Input("unanswered", (query, answer, detail))))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
 
     def _put(self, kind: Kind, given: Input) -> None:
         self._counter += 1
-        self.seat.put((kind, "", self._counter), given)
+        self.scheduler.put((kind, "", self._counter), given)
 
-    def _take_question(self, topic: Topic, question: Question) -> None:
+    def _take_question(self, topic: Topic, query: IncomingQuery) -> None:
         self._counter += 1
         token = self._counter
-        self._tokens[token] = question
-        payload = question.payload
+        self._tokens[token] = query
+        payload = query.payload
         if payload is not None:
             self._put(Kind.QUESTION, Input("ask", (topic, payload, token)))
             return
         try:
-            request: Wire = request_of(topic, question.parameters)
+            request: Wire = request_from_selector(topic, query.parameters)
         except He3Error as error:
             self._tokens.pop(token).refuse(str(error))
             self.refused(str(error))
             return
         self._put(Kind.QUESTION, Input("ask_checked", (topic, request, token)))
 
-    def set_clock(self, side: Side, payload: bytes | Silence) -> None:
-        if isinstance(payload, Silence):
+    def set_clock(self, side: Side, payload: bytes | NoReply) -> None:
+        if isinstance(payload, NoReply):
             return
         try:
             _, state = decode(CLOCKS[side], payload, self.mission)
@@ -342,7 +342,7 @@ class Process:
 
     def refused(self, why: str) -> None:
         """Count and log something from outside that never reached the node."""
-        self.log.write(self.seat.host.refuse(why))
+        self.log.write(self.scheduler.host.refuse(why))
 
     # --- time ---------------------------------------------------------------------------------------------------
 
@@ -355,7 +355,7 @@ class Process:
         return None if self.clock is None else self._now()
 
     def _publish_quietly(self, topic: Topic, side: Side, payload: bytes) -> None:
-        self.buses[side].publish(topic, payload)
+        self.sessions[side].publish(topic, payload)
 
 
 class _Waking:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from schemas.lockstep import Grant, Join, Joined, StepDone
-from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.host import Input
 from services.runtime.lockstep.stamp import Stamp
 from services.runtime.node import Finish, MissionTime
-from services.runtime.scheduler import Kind, Seat
+from services.runtime.scheduler import Kind, NodeScheduler
 
 OUTSIDE = ""
 """Who sends what carries no stamp: operators and strangers."""
@@ -27,7 +27,7 @@ class Transport(Protocol):
 
     def publish(self, action: Publish, stamp: Stamp) -> None: ...
 
-    def ask(self, action: PutQuestion, stamp: Stamp) -> None: ...
+    def ask(self, action: PutQuery, stamp: Stamp) -> None: ...
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None: ...
 
@@ -48,9 +48,9 @@ class _Taken:
 class Participant:
     """A seat whose clock is granted, step by step."""
 
-    def __init__(self, seat: Seat, process: str, resume: Iterable[Action] = ()) -> None:
+    def __init__(self, scheduler: NodeScheduler, process: str, resume: Iterable[Action] = ()) -> None:
         """process: tells this start of the service from every other. resume: what a replayed journal left to do."""
-        self.seat = seat
+        self.scheduler = scheduler
         self.process = process
         self.now: MissionTime = 0
         self.step = 0
@@ -74,13 +74,13 @@ class Participant:
 
     @property
     def name(self) -> str:
-        return self.seat.name
+        return self.scheduler.name
 
     # --- taking part --------------------------------------------------------------------------------------------
 
     def join(self) -> Join:
         """What the time keeper has to know of it."""
-        host = self.seat.host
+        host = self.scheduler.host
         return Join(
             term=self._term,
             name=self.name,
@@ -111,7 +111,7 @@ class Participant:
 
     def start(self, incarnation: int) -> None:
         """Let the node begin, in the first step that is granted."""
-        self.seat.put((Kind.MESSAGE, OUTSIDE, 0), Input("start", (incarnation,)))
+        self.scheduler.put((Kind.MESSAGE, OUTSIDE, 0), Input("start", (incarnation,)))
 
     # --- what reaches it ----------------------------------------------------------------------------------------
 
@@ -168,8 +168,8 @@ class Participant:
         """The computations that must end before it can act."""
         if self.granted is None:
             return ()
-        due = self.seat.due_computations(self.granted.at)
-        return () if all(future.done() for future in due) else tuple(self.seat.computations())
+        due = self.scheduler.due_computations(self.granted.at)
+        return () if all(future.done() for future in due) else tuple(self.scheduler.computations())
 
     def ready(self) -> bool:
         """Whether it has been granted a step and has everything that it needs for it."""
@@ -184,17 +184,17 @@ class Participant:
         waiting = []
         for taken in self._taken:
             if taken.step < grant.step:
-                self.seat.put(taken.order, taken.given)
+                self.scheduler.put(taken.order, taken.given)
             else:
                 waiting.append(taken)
         self._taken = waiting
         resume, self._resume = self._resume, ()
-        for action in (*resume, *self.seat.run(self.now)):
+        for action in (*resume, *self.scheduler.run(self.now)):
             self._perform(action, transport)
         return self._report()
 
     def _next_wake(self) -> MissionTime | None:
-        wake = self.seat.next_wake()
+        wake = self.scheduler.next_wake()
         return None if wake is None else max(self.now, wake)
 
     def _report(self) -> StepDone:
@@ -218,7 +218,7 @@ class Participant:
             case Publish(topic, side):
                 self._published[topic.name, side.value] += 1
                 transport.publish(action, self._stamped())
-            case PutQuestion(topic, side):
+            case PutQuery(topic, side):
                 self._asked.append((topic.name, side.value))
                 transport.ask(action, self._stamped())
             case Reply(token) | ReplyError(token):
@@ -233,5 +233,5 @@ class Participant:
                 transport.perform(action)
 
     def _stamped(self) -> Stamp:
-        self.seat.emitted += 1
-        return Stamp(self.name, self.process, self.seat.emitted, self.step, self.now)
+        self.scheduler.emitted += 1
+        return Stamp(self.name, self.process, self.scheduler.emitted, self.step, self.now)

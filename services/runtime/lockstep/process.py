@@ -14,15 +14,15 @@ from schemas import topics
 from schemas.lockstep import Poke, StepBusy, StepDone
 from schemas.topics import Side, Topic, addressed, counted
 from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
-from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.drivers.wall_clock import CLOCKS, IDLE_S, Process, Service, Stop
 from services.runtime.host import Input
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp, read_stamp
-from services.runtime.node import Silence
+from services.runtime.node import NoReply
 from services.runtime.options import Options
-from services.runtime.queries.server import request_of
-from services.runtime.transport.session import Question
+from services.runtime.queries.server import request_from_selector
+from services.runtime.transport.session import IncomingQuery
 
 JOIN = {Side.MOON: topics.MOON_JOIN, Side.EARTH: topics.EARTH_JOIN}
 GRANT = {Side.MOON: topics.MOON_GRANT, Side.EARTH: topics.EARTH_GRANT}
@@ -65,21 +65,21 @@ class LockstepProcess(Process):
         self._told_silent = False
         self._told_busy: StepBusy | None = None
         self._counted_topics: dict[str, Topic] = {}
-        self._early: list[tuple[Topic, Question]] = []
+        self._early: list[tuple[Topic, IncomingQuery]] = []
 
     def learn_time(self) -> bool:
         """Join, and learn where virtual time stands; False when told to stop first."""
-        self.part = Participant(self.seat, self.process_id, self._resume)
+        self.part = Participant(self.scheduler, self.process_id, self._resume)
         self.part.now = self._last
-        self._home = next(iter(self.buses))
+        self._home = next(iter(self.sessions))
         return self.take_part()
 
     def take_part(self) -> bool:
         """Join over the network; the answer to the join is where time stands."""
-        bus, home = self.buses[self._home], self._home
-        bus.subscribe(CLOCKS[home], lambda payload, _: self.later(partial(self.set_clock, home, payload)))
-        bus.subscribe(grant_to(self.name, home), lambda payload, _: self.later(partial(self._granted, payload)))
-        bus.announce(self.process_id, home, MEMBERS)
+        session, home = self.sessions[self._home], self._home
+        session.subscribe(CLOCKS[home], lambda payload, _: self.later(partial(self.set_clock, home, payload)))
+        session.subscribe(grant_to(self.name, home), lambda payload, _: self.later(partial(self._granted, payload)))
+        session.announce(self.process_id, home, MEMBERS)
         began = time.monotonic()
         told = False
         while not self.stop.event.is_set() and not self._joined:
@@ -96,17 +96,17 @@ class LockstepProcess(Process):
         if now - self._asked_at < ASKS_AGAIN_S:
             return
         self._asked_at = now
-        self.buses[self._home].ask(
+        self.sessions[self._home].ask(
             JOIN[self._home],
             encode(self.header(), self.part.join()),
             ASKS_AGAIN_S,
             lambda answer, detail, _: self.later(partial(self._take_joined, answer, detail)),
         )
 
-    def _take_joined(self, answer: bytes | Silence, detail: str) -> None:
-        if answer is Silence.REFUSED:
+    def _take_joined(self, answer: bytes | NoReply, detail: str) -> None:
+        if answer is NoReply.REFUSED:
             raise He3Error(detail)
-        if isinstance(answer, Silence):
+        if isinstance(answer, NoReply):
             return  # nobody there, or a step is under way; ask again
         try:
             _, joined = decode_reply(JOIN[self._home], answer, self.mission)
@@ -123,8 +123,8 @@ class LockstepProcess(Process):
             self._joined = True
             self.part.start(max(self._incarnation, joined.starts))
             early, self._early = self._early, []
-            for topic, question in early:
-                self._take_question(topic, question)
+            for topic, query in early:
+                self._take_question(topic, query)
 
     # --- the loop -----------------------------------------------------------------------------------------------
 
@@ -144,7 +144,7 @@ class LockstepProcess(Process):
             self._told_silent = True
             self.log.warning(f"nothing heard of the time keeper for {SILENT_AFTER_S:g} s; waiting for it")
 
-    def set_clock(self, side: Side, payload: bytes | Silence) -> None:
+    def set_clock(self, side: Side, payload: bytes | NoReply) -> None:
         super().set_clock(side, payload)
         self._clock_at = time.monotonic()
         if self._told_silent:
@@ -193,13 +193,13 @@ class LockstepProcess(Process):
 
     def tell(self, family: dict[Side, Topic], body: Wire) -> None:
         """Say something to the time keeper."""
-        self.buses[self._home].publish(family[self._home], encode(self.header(), body))
+        self.sessions[self._home].publish(family[self._home], encode(self.header(), body))
 
     def header(self) -> Header:
         return Header(
             mission=self.mission,
             source=self.name,
-            incarnation=self.seat.host.incarnation,
+            incarnation=self.scheduler.host.incarnation,
             sequence=self.part.step,
             made_at=self._last,
         )
@@ -211,9 +211,9 @@ class LockstepProcess(Process):
 
     def publish(self, action: Publish, stamp: Stamp) -> None:
         """Twice: for those who take part, who count and are waited for, and for onlookers, as they come along."""
-        bus, attachment = self.buses[action.side], stamp.encode()
-        bus.publish(self._counted(action.topic), action.payload, attachment)
-        bus.show(action.topic, action.payload, attachment)
+        session, attachment = self.sessions[action.side], stamp.encode()
+        session.publish(self._counted(action.topic), action.payload, attachment)
+        session.show(action.topic, action.payload, attachment)
 
     def _counted(self, topic: Topic) -> Topic:
         if topic.name not in self._counted_topics:
@@ -221,18 +221,18 @@ class LockstepProcess(Process):
         return self._counted_topics[topic.name]
 
     def _publish_quietly(self, topic: Topic, side: Side, payload: bytes) -> None:
-        self.buses[side].show(topic, payload)
+        self.sessions[side].show(topic, payload)
 
-    def ask(self, action: PutQuestion, stamp: Stamp) -> None:
-        on_end = partial(self._answer_came_in, action.question, stamp)
-        self.buses[action.side].ask(action.topic, action.payload, FOREVER_S, on_end, stamp.encode())
+    def ask(self, action: PutQuery, stamp: Stamp) -> None:
+        on_end = partial(self._answer_came_in, action.query, stamp)
+        self.sessions[action.side].ask(action.topic, action.payload, FOREVER_S, on_end, stamp.encode())
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
         match action:
             case Reply(token, _, payload):
-                self._question_of(token, lambda question: question.reply(payload, stamp.encode()))
+                self._question_of(token, lambda query: query.reply(payload, stamp.encode()))
             case ReplyError(token, _, why):
-                self._question_of(token, lambda question: question.refuse(why, stamp.encode()))
+                self._question_of(token, lambda query: query.refuse(why, stamp.encode()))
 
     def perform(self, action: Action) -> None:
         self._perform(action)
@@ -242,10 +242,10 @@ class LockstepProcess(Process):
     def _came(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
         self.later(partial(self._take, Input("deliver", (topic, payload)), attachment))
 
-    def _asked(self, topic: Topic, question: Question) -> None:
-        self.later(partial(self._take_question, topic, question))
+    def _asked(self, topic: Topic, query: IncomingQuery) -> None:
+        self.later(partial(self._take_question, topic, query))
 
-    def _answer_came_in(self, name: str, asked: Stamp, answer: bytes | Silence, detail: str, attachment: bytes) -> None:
+    def _answer_came_in(self, name: str, asked: Stamp, answer: bytes | NoReply, detail: str, attachment: bytes) -> None:
         if isinstance(answer, bytes):
             given = Input("answered", (name, answer))
         else:
@@ -260,26 +260,26 @@ class LockstepProcess(Process):
     def _take_answer(self, given: Input, asked: Stamp, attachment: bytes) -> None:
         self._poke_if(self.part.take_answer(given, asked, read_stamp(attachment)))
 
-    def _take_question(self, topic: Topic, question: Question) -> None:
-        stamp = read_stamp(question.attachment)
+    def _take_question(self, topic: Topic, query: IncomingQuery) -> None:
+        stamp = read_stamp(query.attachment)
         if not self._joined:
-            self._early.append((topic, question))
+            self._early.append((topic, query))
             return
         if stamp is not None and stamp.step <= self.part.joined_at:
-            question.leave()  # its asker counts on nobody's answering: this process did not take part then
+            query.leave()  # its asker counts on nobody's answering: this process did not take part then
             return
         self._counter += 1
         token = self._counter
-        payload = question.payload
+        payload = query.payload
         if payload is not None:
             given = Input("ask", (topic, payload, token))
         else:
             try:
-                given = Input("ask_checked", (topic, request_of(topic, question.parameters), token))
+                given = Input("ask_checked", (topic, request_from_selector(topic, query.parameters), token))
             except He3Error as error:
-                question.refuse(str(error))
+                query.refuse(str(error))
                 return
-        self._tokens[token] = question
+        self._tokens[token] = query
         self._poke_if(self.part.take_question(given, token, stamp))
 
     def _poke_if(self, needed: bool) -> None:

@@ -24,7 +24,7 @@ class Stamp:
 
 def read_stamp(attachment: bytes) -> Stamp | None:
     """The stamp, or None for a message from outside, whatever it carries."""
-    if not attachment or len(attachment) > _MOST_BYTES:
+    if not attachment or len(attachment) > _MAX_BYTES:
         return None
     try:
         sender, process, number, step, at = attachment.decode("ascii").split("\t")
@@ -33,7 +33,7 @@ def read_stamp(attachment: bytes) -> Stamp | None:
         return None
 
 
-_MOST_BYTES = 250
+_MAX_BYTES = 250
 
 
 def _natural(digits: str) -> int:

@@ -42,7 +42,7 @@ class Member:
         return self.poked or bool(self.inputs)
 
 
-class TimeKeeper:
+class TimeManager:
     """Who takes part, where each stands, and what the next step is."""
 
     def __init__(self, now: MissionTime, required: frozenset[str], identity: str = "keeper") -> None:
@@ -184,8 +184,8 @@ class TimeKeeper:
             for other in self.members.values():
                 if other is not member and (topic, side) in other.hears:
                     other.inputs[report.name] += count
-        for question in report.asked:
-            self._server_of(question, member).inputs[report.name] += 1
+        for query in report.asked:
+            self._server_of(query, member).inputs[report.name] += 1
         for process, step in report.answered:
             for asker in self.members.values():
                 # A question does not outlive the connection of either; then its answer goes nowhere.
@@ -228,6 +228,6 @@ class TimeKeeper:
         self.outstanding = set(grants)
         return grants
 
-    def _server_of(self, question: tuple[str, str], asker: Member) -> Member:
+    def _server_of(self, query: tuple[str, str], asker: Member) -> Member:
         """Who has to take the question in; the asker himself, to whom silence comes, if nobody serves it."""
-        return next((other for other in self.members.values() if question in other.serves), asker)
+        return next((other for other in self.members.values() if query in other.serves), asker)

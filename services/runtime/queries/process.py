@@ -22,8 +22,8 @@ from typing import Any, BinaryIO, Protocol
 
 from he3.errors import He3Error
 from schemas.topics import Side
-from services.runtime.queries.server import SnapshotServer, SnapshotService
-from services.runtime.transport.session import Bus, open_client
+from services.runtime.queries.server import QueryServer, QueryService
+from services.runtime.transport.session import Session, connect_client
 
 READY = b"ready\n"
 START_WITHIN_S = 30.0
@@ -37,7 +37,7 @@ SETTLE_WITHIN_S = 5.0
 _HEAD = struct.Struct("<QQ")  # number and length of a snapshot
 
 
-class AnsweringProcess:
+class QueryProcess:
     """The owner's end. `show` may be called from any thread and returns at once."""
 
     def __init__(self, module: str, side: Side, endpoint: str, mission: str, warn: Callable[[str], None]) -> None:
@@ -165,7 +165,7 @@ def _write_all(pipe: Any, payload: bytes) -> None:
 class SnapshotPublisher(Protocol):
     """Publishes what it likes of each snapshot, beside the replies to queries."""
 
-    def begin(self, bus: Bus) -> None:
+    def begin(self, session: Session) -> None:
         """Publish on that session from now on."""
 
     def show(self, snapshot: Any) -> None:
@@ -175,9 +175,7 @@ class SnapshotPublisher(Protocol):
         """Publish no more."""
 
 
-def answer_from_pipe(
-    service: SnapshotService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]
-) -> int:
+def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
     """Answer that service's queries from the snapshots that come in on standard input; returns when it ends.
 
     arguments: side, endpoint and mission. publisher: is shown each snapshot as well.
@@ -187,14 +185,14 @@ def answer_from_pipe(
     sys.setswitchinterval(0.0005)
     side, endpoint, mission = arguments
     ended = threading.Event()
-    bus: list[Bus] = []
-    server = SnapshotServer(service, name, mission)
+    session: list[Session] = []
+    server = QueryServer(service, name, mission)
 
     def connect() -> None:
-        opened = open_client(Side(side), endpoint, mission, ended, lambda _: None)
+        opened = connect_client(Side(side), endpoint, mission, ended, lambda _: None)
         if opened is None:
             return
-        bus.append(opened)
+        session.append(opened)
         for topic in service.topics:
             server.serve(topic, opened)
         publisher.begin(opened)
@@ -209,7 +207,7 @@ def answer_from_pipe(
         os.write(1, b"%d\n" % number)
     ended.set()
     publisher.end()
-    for opened in bus:
+    for opened in session:
         opened.close()
     # Threads of Zenoh may still hold on to what is going away.
     os._exit(0)

@@ -19,14 +19,14 @@ from he3.errors import He3Error, InvalidInput
 from schemas.topics import Topic
 from schemas.wire import Header, Refused, Wire, decode, encode, one_line
 from services.runtime.node import MissionTime
-from services.runtime.transport.session import Bus, Question
+from services.runtime.transport.session import IncomingQuery, Session
 
 JSON = "application/json"
 MAX_WAITING = 10_000
 """Questions that may wait; more are refused, so that a flood costs no memory."""
 
 
-def request_of(topic: Topic, parameters: dict[str, str]) -> Any:
+def request_from_selector(topic: Topic, parameters: dict[str, str]) -> Any:
     """The request that selector parameters make; raises InvalidInput with one line for unknown or bad ones."""
     try:
         # Parameters are text: numbers are read from them, everything else is checked as on the wire.
@@ -53,7 +53,7 @@ def _as_it_is(shown: Any, _before: Any) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class SnapshotService:
+class QueryService:
     """Answers questions of some topics from the latest snapshot: a pure function, in threads of its own."""
 
     topics: tuple[Topic, ...]
@@ -68,12 +68,12 @@ class SnapshotService:
     """Module to run as the query process (see `services.runtime.queries.process`); None: threads of this process."""
 
 
-class SnapshotServer:
+class QueryServer:
     """The threads of a snapshot service, for one process."""
 
     def __init__(
         self,
-        service: SnapshotService,
+        service: QueryService,
         name: str,
         mission: str,
         now: Callable[[], MissionTime | None] = lambda: None,
@@ -83,7 +83,7 @@ class SnapshotServer:
         self._mission = mission
         self._snapshot: object | None = None
         self._now = now
-        self._waiting: queue.Queue[tuple[Topic, Question]] = queue.Queue(MAX_WAITING)
+        self._waiting: queue.Queue[tuple[Topic, IncomingQuery]] = queue.Queue(MAX_WAITING)
         for number in range(service.threads):
             threading.Thread(target=self._work, name=f"questions-{number}", daemon=True).start()
 
@@ -95,29 +95,29 @@ class SnapshotServer:
     def close(self) -> None:
         """Nothing to end: the threads end with the process."""
 
-    def serve(self, topic: Topic, bus: Bus) -> None:
+    def serve(self, topic: Topic, session: Session) -> None:
         """Answer that topic's questions on that bus from now on."""
-        bus.serve(topic, partial(self._take, topic))
+        session.serve(topic, partial(self._take, topic))
 
-    def _take(self, topic: Topic, question: Question) -> None:
+    def _take(self, topic: Topic, query: IncomingQuery) -> None:
         try:
-            self._waiting.put_nowait((topic, question))
+            self._waiting.put_nowait((topic, query))
         except queue.Full:
-            question.refuse(f"{topic.name}: more than {MAX_WAITING} questions wait; ask later")
+            query.refuse(f"{topic.name}: more than {MAX_WAITING} questions wait; ask later")
 
     def _work(self) -> None:
         while True:
-            topic, question = self._waiting.get()
+            topic, query = self._waiting.get()
             try:
-                answer = self.reply(topic, question.payload, question.parameters)
-                question.reply(answer.payload, answer.about or None, answer.media_type)
+                answer = self.reply(topic, query.payload, query.parameters)
+                query.reply(answer.payload, answer.about or None, answer.media_type)
             except (He3Error, Refused) as error:
-                question.refuse(str(error))
+                query.refuse(str(error))
 
     def reply(self, topic: Topic, payload: bytes | None, parameters: dict[str, str]) -> Encoded:
         """The answer; raises He3Error or Refused with one line."""
         if payload is None:
-            request = request_of(topic, parameters)
+            request = request_from_selector(topic, parameters)
         else:
             _, request = decode(topic, payload, self._mission)
         snapshot = self._snapshot

@@ -20,7 +20,7 @@ from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.topics import KEY_ROOT, Side, Topic
 from schemas.wire import Header, Wire, decode, decode_reply, encode
 from services.mission.deployment import deployment
-from services.runtime.node import MissionTime, Silence
+from services.runtime.node import MissionTime, NoReply
 
 CLOSE_WITHIN_S = 1.0
 """Closing a session on a bad link can take 10 s; nobody waits longer than this for it."""
@@ -46,7 +46,7 @@ def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class IncomingQuery:
     """A query that came in; answer it exactly once, from any thread."""
 
     query: zenoh.Query
@@ -80,7 +80,7 @@ class Question:
         self.query.drop()  # type: ignore[no-untyped-call]
 
 
-class Bus:
+class Session:
     """A session on one side of a mission."""
 
     def __init__(self, session: zenoh.Session, mission: str) -> None:
@@ -115,7 +115,7 @@ class Bus:
             first = topic not in self._kept
             self._kept[topic] = payload
             if first:
-                self.serve(topic, lambda question: question.reply(self._kept[topic]))
+                self.serve(topic, lambda query: query.reply(self._kept[topic]))
 
     def listened(self, topic: Topic) -> bool:
         """Whether anybody is known to subscribe to that topic."""
@@ -150,17 +150,17 @@ class Bus:
 
         return end
 
-    def serve(self, topic: Topic, on_question: Callable[[Question], None]) -> None:
+    def serve(self, topic: Topic, on_query: Callable[[IncomingQuery], None]) -> None:
         """Answer questions of that topic, whoever asks."""
         key = topic.key(self._mission)
-        self._held.append(self._session.declare_queryable(key, lambda query: on_question(Question(query))))
+        self._held.append(self._session.declare_queryable(key, lambda query: on_query(IncomingQuery(query))))
 
     def ask(
         self,
         topic: Topic,
         payload: bytes | None,
         timeout_s: float,
-        on_end: Callable[[bytes | Silence, str, bytes], None],
+        on_end: Callable[[bytes | NoReply, str, bytes], None],
         attachment: bytes | None = None,
         parameters: str = "",
     ) -> None:
@@ -170,7 +170,7 @@ class Bus:
         """
         ended: list[bool] = []
 
-        def end(answer: bytes | Silence, said: str, attachment: bytes) -> None:
+        def end(answer: bytes | NoReply, said: str, attachment: bytes) -> None:
             if not ended:  # the first answer counts; others who could have answered may be slow to say that they do not
                 ended.append(True)
                 on_end(answer, said, attachment)
@@ -181,13 +181,13 @@ class Bus:
                 return
             said = reply.err.payload.to_bytes() if reply.err is not None else b""
             if said == b"Timeout":
-                end(Silence.TIMEOUT, f"within {timeout_s:g} s", b"")
+                end(NoReply.TIMEOUT, f"within {timeout_s:g} s", b"")
             else:
-                end(Silence.REFUSED, *_refusal(said))
+                end(NoReply.REFUSED, *_refusal(said))
 
         self._session.get(
             topic.key(self._mission) + (f"?{parameters}" if parameters else ""),
-            handler=zenoh.handlers.Callback(on_reply, lambda: end(Silence.NO_ROUTE, "", b"")),
+            handler=zenoh.handlers.Callback(on_reply, lambda: end(NoReply.NO_ROUTE, "", b"")),
             payload=payload,
             encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
             timeout=timeout_s,
@@ -225,10 +225,10 @@ class Bus:
             return  # it is going away anyway
 
 
-def close_all(buses: Iterable[Bus]) -> None:
+def close_all(sessions: Iterable[Session]) -> None:
     """End all of these sessions at the same time; returns within a second even when a transport hangs."""
     give_up = time.monotonic() + CLOSE_WITHIN_S
-    for thread in [bus.closing() for bus in buses]:
+    for thread in [session.closing() for session in sessions]:
         thread.join(max(0.0, give_up - time.monotonic()))
 
 
@@ -250,14 +250,14 @@ def open_session(side: Side, role: str, endpoint: str) -> zenoh.Session:
         raise PeerUnreachable(f"no {side.value} router at {endpoint}") from None
 
 
-def open_client(
+def connect_client(
     side: Side, endpoint: str, mission: str, stop: threading.Event, on_waiting: Callable[[str], None]
-) -> Bus | None:
+) -> Session | None:
     """A bus on that side, as soon as its router is there; `on_waiting` is told once. None when `stop` was set first."""
     told = False
     while not stop.is_set():
         try:
-            return Bus(open_session(side, "client", endpoint), mission)
+            return Session(open_session(side, "client", endpoint), mission)
         except PeerUnreachable as error:
             if not told:
                 on_waiting(f"{error}; still trying")
@@ -272,7 +272,7 @@ class Client:
     def __init__(self, endpoint: str, mission: str, name: str = "operator", side: Side = Side.EARTH) -> None:
         self._mission = mission
         self._name = name
-        self._bus = Bus(open_session(side, "client", endpoint), mission)
+        self._session = Session(open_session(side, "client", endpoint), mission)
 
     def __enter__(self) -> Client:
         return self
@@ -283,7 +283,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        self._bus.close()
+        self._session.close()
 
     def query(self, topic: Topic, request: Wire, timeout_s: float = 10.0) -> Any:
         """The body of the answer; raises PeerUnreachable when nobody answers, or `refusal`."""
@@ -296,22 +296,24 @@ class Client:
         a refusal's text.
         """
         text = selector_text(parameters)
-        return self._outcome(topic, lambda on_end: self._bus.ask(topic, None, timeout_s, on_end, None, text), timeout_s)
+        return self._outcome(
+            topic, lambda on_end: self._session.ask(topic, None, timeout_s, on_end, None, text), timeout_s
+        )
 
     def latest(self, topic: Topic, timeout_s: float = 10.0) -> tuple[Header, Any]:
         """The last message of a topic that is kept (or a clock); raises PeerUnreachable when nobody has one."""
         return decode(topic, self._ask(topic, b"", timeout_s), self._mission)
 
     def _ask(self, topic: Topic, payload: bytes, timeout_s: float) -> bytes:
-        return self._outcome(topic, lambda on_end: self._bus.ask(topic, payload, timeout_s, on_end), timeout_s)[0]
+        return self._outcome(topic, lambda on_end: self._session.ask(topic, payload, timeout_s, on_end), timeout_s)[0]
 
     def _outcome(
-        self, topic: Topic, ask: Callable[[Callable[[bytes | Silence, str, bytes], None]], None], timeout_s: float
+        self, topic: Topic, ask: Callable[[Callable[[bytes | NoReply, str, bytes], None]], None], timeout_s: float
     ) -> tuple[bytes, bytes]:
         ended = threading.Event()
-        outcome: list[tuple[bytes | Silence, str, bytes]] = []
+        outcome: list[tuple[bytes | NoReply, str, bytes]] = []
 
-        def on_end(answer: bytes | Silence, detail: str, attachment: bytes) -> None:
+        def on_end(answer: bytes | NoReply, detail: str, attachment: bytes) -> None:
             outcome.append((answer, detail, attachment))
             ended.set()
 
@@ -321,7 +323,7 @@ class Client:
         answer, detail, attachment = outcome[0]
         if isinstance(answer, bytes):
             return answer, attachment
-        if answer is Silence.REFUSED:
+        if answer is NoReply.REFUSED:
             raise refusal(detail)
         raise PeerUnreachable(f"{topic.key(self._mission)}: {answer.value}{' ' + detail if detail else ''}")
 
@@ -338,14 +340,14 @@ class Client:
                 return  # a stranger's; the services count those, an onlooker passes over them
             on_message(header, body)
 
-        return self._bus.subscribe(topic, checked)
+        return self._session.subscribe(topic, checked)
 
     def subscribe_raw(self, topic: Topic, on_payload: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `on_payload`, in another thread, with the bytes of each message that comes; what returns ends that."""
-        return self._bus.subscribe(topic, lambda payload, _attachment: on_payload(payload))
+        return self._session.subscribe(topic, lambda payload, _attachment: on_payload(payload))
 
     def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
-        self._bus.watch_alive(side, on_change)
+        self._session.watch_alive(side, on_change)
 
     def _header(self, now: MissionTime) -> Header:
         return Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=now)

@@ -23,7 +23,7 @@ from services.mission.link_presets import PRESETS
 from services.runtime.custody.protocol import (
     TRANSITIONS,
     CustodyConfig,
-    OutboxFull,
+    CustodyQueueFull,
     RoundTrip,
     Signal,
     State,
@@ -31,8 +31,8 @@ from services.runtime.custody.protocol import (
     following,
     under_custody,
 )
-from services.runtime.custody.receiver import Ack, Inbox
-from services.runtime.custody.sender import Outbox, Transmit
+from services.runtime.custody.receiver import Ack, CustodyReceiver
+from services.runtime.custody.sender import CustodySender, Transmit
 
 START = 1_893_456_000_000_000_000
 S = 1_000_000_000
@@ -63,17 +63,17 @@ class Station:
 
     def start(self, now: int) -> None:
         if self.incarnation:
-            self.sent += self.outbox.counts.sent
-            self.repeated += self.outbox.counts.repeated
+            self.sent += self.sender.counts.sent
+            self.repeated += self.sender.counts.repeated
         self.incarnation += 1
         self.sequences: Counter[str] = Counter()
-        self.outbox = Outbox(self.name, self.config)
-        self.inbox = Inbox(self.config)
+        self.sender = CustodySender(self.name, self.config)
+        self.receiver = CustodyReceiver(self.config)
         for topic, header, payload in self.journal_sent:
-            self.outbox.restore(topic, header, payload)
+            self.sender.restore(topic, header, payload)
         for topic, header, _ in self.journal_got:
-            self.inbox.delivered(topic, header)
-        self.transmit(self.outbox.resume(now))
+            self.receiver.delivered(topic, header)
+        self.transmit(self.sender.resume(now))
 
     def header(self, topic: Topic, now: int, held_from: int | None = None) -> Header:
         sequence = self.sequences[topic.name]
@@ -88,11 +88,11 @@ class Station:
         )
 
     def offer(self, topic: Topic, now: int, size: int = 0) -> None:
-        held_from = self.outbox.held_from(topic, self.incarnation, self.sequences[topic.name])
+        held_from = self.sender.held_from(topic, self.incarnation, self.sequences[topic.name])
         header = self.header(topic, now, held_from)
         payload = encode(header, body_of(topic, len(self.journal_sent), size))
         self.journal_sent.append((topic, header, payload))
-        self.transmit(self.outbox.offer(topic, header, payload, now))
+        self.transmit(self.sender.offer(topic, header, payload, now))
 
     def transmit(self, transmits: list[Transmit]) -> None:
         for transmit in transmits:
@@ -108,23 +108,23 @@ class Station:
         except Refused:
             return
         if isinstance(body, Acknowledgement):
-            self.transmit(self.outbox.acknowledged(body, header, now))
+            self.transmit(self.sender.acknowledged(body, header, now))
             return
-        self.transmit(self.outbox.heard(now))
+        self.transmit(self.sender.heard(now))
         if under_custody(topic):
-            letters, acks = self.inbox.received(topic, header, body, len(payload), now)
-            self.journal_got += [(letter.topic, letter.header, letter.body) for letter in letters]
+            deliveries, acks = self.receiver.received(topic, header, body, len(payload), now)
+            self.journal_got += [(delivery.topic, delivery.header, delivery.body) for delivery in deliveries]
             self.acknowledge(acks, now)
 
     def next_due(self) -> int | None:
-        times = [time for time in (self.outbox.next_due(), self.inbox.next_due()) if time is not None]
+        times = [time for time in (self.sender.next_due(), self.receiver.next_due()) if time is not None]
         return min(times, default=None)
 
     def due(self, now: int) -> None:
-        if (time := self.outbox.next_due()) is not None and time <= now:
-            self.transmit(self.outbox.due(now))
-        if (time := self.inbox.next_due()) is not None and time <= now:
-            self.acknowledge(self.inbox.due(now), now)
+        if (time := self.sender.next_due()) is not None and time <= now:
+            self.transmit(self.sender.due(now))
+        if (time := self.receiver.next_due()) is not None and time <= now:
+            self.acknowledge(self.receiver.due(now), now)
 
 
 class World:
@@ -173,20 +173,20 @@ class World:
                 self.state_at = self.now + self.state_period
                 self.publish(STATE, b'{"header":{"source":"rover"}}')
                 if self.relay.in_contact(self.now):
-                    self.ground.transmit(self.ground.outbox.heard(self.now))
+                    self.ground.transmit(self.ground.sender.heard(self.now))
             for direction, flight in self.relay.arrived(self.now):
                 station = self.rover if direction is Direction.UP else self.ground
-                station.receive(flight.letter.topic, flight.payload, self.now)
+                station.receive(flight.packet.topic, flight.payload, self.now)
             for station in self.stations:
                 station.due(self.now)
         raise AssertionError("no end in sight")
 
     def settle(self, within: int = 100 * HOUR) -> None:
         self.run(self.now + within, self.settled)
-        assert self.settled(), (self.ground.outbox.counts, self.rover.outbox.counts, self.now - START)
+        assert self.settled(), (self.ground.sender.counts, self.rover.sender.counts, self.now - START)
 
     def settled(self) -> bool:
-        return all(station.outbox.depth == 0 for station in self.stations)
+        return all(station.sender.depth == 0 for station in self.stations)
 
     def check(self) -> None:
         """Each message came once, and each topic in order."""
@@ -198,7 +198,7 @@ class World:
 
     @property
     def repeated(self) -> int:
-        return sum(station.outbox.counts.repeated + station.repeated for station in self.stations)
+        return sum(station.sender.counts.repeated + station.repeated for station in self.stations)
 
 
 def both_ways(**conditions: Any) -> LinkConditions:
@@ -223,8 +223,8 @@ def test_without_loss_nothing_is_repeated_and_every_message_takes_its_light_time
     world.settle()
     world.check()
     assert world.repeated == 0
-    assert world.ground.outbox.counts.acknowledged == 8
-    assert world.rover.outbox.counts.acknowledged == 48
+    assert world.ground.sender.counts.acknowledged == 8
+    assert world.rover.sender.counts.acknowledged == 48
 
 
 @pytest.mark.parametrize(
@@ -246,7 +246,7 @@ def test_a_burst_beyond_the_window_goes_out_in_order_as_acknowledgements_come() 
     world = World(config=config)
     for _ in range(100):
         world.rover.offer(EVENT, world.now)
-    assert world.rover.outbox.counts.sent == 8
+    assert world.rover.sender.counts.sent == 8
     world.settle()
     world.check()
     assert world.repeated == 0
@@ -327,8 +327,8 @@ def test_a_blackout_suspends_the_timers_and_any_word_resumes_them(at_edge: AtEdg
         world.run(world.now + 600 * S)
     light = round(light_time_s * S)
     world.run(world.now + 100 * (2 * light + 5 * S))
-    assert world.rover.outbox.suspended
-    assert world.ground.outbox.suspended
+    assert world.rover.sender.suspended
+    assert world.ground.sender.suspended
     silent_s = (world.now - START) / S
     assert world.repeated <= 2 * (silent_s / max(300.0, 4 * light_time_s) + 6)
     world.relay.change(LinkChange(contact=True), world.now)
@@ -336,7 +336,7 @@ def test_a_blackout_suspends_the_timers_and_any_word_resumes_them(at_edge: AtEdg
     world.settle()
     world.check()
     assert world.now - regained < 60 * S + 10 * light + 20 * S
-    assert not world.rover.outbox.suspended
+    assert not world.rover.sender.suspended
 
 
 def test_a_suspended_outbox_tries_one_message_now_and_then_and_never_gives_up() -> None:
@@ -345,10 +345,10 @@ def test_a_suspended_outbox_tries_one_message_now_and_then_and_never_gives_up() 
     for _ in range(5):
         world.rover.offer(EVENT, world.now)
     world.run(world.now + 24 * HOUR)
-    outbox = world.rover.outbox
-    assert outbox.suspended
-    assert outbox.depth == 5
-    assert 24 * 12 - 2 <= outbox.counts.repeated <= 24 * 12 + 6
+    sender = world.rover.sender
+    assert sender.suspended
+    assert sender.depth == 5
+    assert 24 * 12 - 2 <= sender.counts.repeated <= 24 * 12 + 6
     world.relay.change(LinkChange(contact=True), world.now)
     world.settle(within=HOUR)
     world.check()
@@ -359,8 +359,8 @@ def test_an_outbox_that_hears_the_other_side_is_never_suspended() -> None:
     world.ground.offer(COMMAND, world.now)
     world.state_period = 30 * S
     world.run(world.now + HOUR)
-    assert not world.ground.outbox.suspended
-    assert 20 <= world.ground.outbox.counts.repeated <= 32
+    assert not world.ground.sender.suspended
+    assert 20 <= world.ground.sender.counts.repeated <= 32
 
 
 def test_a_rate_that_collapses_is_learned_and_leads_to_few_repetitions() -> None:
@@ -479,7 +479,7 @@ def test_a_restarted_sender_asks_with_one_message_what_is_missing() -> None:
     before = world.published
     world.rover.start(world.now)
     assert world.published - before == 1
-    assert world.rover.outbox.depth == 50
+    assert world.rover.sender.depth == 50
     world.settle()
     assert world.published - before <= 3
     world.check()
@@ -493,7 +493,7 @@ def test_what_a_receiver_held_out_of_turn_and_forgot_is_sent_again() -> None:
     for _ in range(5):
         world.rover.offer(EVENT, world.now)
     world.run(world.now + 1_282_000_000)
-    assert world.ground.inbox.counts.held == 5
+    assert world.ground.receiver.counts.held == 5
     world.ground.start(world.now)
     world.settle()
     world.check()
@@ -567,12 +567,12 @@ def header(source: str = "rover", sequence: int = 0, incarnation: int = 1) -> He
 
 
 def test_a_full_outbox_says_so_and_keeps_what_it_has() -> None:
-    outbox = Outbox("rover", CustodyConfig(max_messages=2))
+    sender = CustodySender("rover", CustodyConfig(max_messages=2))
     for sequence in range(2):
-        outbox.offer(EVENT, header(sequence=sequence), b"x", START)
-    with pytest.raises(OutboxFull, match="at most 2 messages"):
-        outbox.offer(EVENT, header(sequence=2), b"x", START)
-    assert outbox.depth == 2
+        sender.offer(EVENT, header(sequence=sequence), b"x", START)
+    with pytest.raises(CustodyQueueFull, match="at most 2 messages"):
+        sender.offer(EVENT, header(sequence=2), b"x", START)
+    assert sender.depth == 2
 
 
 @pytest.mark.parametrize(
@@ -580,41 +580,41 @@ def test_a_full_outbox_says_so_and_keeps_what_it_has() -> None:
     [(STATE, "rover", 5, "under custody"), (EVENT, "ground", 5, "'rover'"), (EVENT, "rover", 0, "above 0, got 0")],
 )
 def test_what_is_not_to_be_kept_here_is_refused(topic: Topic, source: str, sequence: int, says: str) -> None:
-    outbox = Outbox("rover")
-    outbox.offer(EVENT, header(), b"x", START)
+    sender = CustodySender("rover")
+    sender.offer(EVENT, header(), b"x", START)
     with pytest.raises(InvalidInput, match=says):
-        outbox.offer(topic, header(source, sequence), b"x", START)
-    assert outbox.depth == 1
+        sender.offer(topic, header(source, sequence), b"x", START)
+    assert sender.depth == 1
 
 
 def test_commands_go_before_plans_and_events_before_samples_when_the_window_is_small() -> None:
-    outbox = Outbox("ground", CustodyConfig(window_messages=1))
-    first = outbox.offer(PLAN, header("ground"), b"p0", START)
-    outbox.offer(PLAN, header("ground", 1), b"p1", START)
-    outbox.offer(COMMAND, header("ground", 0), b"c0", START)
+    sender = CustodySender("ground", CustodyConfig(window_messages=1))
+    first = sender.offer(PLAN, header("ground"), b"p0", START)
+    sender.offer(PLAN, header("ground", 1), b"p1", START)
+    sender.offer(COMMAND, header("ground", 0), b"c0", START)
     ack = Acknowledgement(stream="tc/plan", source="ground", incarnation=1, next_sequence=1, last_sequence=0)
-    then = outbox.acknowledged(ack, header(), START + 3 * S)
+    then = sender.acknowledged(ack, header(), START + 3 * S)
     assert [transmit.payload for transmit in (*first, *then)] == [b"p0", b"c0"]
 
 
 def test_an_acknowledgement_that_is_overtaken_by_a_newer_one_changes_nothing() -> None:
-    outbox = Outbox("rover")
+    sender = CustodySender("rover")
     for sequence in range(3):
-        outbox.offer(EVENT, header(sequence=sequence), b"x", START)
+        sender.offer(EVENT, header(sequence=sequence), b"x", START)
     ack = Acknowledgement(stream="tm/event", source="rover", incarnation=1, next_sequence=3)
     stale = ack.model_copy(update={"next_sequence": 2, "gaps": ((0, 0),)})
-    outbox.acknowledged(ack.model_copy(update={"next_sequence": 2}), header("ground", 5), START + S)
-    assert outbox.acknowledged(stale, header("ground", 4), START + S) == []
-    assert outbox.depth == 1
+    sender.acknowledged(ack.model_copy(update={"next_sequence": 2}), header("ground", 5), START + S)
+    assert sender.acknowledged(stale, header("ground", 4), START + S) == []
+    assert sender.depth == 1
     others = ack.model_copy(update={"source": "field"})
-    outbox.acknowledged(others, header("ground", 6), START + S)
-    assert outbox.depth == 1
+    sender.acknowledged(others, header("ground", 6), START + S)
+    assert sender.depth == 1
 
 
 def test_an_acknowledgement_with_more_gaps_than_it_can_tell_claims_less() -> None:
-    inbox = Inbox()
+    receiver = CustodyReceiver()
     for sequence in range(1, 400, 2):
-        _, acks = inbox.received(EVENT, header(sequence=sequence), None, 10, START + sequence * S)
+        _, acks = receiver.received(EVENT, header(sequence=sequence), None, 10, START + sequence * S)
     (ack,) = [body for _, body in acks]
     assert len(ack.gaps) == 64
     assert ack.gaps[-1] == (126, 126)
@@ -623,19 +623,19 @@ def test_an_acknowledgement_with_more_gaps_than_it_can_tell_claims_less() -> Non
 
 
 def test_an_inbox_without_room_neither_keeps_nor_acknowledges() -> None:
-    inbox = Inbox(CustodyConfig(max_held=2))
+    receiver = CustodyReceiver(CustodyConfig(max_held=2))
     for sequence in (1, 2):
-        inbox.received(EVENT, header(sequence=sequence), None, 10, START)
-    assert inbox.received(EVENT, header(sequence=3), None, 10, START + 9 * S) == ([], [])
-    assert inbox.counts.overflowed == 1
-    letters, _ = inbox.received(EVENT, header(sequence=0), None, 10, START)
-    assert [letter.header.sequence for letter in letters] == [0, 1, 2]
+        receiver.received(EVENT, header(sequence=sequence), None, 10, START)
+    assert receiver.received(EVENT, header(sequence=3), None, 10, START + 9 * S) == ([], [])
+    assert receiver.counts.overflowed == 1
+    deliveries, _ = receiver.received(EVENT, header(sequence=0), None, 10, START)
+    assert [delivery.header.sequence for delivery in deliveries] == [0, 1, 2]
 
 
 def test_each_stream_of_a_topic_has_its_own_count() -> None:
-    inbox = Inbox()
+    receiver = CustodyReceiver()
     got = [
-        inbox.received(EVENT, header(source, 0, incarnation), None, 10, START)[0]
+        receiver.received(EVENT, header(source, 0, incarnation), None, 10, START)[0]
         for source, incarnation in (("rover", 1), ("rover", 2), ("other", 1), ("rover", 1))
     ]
-    assert [len(letters) for letters in got] == [1, 1, 1, 0]
+    assert [len(deliveries) for deliveries in got] == [1, 1, 1, 0]

@@ -7,47 +7,49 @@ import pytest
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import LinkConditions
 from schemas.telemetry import RoverMode, RoverState
-from schemas.topics import COMMAND, STATE, TC_ACK, TM_ACK, Side
+from schemas.topics import ACK_DOWN, ACK_UP, COMMAND, STATE, Side
 from schemas.wire import Header, decode
 from services.runtime.actions import Publish
-from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyDesk, custody_config
-from services.runtime.node import SECOND, Interface, WakeAt
+from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint, custody_config
+from services.runtime.node import SECOND, Interface, SetTimer
 
 LINK = LinkConditions()
 EARTH = Interface("ground", (Side.EARTH,))
 MOON = Interface("rover", (Side.MOON,))
 
 
-def desk(interface: Interface) -> CustodyDesk:
-    desk = CustodyDesk(interface.name, interface.sides[0], custody_config(LINK, interface))
-    desk.starts("short", 1)
-    return desk
+def endpoint(interface: Interface) -> CustodyEndpoint:
+    endpoint = CustodyEndpoint(interface.name, interface.sides[0], custody_config(LINK, interface))
+    endpoint.starts("short", 1)
+    return endpoint
 
 
 @pytest.fixture
-def ground() -> CustodyDesk:
-    return desk(EARTH)
+def ground() -> CustodyEndpoint:
+    return endpoint(EARTH)
 
 
 @pytest.fixture
-def rover() -> CustodyDesk:
-    return desk(MOON)
+def rover() -> CustodyEndpoint:
+    return endpoint(MOON)
 
 
-def offered(ground: CustodyDesk, number: int, now: int) -> list[Publish]:
+def offered(ground: CustodyEndpoint, number: int, now: int) -> list[Publish]:
     header = Header(mission="short", source="ground", incarnation=1, sequence=number, made_at=now)
     body = Telecommand(command_id=f"c{number}", kind=CommandKind.PAUSE)
     return [action for action in ground.offer(COMMAND, header, body, now) if isinstance(action, Publish)]
 
 
-def arrives(rover: CustodyDesk, published: Publish, now: int) -> tuple[list[str], list[Publish]]:
+def arrives(rover: CustodyEndpoint, published: Publish, now: int) -> tuple[list[str], list[Publish]]:
     """Ids of the commands handed up, and what is sent."""
     header, body = decode(published.topic, published.payload, "short")
-    letters, actions = rover.received(published.topic, header, body, len(published.payload), now)
-    return [letter.body.command_id for letter in letters], [each for each in actions if isinstance(each, Publish)]
+    deliveries, actions = rover.received(published.topic, header, body, len(published.payload), now)
+    return [delivery.body.command_id for delivery in deliveries], [
+        each for each in actions if isinstance(each, Publish)
+    ]
 
 
-def acknowledgements(rover: CustodyDesk, sent: list[Publish], now: int) -> list[Publish]:
+def acknowledgements(rover: CustodyEndpoint, sent: list[Publish], now: int) -> list[Publish]:
     """Those sent at once, and those that its timer brings."""
     return [*sent, *(action for action in rover.due(now) if isinstance(action, Publish))]
 
@@ -59,9 +61,9 @@ def test_a_message_is_sent_at_once_and_kept_until_it_is_acknowledged(ground, rov
     handed_up, sent = arrives(rover, published, SECOND)
     assert handed_up == ["c0"]
     acks = acknowledgements(rover, sent, 2 * SECOND)
-    assert {ack.topic for ack in acks} == {TC_ACK}, "what went up is acknowledged by what comes down"
+    assert {ack.topic for ack in acks} == {ACK_DOWN}, "what went up is acknowledged by what comes down"
     for ack in acks:
-        header, body = decode(TC_ACK, ack.payload, "short")
+        header, body = decode(ACK_DOWN, ack.payload, "short")
         ground.acknowledged(body, header, 3 * SECOND)
     assert ground.depth == 0
     assert ground.retransmitted == 0
@@ -70,7 +72,7 @@ def test_a_message_is_sent_at_once_and_kept_until_it_is_acknowledged(ground, rov
 def test_what_nobody_acknowledges_is_sent_again_and_taken_once(ground, rover):
     (published,) = offered(ground, 0, 0)
     (timer,) = ground.timer()
-    assert isinstance(timer, WakeAt)
+    assert isinstance(timer, SetTimer)
     assert timer.timer == CUSTODY_TIMER
     assert timer.at is not None
     assert timer.at > 2 * LINK.up.one_way_light_time_s * SECOND, "not before the answer could be here"
@@ -102,4 +104,4 @@ def test_state_that_was_overtaken_on_the_way_is_passed_over(ground):
 
 
 def test_each_side_hears_the_acknowledgements_that_the_other_sends_its_way(ground, rover):
-    assert (ground.hears, rover.hears) == (TC_ACK, TM_ACK)
+    assert (ground.hears, rover.hears) == (ACK_DOWN, ACK_UP)

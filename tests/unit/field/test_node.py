@@ -20,7 +20,7 @@ from schemas.topics import MEASURE, TERRAIN
 from services.field.hazards import START_CLEARANCE_M, covered, hazard_places
 from services.field.node import FieldNode, build_node
 from services.mission.scenario import FieldConfig, Scenario
-from services.runtime.node import Answer, Asked, Due, Refuse, Started
+from services.runtime.node import QueryReceived, RefuseQuery, SendReply, Started, TimerFired
 
 GRID = SiteGrid(30, 40, 2.0)
 TOKENS = count()
@@ -50,15 +50,15 @@ def field(seed: int = 1, **config: object) -> FieldNode:
 
 def measured(node: FieldNode, x: float, y: float, sample_id: str = "r1s1") -> MeasurementReply:
     request = MeasurementRequest(sample_id=sample_id, x_m=x, y_m=y, depth_m=0.1)
-    (answer,) = node.handle(Asked(MEASURE, request, next(TOKENS)), 0)
-    assert isinstance(answer, Answer)
+    (answer,) = node.handle(QueryReceived(MEASURE, request, next(TOKENS)), 0)
+    assert isinstance(answer, SendReply)
     assert isinstance(answer.reply, MeasurementReply)
     return answer.reply
 
 
 def terrain(node: FieldNode, *points: tuple[float, float]) -> TerrainReply:
-    (answer,) = node.handle(Asked(TERRAIN, TerrainRequest(points_m=points), next(TOKENS)), 0)
-    assert isinstance(answer, Answer)
+    (answer,) = node.handle(QueryReceived(TERRAIN, TerrainRequest(points_m=points), next(TOKENS)), 0)
+    assert isinstance(answer, SendReply)
     assert isinstance(answer.reply, TerrainReply)
     return answer.reply
 
@@ -93,8 +93,8 @@ def test_the_same_sample_at_another_place_has_the_same_noise():
 @pytest.mark.parametrize("place", [(-0.1, 5.0), (80.1, 5.0), (5.0, -3.0), (5.0, 60.5)])
 def test_a_measurement_outside_the_region_is_refused_in_one_line_that_says_what_was_expected(place):
     request = MeasurementRequest(sample_id="r1s1", x_m=place[0], y_m=place[1], depth_m=0.1)
-    (refusal,) = field().handle(Asked(MEASURE, request, 7), 0)
-    assert isinstance(refusal, Refuse)
+    (refusal,) = field().handle(QueryReceived(MEASURE, request, 7), 0)
+    assert isinstance(refusal, RefuseQuery)
     assert refusal.token == 7
     assert "\n" not in refusal.why
     assert "0..80 m east and 0..60 m north" in refusal.why
@@ -151,7 +151,7 @@ def test_a_region_without_room_for_its_hazards_is_refused():
 def test_the_field_heeds_nothing_but_questions():
     node = field()
     assert node.handle(Started(1), 0) == []
-    assert node.handle(Due("anything"), 0) == []
+    assert node.handle(TimerFired("anything"), 0) == []
 
 
 def test_the_field_of_a_scenario_takes_its_seed_noise_and_start_from_it():

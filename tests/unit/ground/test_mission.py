@@ -41,7 +41,19 @@ from services.ground.node import GroundNode, build_node
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 from services.mission.scenario import Scenario
 from services.runtime.drivers.simulation import Simulation
-from services.runtime.node import SECOND, Due, Effect, Event, Finish, Interface, Level, Received, Send, WakeAt, seconds
+from services.runtime.node import (
+    SECOND,
+    Effect,
+    Event,
+    Finish,
+    Interface,
+    Level,
+    Received,
+    Send,
+    SetTimer,
+    TimerFired,
+    seconds,
+)
 
 GRID = SiteGrid(60, 60)
 START = (5.0, 5.0)
@@ -119,14 +131,14 @@ class Rover:
                 self.commands.append(command)
             case Received(_, _, MissionPlan()):
                 self._arriving.append((now + seconds(self._light_s), event))
-            case Due("round"):
+            case TimerFired("round"):
                 yield from self._round_over(now)
         for due, message in [entry for entry in self._arriving if entry[0] <= now]:
             self._arriving.remove((due, message))
             yield from self._told(message.body, now)
         yield from self._downlinked(now)
         times = [at for at, _ in self._queue] + [at for at, _ in self._arriving]
-        yield WakeAt("wake", min(times) if times else None)
+        yield SetTimer("wake", min(times) if times else None)
 
     def _downlinked(self, now: int) -> Iterable[Effect]:
         due = [entry for entry in self._queue if entry[0] <= now]
@@ -179,7 +191,7 @@ class Rover:
         self.executing = self.on_board.pop(0)
         self.begun = self.executing.round
         self._say(EventKind.ROUND_STARTED, now)
-        return [WakeAt("round", now + seconds(self._round_s))]
+        return [SetTimer("round", now + seconds(self._round_s))]
 
     def _round_over(self, now: int) -> Iterable[Effect]:
         planned = self.executing

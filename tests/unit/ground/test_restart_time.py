@@ -21,8 +21,8 @@ from services.mission.scenario import checked_scenario
 from services.rover.node import build_node as build_rover
 from services.runtime.host import Host
 from services.runtime.journal import JournalFolder, JournalWriter, identity_of
-from services.runtime.node import Show
-from services.runtime.scheduler import InlineExecutor, Seat
+from services.runtime.node import PublishSnapshot
+from services.runtime.scheduler import InlineExecutor, NodeScheduler
 
 CELLS = 500
 RESTART_S = 2.0
@@ -66,18 +66,18 @@ def test_a_ground_station_is_back_within_two_seconds_late_in_a_whole_mission(tmp
     writer: JournalWriter = folder.begin(folder.history())
     simulation = mission.simulation
     simulation.keep_journals(("ground",), identity_of(scenario))
-    simulation._seats["ground"]._journal = writer  # as a process keeps it, in a file
+    simulation._schedulers["ground"]._journal = writer  # as a process keeps it, in a file
     while mission.status is None or mission.status.samples < 147:
         assert simulation.step(), mission.why()
 
     began = time.process_time()
     history = folder.history()
     node = build_ground(scenario, region, across)
-    seat = Seat(Host(node, scenario.name), InlineExecutor())
-    remaining = seat.replay(history.inputs, history.state)
+    scheduler = NodeScheduler(Host(node, scenario.name), InlineExecutor())
+    remaining = scheduler.replay(history.inputs, history.state)
     took_s = time.process_time() - began
 
-    shown = next(action.snapshot for action in remaining if isinstance(action, Show))
+    shown = next(action.snapshot for action in remaining if isinstance(action, PublishSnapshot))
     live = simulation.snapshots["ground"]
     assert shown.mean_ppb.tobytes() == live.mean_ppb.tobytes()  # type: ignore[attr-defined]
     assert shown.std_ppb.tobytes() == live.std_ppb.tobytes()  # type: ignore[attr-defined]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from schemas.plans import PlannedSample, RoundPlan
-from services.ground.round_log import Ledger, RoundRecord
+from services.ground.round_log import RoundLog, RoundRecord
 
 
 def plan(number: int, version: str = "") -> RoundPlan:
@@ -20,8 +20,8 @@ def plan(number: int, version: str = "") -> RoundPlan:
     )
 
 
-def ledger(*rounds: tuple[int, int]) -> tuple[Ledger, list[RoundRecord]]:
-    book = Ledger()
+def round_log(*rounds: tuple[int, int]) -> tuple[RoundLog, list[RoundRecord]]:
+    book = RoundLog()
     return book, [book.append(plan(number, f"v{revision}"), revision) for number, revision in rounds]
 
 
@@ -32,7 +32,7 @@ def settle(record: RoundRecord, *indices: int) -> None:
 
 
 def test_a_round_is_closed_when_nothing_more_will_come_of_it() -> None:
-    _, (first,) = ledger((1, 1))
+    _, (first,) = round_log((1, 1))
     assert [planned.sample_id for planned in first.pending] == ["r1v1s1", "r1v1s2"]
     settle(first, 0)
     assert not first.closed
@@ -41,7 +41,7 @@ def test_a_round_is_closed_when_nothing_more_will_come_of_it() -> None:
 
 
 def test_of_a_round_that_ended_early_only_what_was_done_is_still_to_come() -> None:
-    _, (first,) = ledger((1, 1))
+    _, (first,) = round_log((1, 1))
     first.ended_early = True
     assert first.closed
     first.done.add("r1v1s2")
@@ -49,14 +49,14 @@ def test_of_a_round_that_ended_early_only_what_was_done_is_still_to_come() -> No
 
 
 def test_beginning_a_round_means_that_those_before_it_have_begun() -> None:
-    book, records = ledger((1, 1), (2, 2), (3, 3))
+    book, records = round_log((1, 1), (2, 2), (3, 3))
     assert not book.begin(records[1])
     assert [record.begun for record in records] == [True, True, False]
     assert book.not_begun == [records[2]]
 
 
 def test_a_round_that_was_replaced_and_yet_begun_ends_the_chain() -> None:
-    book, (first, second) = ledger((1, 1), (2, 2))
+    book, (first, second) = round_log((1, 1), (2, 2))
     book.begin(first)
     book.drop([second])
     replacement = book.append(plan(2, "v3"), 3)
@@ -68,7 +68,7 @@ def test_a_round_that_was_replaced_and_yet_begun_ends_the_chain() -> None:
 
 
 def test_of_two_versions_that_were_both_begun_the_rover_gave_up_the_older() -> None:
-    book, (first, second) = ledger((1, 1), (2, 2))
+    book, (first, second) = round_log((1, 1), (2, 2))
     book.begin(first)
     book.drop([second])
     replacement = book.append(plan(2, "v3"), 3)
@@ -85,7 +85,7 @@ def test_of_two_versions_that_were_both_begun_the_rover_gave_up_the_older() -> N
 
 @pytest.mark.parametrize(("revision", "expected"), [(1, None), (2, 2), (3, 2), (4, 4), (9, 4)])
 def test_the_version_that_a_rover_executes_is_the_newest_of_its_plan(revision: int, expected: int | None) -> None:
-    book, (_, second) = ledger((1, 1), (2, 2))
+    book, (_, second) = round_log((1, 1), (2, 2))
     book.drop([second])
     book.append(plan(2, "v4"), 4)
     found = book.version(2, revision)
@@ -93,7 +93,7 @@ def test_the_version_that_a_rover_executes_is_the_newest_of_its_plan(revision: i
 
 
 def test_samples_of_a_version_that_was_dropped_are_still_known() -> None:
-    book, (_, second) = ledger((1, 1), (2, 2))
+    book, (_, second) = round_log((1, 1), (2, 2))
     book.drop([second])
     known = book.of_sample("r2v2s2")
     assert known is not None
@@ -102,7 +102,7 @@ def test_samples_of_a_version_that_was_dropped_are_still_known() -> None:
 
 
 def test_progress_is_followed_along_the_path_and_never_backwards() -> None:
-    _, (first,) = ledger((1, 1))
+    _, (first,) = round_log((1, 1))
     first.note_place((10.5, 12.0))
     assert first.reached_m == pytest.approx(12.0)
     first.note_place((10.0, 5.0))
@@ -114,7 +114,7 @@ def test_progress_is_followed_along_the_path_and_never_backwards() -> None:
 
 
 def test_driven_and_planned_paths_are_the_same_objects_until_something_changes() -> None:
-    book, (first, _) = ledger((1, 1), (2, 2))
+    book, (first, _) = round_log((1, 1), (2, 2))
     before = book.paths()
     assert book.paths() is before
     book.begin(first)
@@ -124,7 +124,7 @@ def test_driven_and_planned_paths_are_the_same_objects_until_something_changes()
 
 
 def test_fruitless_rounds_are_counted_from_the_last_that_brought_something() -> None:
-    book, records = ledger((1, 1), (2, 2), (3, 3), (4, 4))
+    book, records = round_log((1, 1), (2, 2), (3, 3), (4, 4))
     for record in records[:3]:
         book.begin(record)
         record.ended = record.ended_early = True

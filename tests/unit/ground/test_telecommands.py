@@ -9,7 +9,7 @@ from he3.frames import SiteGrid
 from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
 from schemas.link import Direction, DirectionCounts, InFlight, LinkConditions, LinkStatus
 from schemas.topics import COMMAND, PLAN
-from services.ground.telecommands import LOOK_AGAIN_S, MOST_LISTED, MOST_UNDER_WAY, CommandBook
+from services.ground.telecommands import LOOK_AGAIN_S, MAX_LISTED, MAX_UNDER_WAY, CommandBook
 from services.runtime.node import SECOND
 
 NOW = 1_000 * SECOND
@@ -125,7 +125,7 @@ def test_silence_past_its_time_means_lost_unless_something_was_heard() -> None:
 
 def test_no_more_commands_than_an_operator_can_follow_are_under_way() -> None:
     commands = book()
-    for number in range(MOST_UNDER_WAY):
+    for number in range(MAX_UNDER_WAY):
         commands.issue(pause(f"c{number}"), NOW)
     with pytest.raises(InvalidInput, match="at most 200 commands under way"):
         commands.issue(pause("more"), NOW)
@@ -135,12 +135,12 @@ def test_no_more_commands_than_an_operator_can_follow_are_under_way() -> None:
 
 def test_the_list_holds_the_newest() -> None:
     commands = book()
-    for number in range(MOST_LISTED + 5):
+    for number in range(MAX_LISTED + 5):
         commands.issue(pause(f"c{number}"), NOW)
         commands.report(report(CommandStage.REJECTED, NOW, f"c{number}"))
     listed = commands.listed()
-    assert len(listed) == MOST_LISTED
-    assert listed[-1].command.command_id == f"c{MOST_LISTED + 4}"
+    assert len(listed) == MAX_LISTED
+    assert listed[-1].command.command_id == f"c{MAX_LISTED + 4}"
 
 
 # --- keep-outs --------------------------------------------------------------------------------------------------

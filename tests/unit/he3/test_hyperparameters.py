@@ -8,7 +8,7 @@ from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.hyperparameters import (
     CAUTIOUS_FIRST,
-    FEWEST_SAMPLES,
+    MIN_SAMPLES,
     VERY_STRONG_EVIDENCE,
     Hyperparameters,
     fit_hyperparameters,
@@ -159,7 +159,7 @@ def test_noise_is_learned_only_when_bounds_are_given_and_stays_in_them() -> None
     assert capped.noise_std_ppb == pytest.approx(0.2, rel=1e-6)
 
 
-@pytest.mark.parametrize("count", range(FEWEST_SAMPLES))
+@pytest.mark.parametrize("count", range(MIN_SAMPLES))
 @pytest.mark.parametrize("name", ["se", "auto"])
 def test_a_handful_of_samples_keeps_the_kernel_and_still_standardises(count: int, name: str) -> None:
     places, values = drawn_from(Matern12(), 10, seed=5)

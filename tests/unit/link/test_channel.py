@@ -9,16 +9,16 @@ from schemas.topics import COMMAND, EVENT, PLAN, SAMPLE, STATE, Latest, Topic
 from schemas.wire import Header, encode
 from services.link.channel import Channel, Limits, Reason, transmission_time
 from services.link.contact import Contact
-from services.link.packet import Letter, sealed
+from services.link.packet import Packet, sealed
 
 START = 1_893_456_000_000_000_000
 S = 1_000_000_000
 PERFECT = DirectionConditions(one_way_light_time_s=1.282)
 
 
-def letter(order: int, topic: Topic = SAMPLE, size: int = 100, at: int = START) -> Letter:
+def packet(order: int, topic: Topic = SAMPLE, size: int = 100, at: int = START) -> Packet:
     subject = (topic.name, "rover") if isinstance(topic.service, Latest) else ()
-    return Letter(topic, bytes(size), "rover", order, subject, at, order)
+    return Packet(topic, bytes(size), "rover", order, subject, at, order)
 
 
 def channel(
@@ -38,41 +38,41 @@ def arrivals(link: Channel, until: int = START + 10**15) -> list[tuple[int, int]
         event = link.next_event()
         if event is None or event > until:
             return found
-        found += [(flight.letter.sequence, flight.arrives_at) for flight in link.arrived(event)]
+        found += [(flight.packet.sequence, flight.arrives_at) for flight in link.arrived(event)]
     raise AssertionError("the channel never comes to rest")
 
 
 def test_a_letter_arrives_one_light_time_after_its_last_bit_left_to_the_nanosecond() -> None:
     link = channel(DirectionConditions(one_way_light_time_s=1.282, rate_bit_s=125.0))
-    link.offer(letter(1, size=33), START + 7)
+    link.offer(packet(1, size=33), START + 7)
     assert arrivals(link) == [(1, START + 7 + 33 * 8 * S // 125 + 1_282_000_000)]
 
 
 def test_nothing_arrives_before_its_time() -> None:
     link = channel()
-    link.offer(letter(1), START)
+    link.offer(packet(1), START)
     assert link.arrived(START + 1_281_999_999) == []
-    assert [flight.letter.sequence for flight in link.arrived(START + 1_282_000_000)] == [1]
+    assert [flight.packet.sequence for flight in link.arrived(START + 1_282_000_000)] == [1]
 
 
 def test_letters_wait_for_the_transmitter_one_after_the_other() -> None:
     link = channel(DirectionConditions(one_way_light_time_s=0.0, rate_bit_s=800.0))
     for order in range(1, 4):
-        link.offer(letter(order, size=100), START)
+        link.offer(packet(order, size=100), START)
     assert arrivals(link) == [(1, START + S), (2, START + 2 * S), (3, START + 3 * S)]
 
 
 def test_what_waits_goes_by_priority_and_then_by_order() -> None:
     link = channel(DirectionConditions(one_way_light_time_s=0.0, rate_bit_s=800.0))
     for order, topic in enumerate([STATE, SAMPLE, EVENT, PLAN, COMMAND, SAMPLE]):
-        link.offer(letter(order, topic), START)
+        link.offer(packet(order, topic), START)
     assert [sequence for sequence, _ in arrivals(link)] == [0, 4, 2, 3, 1, 5]
 
 
 def test_a_newer_state_takes_the_place_of_the_one_that_waits() -> None:
     link = channel(DirectionConditions(one_way_light_time_s=0.0, rate_bit_s=800.0))
     for order in range(5):
-        link.offer(letter(order, STATE), START + order)
+        link.offer(packet(order, STATE), START + order)
     assert [sequence for sequence, _ in arrivals(link)] == [0, 4]
     assert link.counts.superseded == 3
     assert {drop.reason for drop in link.drops()} == {Reason.SUPERSEDED}
@@ -84,8 +84,8 @@ def test_waking_late_changes_no_arrival() -> None:
     punctual, late = channel(conditions, contact), channel(conditions, contact)
     for link in (punctual, late):
         for order in range(5):
-            link.offer(letter(order), START + order)
-    at_last = [(flight.letter.sequence, flight.arrives_at) for flight in late.arrived(START + 1000 * S)]
+            link.offer(packet(order), START + order)
+    at_last = [(flight.packet.sequence, flight.arrives_at) for flight in late.arrived(START + 1000 * S)]
     assert arrivals(punctual) == at_last
     assert at_last == [(k, START + t * S) for k, t in [(0, 12), (1, 13), (2, 22), (3, 23), (4, 24)]]
 
@@ -93,29 +93,29 @@ def test_waking_late_changes_no_arrival() -> None:
 def test_a_letter_that_does_not_fit_into_the_window_waits_while_a_smaller_one_goes() -> None:
     contact = LinkConditions(windows=(Window(opens_s=0, closes_s=2), Window(opens_s=10, closes_s=20)))
     link = channel(DirectionConditions(one_way_light_time_s=0.0, rate_bit_s=800.0), contact)
-    link.offer(letter(1, PLAN, size=300), START)
-    link.offer(letter(2, STATE, size=200), START)
+    link.offer(packet(1, PLAN, size=300), START)
+    link.offer(packet(2, STATE, size=200), START)
     assert arrivals(link) == [(2, START + 2 * S), (1, START + 13 * S)]
 
 
 def test_a_letter_longer_than_any_window_is_sent_in_pieces() -> None:
     contact = LinkConditions(duty_cycle=DutyCycle(period_s=10, contact_s=1))
     link = channel(DirectionConditions(one_way_light_time_s=0.5, rate_bit_s=800.0), contact)
-    link.offer(letter(1, size=350), START)
+    link.offer(packet(1, size=350), START)
     assert arrivals(link) == [(1, START + 30 * S + S // 2 + S // 2)]
 
 
 def test_held_at_the_edge_everything_comes_when_contact_does() -> None:
     link = channel(contact=LinkConditions(windows=(Window(opens_s=100, closes_s=200),)))
     for order in range(3):
-        link.offer(letter(order), START + order * S)
+        link.offer(packet(order), START + order * S)
     assert link.next_event() == START + 100 * S
     assert arrivals(link) == [(k, START + 100 * S + 1_282_000_000) for k in range(3)]
 
 
 def test_held_when_contact_never_comes_again_it_waits_and_asks_for_no_waking() -> None:
     link = channel(contact=LinkConditions(windows=(Window(opens_s=0, closes_s=1),)))
-    link.offer(letter(1), START + 5 * S)
+    link.offer(packet(1), START + 5 * S)
     assert link.next_event() is None
     assert link.counts.waiting == 1
 
@@ -123,12 +123,12 @@ def test_held_when_contact_never_comes_again_it_waits_and_asks_for_no_waking() -
 def test_dropped_at_the_edge_with_the_reason_told() -> None:
     contact = LinkConditions(windows=(Window(opens_s=1, closes_s=3),))
     link = channel(DirectionConditions(one_way_light_time_s=0.0, rate_bit_s=800.0), contact, AtEdge.DROP)
-    link.offer(letter(1), START)
+    link.offer(packet(1), START)
     for order in range(2, 6):
-        link.offer(letter(order), START + S)
+        link.offer(packet(order), START + S)
     assert arrivals(link) == [(2, START + 2 * S), (3, START + 3 * S)]
     drops = link.drops()
-    assert [(drop.letter.sequence, drop.at) for drop in drops] == [(1, START), (4, START + 3 * S), (5, START + 3 * S)]
+    assert [(drop.packet.sequence, drop.at) for drop in drops] == [(1, START), (4, START + 3 * S), (5, START + 3 * S)]
     assert {drop.reason for drop in drops} == {Reason.OUT_OF_CONTACT}
     assert link.counts.dropped_out_of_contact == 3
 
@@ -136,17 +136,17 @@ def test_dropped_at_the_edge_with_the_reason_told() -> None:
 def test_a_change_holds_for_what_is_sent_from_then_on() -> None:
     link = channel(DirectionConditions(one_way_light_time_s=5.0, rate_bit_s=800.0))
     always = Contact.of(LinkConditions(), START)
-    link.offer(letter(1), START)
-    link.offer(letter(2), START)
+    link.offer(packet(1), START)
+    link.offer(packet(2), START)
     link.change(DirectionConditions(one_way_light_time_s=1.0, rate_bit_s=1600.0), always, AtEdge.HOLD, START + S // 2)
     assert arrivals(link) == [(2, START + S + S // 2 + S), (1, START + S + 5 * S)]
 
 
 def test_a_blackout_from_now_on_keeps_what_is_under_way() -> None:
     link = channel()
-    link.offer(letter(1), START)
+    link.offer(packet(1), START)
     link.change(PERFECT, Contact.of(LinkConditions(), START, forced=False), AtEdge.HOLD, START + S)
-    link.offer(letter(2), START + S)
+    link.offer(packet(2), START + S)
     assert arrivals(link) == [(1, START + 1_282_000_000)]
     link.change(PERFECT, Contact.of(LinkConditions(), START), AtEdge.HOLD, START + 9 * S)
     assert arrivals(link) == [(2, START + 9 * S + 1_282_000_000)]
@@ -156,9 +156,9 @@ def test_a_full_queue_drops_what_matters_least() -> None:
     contact = LinkConditions(windows=(Window(opens_s=100, closes_s=200),))
     link = channel(contact=contact, limits=Limits(waiting=2))
     for order, topic in enumerate([SAMPLE, SAMPLE, COMMAND, SAMPLE]):
-        link.offer(letter(order, topic), START)
+        link.offer(packet(order, topic), START)
     drops = link.drops()
-    assert [(drop.letter.sequence, drop.reason) for drop in drops] == [(1, Reason.QUEUE_FULL), (3, Reason.QUEUE_FULL)]
+    assert [(drop.packet.sequence, drop.reason) for drop in drops] == [(1, Reason.QUEUE_FULL), (3, Reason.QUEUE_FULL)]
     assert [sequence for sequence, _ in arrivals(link)] == [2, 0]
 
 
@@ -166,7 +166,7 @@ def test_a_queue_full_by_bytes_drops_too() -> None:
     contact = LinkConditions(windows=(Window(opens_s=100, closes_s=200),))
     link = channel(contact=contact, limits=Limits(waiting_bytes=250))
     for order in range(4):
-        link.offer(letter(order), START)
+        link.offer(packet(order), START)
     assert link.counts.dropped_queue_full == 2
     assert link.counts.waiting == 2
 
@@ -175,13 +175,13 @@ def test_loss_duplication_and_damage_come_at_the_asked_for_share() -> None:
     conditions = DirectionConditions(one_way_light_time_s=1.0, loss=0.3, duplicate=0.1, corrupt=0.2)
     link = channel(conditions)
     for order in range(10_000):
-        link.offer(letter(order), START + order)
+        link.offer(packet(order), START + order)
     flights = link.arrived(START + 100 * S)
     counts = link.counts
     assert counts.lost == pytest.approx(3000, abs=150)
     assert counts.duplicated == pytest.approx(700, abs=90)
     assert counts.corrupted == pytest.approx(1400, abs=130)
-    assert sum(flight.payload != flight.letter.payload for flight in flights) >= counts.corrupted
+    assert sum(flight.payload != flight.packet.payload for flight in flights) >= counts.corrupted
     assert {len(flight.payload) for flight in flights} == {100}
 
 
@@ -189,7 +189,7 @@ def test_without_reorder_jitter_keeps_the_order_and_with_it_does_not() -> None:
     def order_of(reorder: float) -> list[int]:
         link = channel(DirectionConditions(one_way_light_time_s=1.0, jitter_s=0.3, reorder=reorder))
         for order in range(500):
-            link.offer(letter(order), START + order * S // 100)
+            link.offer(packet(order), START + order * S // 100)
         found = arrivals(link)
         assert all(
             0.7 * S <= at - (START + order * S // 100) <= (2.3 if reorder else 1.3) * S + 0.6 * S for order, at in found
@@ -208,7 +208,7 @@ def test_the_same_seed_gives_the_same_fates_and_another_gives_others() -> None:
     def run(seed: int) -> list[tuple[int, int]]:
         link = channel(conditions, seed=seed)
         for order in range(200):
-            link.offer(letter(order), START + order * S)
+            link.offer(packet(order), START + order * S)
         return arrivals(link)
 
     assert run(1) == run(1)
@@ -219,8 +219,8 @@ def test_changing_one_condition_leaves_the_fate_of_all_letters_in_the_others() -
     def lost(duplicate: float, corrupt: float) -> set[int]:
         link = channel(DirectionConditions(loss=0.3, duplicate=duplicate, corrupt=corrupt))
         for order in range(300):
-            link.offer(letter(order), START + order)
-        return {drop.letter.sequence for drop in link.drops()}
+            link.offer(packet(order), START + order)
+        return {drop.packet.sequence for drop in link.drops()}
 
     assert lost(0.0, 0.0) == lost(0.5, 0.5)
 
@@ -269,7 +269,7 @@ def test_every_letter_is_accounted_for_and_none_arrives_early_or_out_of_contact(
     now = START
     for order, (wait, size, topic) in enumerate(offers):
         now += wait * S // 7
-        link.offer(letter(order, topic, size, now), now)
+        link.offer(packet(order, topic, size, now), now)
         flights += link.arrived(now)
     for _ in range(10_000):
         event = link.next_event()
@@ -285,11 +285,11 @@ def test_every_letter_is_accounted_for_and_none_arrives_early_or_out_of_contact(
     assert len(link.drops()) == gone
     busy_until = 0
     for flight in sorted(flights, key=lambda flight: flight.departs_at):
-        duration = transmission_time(flight.letter.size_bits, rate)
+        duration = transmission_time(flight.packet.size_bits, rate)
         ends = contact.after(flight.departs_at, duration)
         assert ends is not None
         assert contact.open_at(flight.departs_at)
-        assert flight.departs_at >= max(flight.letter.offered_at, busy_until)
+        assert flight.departs_at >= max(flight.packet.offered_at, busy_until)
         assert ends + 2 * S <= flight.arrives_at <= ends + (4 if reorder else 2) * S
         busy_until = ends
 
@@ -309,11 +309,11 @@ def test_a_payload_that_cannot_be_read_makes_a_letter_all_the_same() -> None:
 
 def test_a_letter_is_known_by_the_outside_of_what_we_encode() -> None:
     from schemas.link import Acknowledgement
-    from schemas.topics import TM_ACK
+    from schemas.topics import ACK_UP
 
     header = Header(mission="m", source="ground", incarnation=2, sequence=17, made_at=START)
     ack = Acknowledgement(stream="tm/sample", source="rover", incarnation=3, next_sequence=4)
-    found = sealed(TM_ACK, encode(header, ack), START, 1)
+    found = sealed(ACK_UP, encode(header, ack), START, 1)
     assert (found.source, found.sequence) == ("ground", 17)
     assert found.subject == ("tc/ack", "ground", "tm/sample", "rover", "3")
 

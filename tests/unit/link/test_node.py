@@ -19,19 +19,19 @@ from services.link.relay import Relay, changed
 from services.mission.link_presets import PRESETS, PROVENANCE, preset
 from services.mission.scenario import Scenario
 from services.runtime.node import (
-    Answer,
-    Asked,
-    Due,
     Effect,
     Event,
     Forward,
     Level,
-    Note,
-    Overheard,
-    Refuse,
+    LogRecord,
+    QueryReceived,
+    ReceivedRaw,
+    RefuseQuery,
     Send,
+    SendReply,
+    SetTimer,
     Started,
-    WakeAt,
+    TimerFired,
 )
 
 START = 1_893_456_000_000_000_000
@@ -40,7 +40,7 @@ S = 1_000_000_000
 E = TypeVar("E")
 
 
-class Desk:
+class Endpoint:
     """Drives a link node in virtual time, as any driver would."""
 
     def __init__(self, conditions: LinkConditions | None = None, seed: int = 1) -> None:
@@ -53,7 +53,7 @@ class Desk:
     def give(self, event: Event) -> list[Effect]:
         effects = list(self.node.handle(event, self.now))
         for effect in effects:
-            if isinstance(effect, WakeAt):
+            if isinstance(effect, SetTimer):
                 self.timers.pop(effect.timer, None)
                 if effect.at is not None:
                     self.timers[effect.timer] = effect.at
@@ -68,7 +68,7 @@ class Desk:
                 return
             self.now = max(self.now, due[0])
             del self.timers[due[1]]
-            self.give(Due(due[1]))
+            self.give(TimerFired(due[1]))
         raise AssertionError("the node never lets time pass")
 
     def of(self, kind: type[E]) -> list[tuple[int, E]]:
@@ -81,7 +81,7 @@ class Desk:
         return [(at - START, effect.body) for at, effect in self.of(Send)]  # type: ignore[misc]
 
     def ask(self, **change: Any) -> LinkStatus:
-        (answer,) = [e for e in self.give(Asked(LINK_SET, LinkChange(**change), 7)) if isinstance(e, Answer)]
+        (answer,) = [e for e in self.give(QueryReceived(LINK_SET, LinkChange(**change), 7)) if isinstance(e, SendReply)]
         assert answer.token == 7
         assert isinstance(answer.reply, LinkStatus)
         return answer.reply
@@ -89,153 +89,153 @@ class Desk:
 
 def test_it_overhears_all_that_crosses_and_nothing_else() -> None:
     interface = build_node(Scenario(name="m", region="t1")).interface
-    assert set(interface.overhears) == {*crossing(Direction.UP), *crossing(Direction.DOWN)}
+    assert set(interface.receives_raw) == {*crossing(Direction.UP), *crossing(Direction.DOWN)}
     assert interface.serves == (LINK_SET,)
     assert interface.sides == (Side.MOON, Side.EARTH)
     assert not interface.custody
 
 
 def test_letters_go_up_to_the_moon_and_down_to_earth_one_light_time_later() -> None:
-    desk = Desk()
-    desk.give(Overheard(COMMAND, b"up"))
-    desk.now += 5
-    desk.give(Overheard(SAMPLE, b"down"))
-    desk.until(START + 5 * S)
-    assert desk.forwards() == [(1_282_000_000, b"up", Side.MOON), (1_282_000_005, b"down", Side.EARTH)]
+    endpoint = Endpoint()
+    endpoint.give(ReceivedRaw(COMMAND, b"up"))
+    endpoint.now += 5
+    endpoint.give(ReceivedRaw(SAMPLE, b"down"))
+    endpoint.until(START + 5 * S)
+    assert endpoint.forwards() == [(1_282_000_000, b"up", Side.MOON), (1_282_000_005, b"down", Side.EARTH)]
 
 
 def test_each_direction_has_its_own_conditions() -> None:
-    desk = Desk(LinkConditions(down=DirectionConditions(one_way_light_time_s=3.0, rate_bit_s=8.0)))
-    desk.give(Overheard(COMMAND, b"u"))
-    desk.give(Overheard(SAMPLE, b"d"))
-    desk.until(START + 10 * S)
-    assert desk.forwards() == [(1_282_000_000, b"u", Side.MOON), (4 * S, b"d", Side.EARTH)]
+    endpoint = Endpoint(LinkConditions(down=DirectionConditions(one_way_light_time_s=3.0, rate_bit_s=8.0)))
+    endpoint.give(ReceivedRaw(COMMAND, b"u"))
+    endpoint.give(ReceivedRaw(SAMPLE, b"d"))
+    endpoint.until(START + 10 * S)
+    assert endpoint.forwards() == [(1_282_000_000, b"u", Side.MOON), (4 * S, b"d", Side.EARTH)]
 
 
 def test_letters_that_arrive_together_come_in_the_order_of_their_offering() -> None:
-    desk = Desk()
+    endpoint = Endpoint()
     payloads = [str(k).encode() for k in range(10)]
     for k, payload in enumerate(payloads):
-        desk.give(Overheard(COMMAND if k % 3 else SAMPLE, payload))
-    desk.until(START + 5 * S)
-    assert [payload for _, payload, _ in desk.forwards()] == payloads
-    assert {at for at, _, _ in desk.forwards()} == {1_282_000_000}
+        endpoint.give(ReceivedRaw(COMMAND if k % 3 else SAMPLE, payload))
+    endpoint.until(START + 5 * S)
+    assert [payload for _, payload, _ in endpoint.forwards()] == payloads
+    assert {at for at, _, _ in endpoint.forwards()} == {1_282_000_000}
 
 
 def test_what_is_under_way_is_shown_with_its_arrival() -> None:
-    desk = Desk()
-    desk.give(Overheard(SAMPLE, b'{"header":{"source":"rover","sequence":4},"body":{}}'))
-    (shown,) = desk.ask().in_flight
+    endpoint = Endpoint()
+    endpoint.give(ReceivedRaw(SAMPLE, b'{"header":{"source":"rover","sequence":4},"body":{}}'))
+    (shown,) = endpoint.ask().in_flight
     assert (shown.topic, shown.source, shown.sequence, shown.direction) == ("tm/sample", "rover", 4, Direction.DOWN)
     assert (shown.offered_at, shown.departs_at, shown.arrives_at) == (START, START, START + 1_282_000_000)
-    desk.until(START + 2 * S)
-    assert desk.ask().in_flight == ()
-    assert desk.ask().down.delivered == 1
+    endpoint.until(START + 2 * S)
+    assert endpoint.ask().in_flight == ()
+    assert endpoint.ask().down.delivered == 1
 
 
 def test_a_change_names_what_it_changes_and_leaves_the_rest() -> None:
-    desk = Desk(LinkConditions(up=DirectionConditions(loss=0.5), down=DirectionConditions(jitter_s=0.25)))
-    status = desk.ask(direction=Direction.DOWN, one_way_light_time_s=6.0)
+    endpoint = Endpoint(LinkConditions(up=DirectionConditions(loss=0.5), down=DirectionConditions(jitter_s=0.25)))
+    status = endpoint.ask(direction=Direction.DOWN, one_way_light_time_s=6.0)
     assert status.conditions.down == DirectionConditions(one_way_light_time_s=6.0, jitter_s=0.25)
     assert status.conditions.up == DirectionConditions(loss=0.5)
-    status = desk.ask(rate_bit_s=1000.0)
+    status = endpoint.ask(rate_bit_s=1000.0)
     assert status.conditions.up.rate_bit_s == status.conditions.down.rate_bit_s == 1000.0
-    status = desk.ask(unlimited_rate=True)
+    status = endpoint.ask(unlimited_rate=True)
     assert status.conditions.up.rate_bit_s is None
 
 
 def test_an_empty_change_changes_nothing_and_tells_the_status() -> None:
-    desk = Desk()
-    before = len(desk.of(Note))
-    assert desk.ask().conditions == LinkConditions()
-    assert len(desk.of(Note)) == before
+    endpoint = Endpoint()
+    before = len(endpoint.of(LogRecord))
+    assert endpoint.ask().conditions == LinkConditions()
+    assert len(endpoint.of(LogRecord)) == before
 
 
 def test_a_preset_is_set_whole_and_single_figures_come_on_top() -> None:
-    desk = Desk()
-    status = desk.ask(conditions=PRESETS["farside-relay"], loss=0.1)
+    endpoint = Endpoint()
+    status = endpoint.ask(conditions=PRESETS["farside-relay"], loss=0.1)
     assert status.conditions.up == PRESETS["farside-relay"].up.model_copy(update={"loss": 0.1})
     assert status.conditions.down.rate_bit_s == 140_000.0
 
 
 def test_a_blackout_can_be_put_on_and_taken_off_and_the_schedule_comes_back() -> None:
-    desk = Desk(LinkConditions(windows=(Window(opens_s=0, closes_s=100),)))
-    assert desk.ask(contact=False).contact is False
-    desk.give(Overheard(SAMPLE, b"held"))
-    desk.until(START + 50 * S)
-    assert desk.forwards() == []
-    status = desk.ask(contact=True)
+    endpoint = Endpoint(LinkConditions(windows=(Window(opens_s=0, closes_s=100),)))
+    assert endpoint.ask(contact=False).contact is False
+    endpoint.give(ReceivedRaw(SAMPLE, b"held"))
+    endpoint.until(START + 50 * S)
+    assert endpoint.forwards() == []
+    status = endpoint.ask(contact=True)
     assert (status.contact, status.contact_changes_at, status.contact_forced) == (True, None, True)
-    status = desk.ask(contact_as_scheduled=True)
+    status = endpoint.ask(contact_as_scheduled=True)
     assert (status.contact, status.contact_changes_at, status.contact_forced) == (True, START + 100 * S, None)
-    desk.until(START + 60 * S)
-    assert desk.forwards() == [(51_282_000_000, b"held", Side.EARTH)]
+    endpoint.until(START + 60 * S)
+    assert endpoint.forwards() == [(51_282_000_000, b"held", Side.EARTH)]
 
 
 def test_contact_lost_and_regained_is_said_when_it_happens() -> None:
-    desk = Desk(LinkConditions(duty_cycle=DutyCycle(period_s=100, contact_s=30)))
-    desk.until(START + 210 * S)
-    said = [(at - START, note.text) for at, note in desk.of(Note) if note.text.startswith("contact")]
+    endpoint = Endpoint(LinkConditions(duty_cycle=DutyCycle(period_s=100, contact_s=30)))
+    endpoint.until(START + 210 * S)
+    said = [(at - START, note.text) for at, note in endpoint.of(LogRecord) if note.text.startswith("contact")]
     assert said == [
         (30 * S, "contact lost"),
         (100 * S, "contact regained"),
         (130 * S, "contact lost"),
         (200 * S, "contact regained"),
     ]
-    contact = [(at, status.contact) for at, status in desk.statuses() if at % (10 * S) == 0]
+    contact = [(at, status.contact) for at, status in endpoint.statuses() if at % (10 * S) == 0]
     assert (30 * S, False) in contact
     assert (100 * S, True) in contact
 
 
 def test_a_loss_is_reported_with_its_reason() -> None:
-    desk = Desk(LinkConditions(down=DirectionConditions(loss=1.0)))
-    desk.give(Overheard(SAMPLE, b'{"header":{"source":"rover","sequence":4},"body":{}}'))
-    (note,) = [note for _, note in desk.of(Note) if note.text == "letter dropped"]
+    endpoint = Endpoint(LinkConditions(down=DirectionConditions(loss=1.0)))
+    endpoint.give(ReceivedRaw(SAMPLE, b'{"header":{"source":"rover","sequence":4},"body":{}}'))
+    (note,) = [note for _, note in endpoint.of(LogRecord) if note.text == "letter dropped"]
     assert note.level is Level.DEBUG
     assert (note.fields["why"], note.fields["source"], note.fields["sequence"]) == ("lost on the way", "rover", 4)
-    status = desk.ask()
+    status = endpoint.ask()
     assert status.down.lost == 1
     assert [(drop.topic, drop.why) for drop in status.dropped] == [("tm/sample", "lost on the way")]
 
 
 def test_status_is_published_rarely_when_idle_and_at_most_once_a_second_when_busy() -> None:
-    desk = Desk()
-    desk.until(START + 600 * S)
-    assert [at for at, _ in desk.statuses()] == [k * 60 * S for k in range(11)]
-    desk.effects.clear()
+    endpoint = Endpoint()
+    endpoint.until(START + 600 * S)
+    assert [at for at, _ in endpoint.statuses()] == [k * 60 * S for k in range(11)]
+    endpoint.effects.clear()
     for k in range(100):
-        desk.until(START + 600 * S + k * S // 10)
-        desk.give(Overheard(STATE, b"state"))
-    desk.until(START + 620 * S)
-    times = [at for at, _ in desk.statuses()]
+        endpoint.until(START + 600 * S + k * S // 10)
+        endpoint.give(ReceivedRaw(STATE, b"state"))
+    endpoint.until(START + 620 * S)
+    times = [at for at, _ in endpoint.statuses()]
     assert all(later - earlier >= S for earlier, later in pairwise(times))
     assert 9 <= len(times) <= 13
 
 
 def test_a_topic_that_is_not_served_is_refused() -> None:
-    (refusal,) = [e for e in Desk().give(Asked(MEASURE, object(), 3)) if isinstance(e, Refuse)]
+    (refusal,) = [e for e in Endpoint().give(QueryReceived(MEASURE, object(), 3)) if isinstance(e, RefuseQuery)]
     assert refusal.token == 3
     assert LINK_SET.name in refusal.why
 
 
 def test_a_change_that_makes_no_sense_is_refused_and_changes_nothing() -> None:
     bad = LinkChange.model_construct(**{**LinkChange().model_dump(), "loss": 7.0})
-    desk = Desk()
-    (refusal,) = [e for e in desk.give(Asked(LINK_SET, bad, 3)) if isinstance(e, Refuse)]
+    endpoint = Endpoint()
+    (refusal,) = [e for e in endpoint.give(QueryReceived(LINK_SET, bad, 3)) if isinstance(e, RefuseQuery)]
     assert "loss" in refusal.why
-    assert desk.ask().conditions == LinkConditions()
+    assert endpoint.ask().conditions == LinkConditions()
     with pytest.raises(InvalidInput, match="loss"):
         changed(LinkConditions(), bad)
 
 
 def test_two_runs_with_the_same_seed_are_the_same() -> None:
     def run(seed: int) -> list[tuple[int, Effect]]:
-        desk = Desk(PRESETS["lossy"], seed)
+        endpoint = Endpoint(PRESETS["lossy"], seed)
         for k in range(100):
-            desk.give(Overheard(SAMPLE if k % 2 else COMMAND, b"x" * k))
-            desk.until(desk.now + S // 3)
-        desk.until(desk.now + 10 * S)
-        return desk.effects
+            endpoint.give(ReceivedRaw(SAMPLE if k % 2 else COMMAND, b"x" * k))
+            endpoint.until(endpoint.now + S // 3)
+        endpoint.until(endpoint.now + 10 * S)
+        return endpoint.effects
 
     assert run(3) == run(3)
     assert run(3) != run(4)
@@ -243,11 +243,11 @@ def test_two_runs_with_the_same_seed_are_the_same() -> None:
 
 def test_a_restarted_link_does_not_repeat_the_fates_of_its_first_life() -> None:
     def lost(incarnation: int) -> set[int]:
-        desk = Desk(LinkConditions(down=DirectionConditions(loss=0.5)))
-        desk.give(Started(incarnation))
+        endpoint = Endpoint(LinkConditions(down=DirectionConditions(loss=0.5)))
+        endpoint.give(Started(incarnation))
         for k in range(50):
-            desk.give(Overheard(SAMPLE, f'{{"header":{{"source":"rover","sequence":{k}}},"body":{{}}}}'.encode()))
-        return {drop.sequence for drop in desk.ask().dropped}
+            endpoint.give(ReceivedRaw(SAMPLE, f'{{"header":{{"source":"rover","sequence":{k}}},"body":{{}}}}'.encode()))
+        return {drop.sequence for drop in endpoint.ask().dropped}
 
     assert lost(1) == lost(1)
     assert lost(1) != lost(2)
@@ -273,10 +273,10 @@ def test_the_polar_preset_begins_one_day_before_contact_is_lost() -> None:
 def test_link_status_says_what_its_topic_admits() -> None:
     from schemas.wire import Header, decode, encode
 
-    desk = Desk(PRESETS["polar-window"])
+    endpoint = Endpoint(PRESETS["polar-window"])
     for _ in range(500):
-        desk.give(Overheard(SAMPLE, b"x" * 2000))
-    status = desk.ask(contact=False, loss=1.0)
+        endpoint.give(ReceivedRaw(SAMPLE, b"x" * 2000))
+    status = endpoint.ask(contact=False, loss=1.0)
     assert len(status.in_flight) == 200
     header = Header(mission="m", source="link", incarnation=1, sequence=0, made_at=START)
     assert decode(LINK_STATUS, encode(header, status), "m")[1] == status

@@ -15,20 +15,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.lockstep import Grant, Joined, StepDone
-from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.host import Host, Input
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp, read_stamp
-from services.runtime.lockstep.time_manager import TimeKeeper
-from services.runtime.node import Node, Silence
-from services.runtime.scheduler import Seat
+from services.runtime.lockstep.time_manager import TimeManager
+from services.runtime.node import Node, NoReply
+from services.runtime.scheduler import NodeScheduler
 
 _SPEC = importlib.util.spec_from_file_location("chatter", Path(__file__).parents[2] / "chatter.py")
 chatter = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(chatter)
 
-Trace = list[tuple[int, str, str]]
+EventSink = list[tuple[int, str, str]]
 
 
 class LateExecutor:
@@ -46,12 +46,12 @@ class LateExecutor:
 class Network:
     """Carries everything, later, in an order that is drawn at random: worse than any network that keeps order."""
 
-    def __init__(self, nodes: list[Node], mission: str, start: int, trace: Trace, dice: Random) -> None:
+    def __init__(self, nodes: list[Node], mission: str, start: int, trace: EventSink, dice: Random) -> None:
         self._required = frozenset(node.interface.name for node in nodes)
         self._keepers = count(1)
         self.keeper = self._new_keeper(start)
         self.parts: dict[str, Participant] = {}
-        self.questions: dict[int, tuple[Participant, str, PutQuestion, Stamp]] = {}
+        self.queries: dict[int, tuple[Participant, str, PutQuery, Stamp]] = {}
         self.steps = 0
         self._mission = mission
         self._trace = trace
@@ -63,16 +63,16 @@ class Network:
         for node in dice.sample(nodes, len(nodes)):
             self.begin(node)
 
-    def _new_keeper(self, start: int) -> TimeKeeper:
-        return TimeKeeper(start, self._required, f"keeper.{next(self._keepers)}")
+    def _new_keeper(self, start: int) -> TimeManager:
+        return TimeManager(start, self._required, f"keeper.{next(self._keepers)}")
 
     def lose_keeper(self) -> None:
         """End the time keeper, and the router with it: all that was under way is lost; a new one is asked to join."""
         self._under_way = [task for task in self._under_way if task in self._computations]
         self.keeper = self._new_keeper(1000)
-        for token in list(self.questions):
-            asker, _, question, asked = self.questions.pop(token)
-            self.silence(asker, question, asked)
+        for token in list(self.queries):
+            asker, _, query, asked = self.queries.pop(token)
+            self.silence(asker, query, asked)
         for part in self.parts.values():
             self._ask_to_join(part)
 
@@ -96,7 +96,7 @@ class Network:
         host = Host(node, self._mission, lambda now, name, what: self._trace.append((now, name, what)))
         name = host.interface.name
         self._starts[name] += 1
-        part = Participant(Seat(host, LateExecutor(self)), f"{name}.{self._starts[name]}")
+        part = Participant(NodeScheduler(host, LateExecutor(self)), f"{name}.{self._starts[name]}")
         part.start(self._starts[name])
         self.parts[part.name] = part
         self._ask_to_join(part)
@@ -105,18 +105,18 @@ class Network:
         """End a process: what it sent is under way, what is sent to it is lost, who asked it hears nothing."""
         part = self.parts.pop(name)
         self.later(lambda: self.keeper.leave(part.process) and None)
-        for token in [token for token, (_, server, _, _) in self.questions.items() if server == part.process]:
-            asker, _, question, asked = self.questions.pop(token)
-            self.silence(asker, question, asked)
+        for token in [token for token, (_, server, _, _) in self.queries.items() if server == part.process]:
+            asker, _, query, asked = self.queries.pop(token)
+            self.silence(asker, query, asked)
 
     def cut_off(self, name: str) -> None:
         """Lose the connection of a process that lives on: what is under way to it, what it asked, what it was asked."""
         part = self.parts[name]
         self._connections[part.process] += 1
-        for token, (asker, server, question, asked) in list(self.questions.items()):
+        for token, (asker, server, query, asked) in list(self.queries.items()):
             if server == part.process or asker is part:
-                del self.questions[token]
-                self.silence(asker, question, asked)
+                del self.queries[token]
+                self.silence(asker, query, asked)
         self.keeper.leave(part.process)  # the router notices before anything comes over a new connection
         self._ask_to_join(part)
 
@@ -139,8 +139,8 @@ class Network:
 
         self.later(arrive)
 
-    def silence(self, asker: Participant, question: PutQuestion, asked: Stamp) -> None:
-        given = Input("unanswered", (question.question, Silence.NO_ROUTE, ""))
+    def silence(self, asker: Participant, query: PutQuery, asked: Stamp) -> None:
+        given = Input("unanswered", (query.query, NoReply.NO_ROUTE, ""))
         self.to(asker, lambda: asker.take_answer(given, asked, None))
 
     def run(self, fault: Callable[[], None] = lambda: None) -> None:
@@ -196,30 +196,30 @@ class Carrier:
         came = read_stamp(stamp.encode())
         given = Input("deliver", (action.topic, action.payload))
         for part in self._network.parts.values():
-            if part.seat.host.hears(action.topic, action.side):  # the sender too: some transports echo
+            if part.scheduler.host.hears(action.topic, action.side):  # the sender too: some transports echo
                 self._network.to(part, lambda part=part: part.take_message(given, came))
 
-    def ask(self, action: PutQuestion, stamp: Stamp) -> None:
+    def ask(self, action: PutQuery, stamp: Stamp) -> None:
         network = self._network
         wanted = (action.topic, action.side)
         taking_part = [part for name, part in network.parts.items() if name in network.keeper.members]
-        server = next((part for part in taking_part if wanted in part.seat.host.served_topics()), None)
+        server = next((part for part in taking_part if wanted in part.scheduler.host.served_topics()), None)
         if server is None:
             network.silence(self._sender, action, stamp)
             return
         token = next(_TOKENS)
-        network.questions[token] = (self._sender, server.process, action, stamp)
+        network.queries[token] = (self._sender, server.process, action, stamp)
         given = Input("ask", (action.topic, action.payload, token))
         network.to(server, lambda: server.take_question(given, token, stamp))
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
-        if action.token not in self._network.questions:
+        if action.token not in self._network.queries:
             return  # asked through a router that is gone
-        asker, _, question, asked = self._network.questions.pop(action.token)
+        asker, _, query, asked = self._network.queries.pop(action.token)
         if isinstance(action, Reply):
-            given = Input("answered", (question.question, action.payload))
+            given = Input("answered", (query.query, action.payload))
         else:
-            given = Input("unanswered", (question.question, Silence.REFUSED, action.why))
+            given = Input("unanswered", (query.query, NoReply.REFUSED, action.why))
         self._network.to(asker, lambda: asker.take_answer(given, asked, stamp))
 
     def perform(self, action: Action) -> None:
@@ -229,19 +229,19 @@ class Carrier:
 _TOKENS = count(1)
 
 
-def canonical(trace: Trace) -> Trace:
+def canonical(trace: EventSink) -> EventSink:
     return sorted(trace, key=lambda entry: entry[:2])
 
 
-def in_process(seed: int, start: int = 1000) -> Trace:
-    trace: Trace = []
+def in_process(seed: int, start: int = 1000) -> EventSink:
+    trace: EventSink = []
     nodes = chatter.chatters(seed)
     Simulation(nodes, "m", start, trace=lambda now, name, what: trace.append((now, name, what))).run()
     return canonical(trace)
 
 
-def in_lockstep(seed: int, dice: Random, start: int = 1000) -> Trace:
-    trace: Trace = []
+def in_lockstep(seed: int, dice: Random, start: int = 1000) -> EventSink:
+    trace: EventSink = []
     Network(chatter.chatters(seed), "m", start, trace, dice).run()
     return canonical(trace)
 
@@ -262,7 +262,7 @@ def test_random_nodes_do_enough_for_the_comparison_to_mean_something() -> None:
 @settings(max_examples=200, deadline=None)
 def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_never_longer(seed: int, order: int) -> None:
     dice = Random(order)
-    trace: Trace = []
+    trace: EventSink = []
     network = Network(chatter.chatters(seed), "m", 1000, trace, dice)
     interfaces = {interface.name: interface for interface in chatter.interfaces(seed)}
     kills = {dice.randrange(400): dice.choice(list(interfaces)) for _ in range(5)}
@@ -299,7 +299,7 @@ def test_a_time_keeper_that_dies_at_any_moment_is_succeeded_and_time_goes_on_fro
     seed: int, order: int
 ) -> None:
     dice = Random(order)
-    trace: Trace = []
+    trace: EventSink = []
     network = Network(chatter.chatters(seed), "m", 1000, trace, dice)
     deaths = {dice.randrange(400) for _ in range(4)}
     moves = count()

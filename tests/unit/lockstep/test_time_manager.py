@@ -8,7 +8,7 @@ from he3.errors import InvalidInput
 from schemas.lockstep import Join, StepDone, TimeControl
 from services.runtime.lockstep.pace import CATCHES_UP_S, Pace
 from services.runtime.lockstep.stamp import Stamp, read_stamp
-from services.runtime.lockstep.time_manager import TimeKeeper
+from services.runtime.lockstep.time_manager import TimeManager
 from services.runtime.node import SECOND
 
 NEWS = ("moon/news", "moon")
@@ -20,14 +20,14 @@ def joining(name: str, start: int = 1, next_wake: int | None = None, **more: obj
     return Join(**{"term": "keeper/0", **about, **more})
 
 
-def done(keeper: TimeKeeper, name: str, start: int = 1, next_wake: int | None = None, **more: object) -> bool:
+def done(keeper: TimeManager, name: str, start: int = 1, next_wake: int | None = None, **more: object) -> bool:
     report = {"name": name, "process": f"{name}.{start}", "step": keeper.step, "next_wake": next_wake, **more}
     return keeper.done(StepDone(**report))
 
 
-def keeper_of(*joins: Join, required: tuple[str, ...] = ()) -> TimeKeeper:
+def keeper_of(*joins: Join, required: tuple[str, ...] = ()) -> TimeManager:
     """A time keeper whose members have all acted once, at time 0, and asked for what their joins say."""
-    keeper = TimeKeeper(0, frozenset(required or (join.name for join in joins)))
+    keeper = TimeManager(0, frozenset(required or (join.name for join in joins)))
     for join in joins:
         keeper.join(join)
     keeper.admit()
@@ -138,7 +138,7 @@ def test_time_may_pass_between_two_instants_but_not_beyond_the_next() -> None:
 
 
 def test_time_does_not_begin_before_all_who_are_required_take_part() -> None:
-    keeper = TimeKeeper(0, frozenset({"rover", "ground"}))
+    keeper = TimeManager(0, frozenset({"rover", "ground"}))
     keeper.join(joining("rover", next_wake=5))
     keeper.admit()
     assert (keeper.next_instant(), keeper.missing()) == (None, ["ground"])
@@ -246,7 +246,7 @@ def test_an_answer_to_an_earlier_process_is_not_owed_to_its_successor() -> None:
 
 
 def test_a_process_that_has_been_further_than_a_new_time_keeper_takes_it_along() -> None:
-    keeper = TimeKeeper(0, frozenset({"rover"}))
+    keeper = TimeManager(0, frozenset({"rover"}))
     keeper.join(joining("rover", next_wake=70, now=60, step=12))
     keeper.admit()
     assert keeper.next_instant() == 60
@@ -284,7 +284,7 @@ def test_an_answer_of_somebody_who_was_given_up_since_he_was_asked_is_not_owed()
 
 
 def test_who_obeys_another_time_keeper_is_not_taken_in() -> None:
-    keeper = TimeKeeper(0, frozenset({"rover"}))
+    keeper = TimeManager(0, frozenset({"rover"}))
     assert not keeper.join(joining("rover", term="another/0"))
     assert keeper.admit() == []
     assert keeper.missing() == ["rover"]

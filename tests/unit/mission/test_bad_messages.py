@@ -21,7 +21,7 @@ from services.mission.in_process import InProcessMission
 from services.mission.scenario import load_scenario
 from services.runtime.host import origin
 from services.runtime.node import Level
-from services.runtime.queries.server import request_of
+from services.runtime.queries.server import request_from_selector
 
 MISSION = "short"
 ENVELOPES = [topic for topic in TOPICS if topic is not MAP_FEED]
@@ -233,7 +233,7 @@ NODES = ("field", "rover", "link", "ground")
 
 def states(mission: InProcessMission) -> dict[str, bytes]:
     """Everything that each node and its host know, but for how many messages they refused."""
-    hosts = {name: mission.simulation.seat(name) for name in NODES}
+    hosts = {name: mission.simulation.scheduler(name) for name in NODES}
     return {
         name: pickle.dumps({key: value for key, value in host.state().items() if key != "_refused"})
         for name, host in hosts.items()
@@ -241,7 +241,7 @@ def states(mission: InProcessMission) -> dict[str, bytes]:
 
 
 def refusals(mission: InProcessMission) -> dict[str, int]:
-    return {name: mission.simulation.seat(name).refused for name in NODES}
+    return {name: mission.simulation.scheduler(name).refused for name in NODES}
 
 
 @pytest.mark.parametrize("topic", ENVELOPES, ids=lambda topic: topic.name)
@@ -249,7 +249,7 @@ def test_bad_messages_on_a_topic_change_no_node_and_are_counted_by_those_who_hea
     simulation = mission.simulation
     # What crosses is put where it arrives: the link carries letters unread.
     side = next(side for side in topic.sides if topic.crosses is Crosses.NEVER or side is not origin(topic))
-    hearing = [name for name in NODES if simulation.seat(name).hears(topic, side)]
+    hearing = [name for name in NODES if simulation.scheduler(name).hears(topic, side)]
     before, refused_before, noted = states(mission), refusals(mission), len(simulation.notes)
     now = simulation.now
     sent = 0
@@ -297,7 +297,7 @@ def test_the_mission_goes_on_after_all_of_it(mission):
 def test_selector_parameters_that_a_question_does_not_have_are_refused_in_one_line(topic):
     for parameters in ({"colour": "red"}, {"": ""}, {"x": "1", "y": "2", "z": "3"}, {"header": "{}"}):
         with pytest.raises(He3Error) as refused:
-            request_of(topic, parameters)
+            request_from_selector(topic, parameters)
         assert str(refused.value).startswith(f"{topic.name}: ")
         assert "\n" not in str(refused.value)
 
@@ -322,7 +322,7 @@ def test_selector_parameters_that_a_question_does_not_have_are_refused_in_one_li
 )
 def test_a_map_point_without_two_good_numbers_is_refused(parameters):
     with pytest.raises(He3Error) as refused:
-        request_of(MAP_POINT, parameters)
+        request_from_selector(MAP_POINT, parameters)
     assert "\n" not in str(refused.value)
     assert len(str(refused.value)) < 300
 

@@ -16,7 +16,7 @@ from schemas.wire import Header, Wire, encode
 from services.recorder.node import RECORDED, RecorderNode
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
-from services.runtime.node import Received, Started, WakeAt
+from services.runtime.node import Received, SetTimer, Started
 
 MISSION = "m"
 
@@ -160,7 +160,7 @@ def test_the_recorder_writes_what_it_hears_and_flushes_once_for_a_burst() -> Non
     node = RecorderNode(sink, flush_s=1.0)
     list(node.handle(Started(1), 0))
     effects = [list(node.handle(Received(EVENT, header(n), event(n)), 10 + n)) for n in range(3)]
-    assert effects == [[WakeAt("flush", 10 + 1_000_000_000)], [], []]
+    assert effects == [[SetTimer("flush", 10 + 1_000_000_000)], [], []]
     assert [(topic, received, made, sequence) for topic, _, received, made, sequence in sink.written] == [
         ("tm/event", 10 + n, 1000 + n, n) for n in range(3)
     ]

@@ -27,21 +27,21 @@ from services.mission.scenario import FieldConfig, RoverConfig
 from services.rover.node import RoverNode
 from services.runtime.node import (
     SECOND,
-    Answer,
-    Answered,
-    Ask,
-    Asked,
-    Due,
     Effect,
     Event,
     Finish,
+    NoReply,
+    QueryFailed,
+    QueryReceived,
     Received,
-    Refuse,
+    RefuseQuery,
+    ReplyReceived,
     Send,
-    Silence,
+    SendQuery,
+    SendReply,
+    SetTimer,
     Started,
-    Unanswered,
-    WakeAt,
+    TimerFired,
     seconds,
 )
 
@@ -84,8 +84,8 @@ class Moon:
         self.states: list[RoverState] = []
         self.reports: list[CommandReport] = []
         self.finished: list[Finish] = []
-        self.asked: list[Ask] = []
-        self.refuses: dict[Topic, tuple[Silence, str]] = {}
+        self.asked: list[SendQuery] = []
+        self.refuses: dict[Topic, tuple[NoReply, str]] = {}
         """Instruments that do not answer, and why."""
         self.history: list[tuple[int, Event]] = []
         self._heap: list[tuple[int, int, Event]] = []
@@ -112,7 +112,7 @@ class Moon:
     def run(self, until_s: float = DAY_S) -> Moon:
         while self._heap and self._heap[0][0] <= seconds(until_s):
             self.now, _, event = heapq.heappop(self._heap)
-            if isinstance(event, Due):
+            if isinstance(event, TimerFired):
                 if self._timers.get(event.timer) != self.now:
                     continue
                 del self._timers[event.timer]
@@ -128,27 +128,27 @@ class Moon:
                     EVENT: self.events, SAMPLE: self.samples, STATE: self.states, COMMAND_REPORT: self.reports,
                 }  # fmt: skip
                 logs[topic].append(body)
-            case Ask():
+            case SendQuery():
                 self.asked.append(effect)
                 heapq.heappush(self._heap, (self.now, next(self._order), self._answer(effect)))
-            case WakeAt(timer, None):
+            case SetTimer(timer, None):
                 self._timers.pop(timer, None)
-            case WakeAt(timer, at):
+            case SetTimer(timer, at):
                 assert at is not None
                 self._timers[timer] = at
-                heapq.heappush(self._heap, (at, next(self._order), Due(timer)))
+                heapq.heappush(self._heap, (at, next(self._order), TimerFired(timer)))
             case Finish():
                 self.finished.append(effect)
 
-    def _answer(self, ask: Ask) -> Event:
+    def _answer(self, ask: SendQuery) -> Event:
         if ask.topic in self.refuses:
             why, detail = self.refuses[ask.topic]
-            return Unanswered(ask.topic, ask.question, why, detail)
-        (effect,) = self.field.handle(Asked(ask.topic, ask.request, 0), self.now)
-        if isinstance(effect, Refuse):
-            return Unanswered(ask.topic, ask.question, Silence.REFUSED, effect.why)
-        assert isinstance(effect, Answer)
-        return Answered(ask.topic, ask.question, effect.reply)
+            return QueryFailed(ask.topic, ask.query, why, detail)
+        (effect,) = self.field.handle(QueryReceived(ask.topic, ask.request, 0), self.now)
+        if isinstance(effect, RefuseQuery):
+            return QueryFailed(ask.topic, ask.query, NoReply.REFUSED, effect.why)
+        assert isinstance(effect, SendReply)
+        return ReplyReceived(ask.topic, ask.query, effect.reply)
 
     # --- what to look at afterwards
 
@@ -583,7 +583,7 @@ def test_pausing_a_charging_rover_keeps_it_standing_when_it_is_charged():
 
 def test_a_silent_instrument_is_asked_again_and_told_of_once():
     moon = Moon()
-    moon.refuses[MEASURE] = (Silence.TIMEOUT, "")
+    moon.refuses[MEASURE] = (NoReply.TIMEOUT, "")
     moon.plan(plan_of(1, east(1, 5.5, 10.5), east(2, 10.5, 15.5)))
     moon.run(2000)
     asked = [ask for ask in moon.asked if ask.topic is MEASURE]
@@ -599,7 +599,7 @@ def test_a_silent_instrument_is_asked_again_and_told_of_once():
 
 def test_without_terrain_the_rover_does_not_move():
     moon = Moon()
-    moon.refuses[TERRAIN] = (Silence.NO_ROUTE, "")
+    moon.refuses[TERRAIN] = (NoReply.NO_ROUTE, "")
     moon.plan(plan_of(1, east(1, 5.5, 10.5)))
     moon.run(3600)
     assert moon.state.driven_m == 0.0
@@ -610,7 +610,7 @@ def test_without_terrain_the_rover_does_not_move():
 
 def test_a_sample_that_the_instrument_refuses_is_skipped_and_the_round_goes_on():
     moon = Moon()
-    moon.refuses[MEASURE] = (Silence.REFUSED, "outside")
+    moon.refuses[MEASURE] = (NoReply.REFUSED, "outside")
     moon.plan(plan_of(1, round_plan(1, [START, (15.5, 5.5)], (8.5, 5.5), (12.5, 5.5))))
     moon.run(700)
     moon.refuses.clear()
@@ -623,7 +623,7 @@ def test_a_sample_that_the_instrument_refuses_is_skipped_and_the_round_goes_on()
 
 def test_an_answer_to_an_outdated_question_changes_nothing():
     moon = Moon()
-    moon.refuses[MEASURE] = (Silence.TIMEOUT, "")
+    moon.refuses[MEASURE] = (NoReply.TIMEOUT, "")
     moon.plan(plan_of(1, east(1, 5.5, 10.5)))
     moon.run(1000)
     stale = next(ask for ask in moon.asked if ask.topic is MEASURE)
@@ -684,7 +684,7 @@ def test_pause_takes_effect_at_the_end_of_the_analysis_and_the_number_is_asked_f
 
 def test_a_rover_that_waits_for_a_silent_instrument_pauses_at_once():
     moon = under_way()
-    moon.refuses[MEASURE] = (Silence.TIMEOUT, "")
+    moon.refuses[MEASURE] = (NoReply.TIMEOUT, "")
     moon.command("pause", 2417)
     moon.run(3000)
     assert moon.event("paused").at == seconds(2417)

@@ -18,7 +18,7 @@ from schemas.plans import PlannedSample, RoundPlan
 from schemas.wire import Header
 from services.mission.scenario import RoverConfig
 from services.rover.activities import legs_of
-from services.rover.command_registry import CommandTable, IllegalStage
+from services.rover.command_registry import CommandRegistry, IllegalStage
 from services.rover.drill import bites_m
 from services.rover.energy import Battery, full_battery
 from services.rover.geometry import Area, inside, squared_distance
@@ -495,7 +495,7 @@ STAGE_ORDERS = {
 
 
 def admits(stages: tuple[CommandStage, ...]) -> bool:
-    table = CommandTable()
+    table = CommandRegistry()
     try:
         for at, stage in enumerate(stages):
             table.passed(command(), stage, at)
@@ -511,14 +511,14 @@ def test_a_command_passes_its_stages_in_order_only():
 
 
 def test_a_stage_out_of_order_is_refused_by_both_names():
-    table = CommandTable()
+    table = CommandRegistry()
     table.passed(command(), CommandStage.RECEIVED, 0)
     with pytest.raises(IllegalStage, match="command c1 is received and cannot be completed next"):
         table.passed(command(), CommandStage.COMPLETED, 1)
 
 
 def test_a_command_made_before_one_of_the_same_matter_is_overtaken():
-    table = CommandTable()
+    table = CommandRegistry()
     assert table.overtaken(command("c2", CommandKind.RESUME), made(20)) is None
     assert "resume c2 was made later" in str(table.overtaken(command("c1"), made(10)))
     assert table.overtaken(command("c3"), made(20, sequence=1)) is None
@@ -526,7 +526,7 @@ def test_a_command_made_before_one_of_the_same_matter_is_overtaken():
 
 def test_the_memory_of_commands_is_bounded_and_keeps_those_that_are_not_over(monkeypatch):
     monkeypatch.setattr("services.rover.command_registry.MAX_REMEMBERED", 3)
-    table = CommandTable()
+    table = CommandRegistry()
     table.passed(command("open"), CommandStage.RECEIVED, 0)
     for k in range(10):
         table.passed(command(f"c{k}"), CommandStage.RECEIVED, k)

@@ -11,6 +11,8 @@ from schemas.link import LinkChange
 from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import RoverMode, RoverState
 from schemas.topics import (
+    ACK_DOWN,
+    ACK_UP,
     COMMAND,
     LINK_SET,
     LIST_COMMANDS,
@@ -18,33 +20,31 @@ from schemas.topics import (
     PLAN,
     SAMPLE,
     STATE,
-    TC_ACK,
-    TM_ACK,
     TOPICS,
     Crosses,
     Side,
 )
 from schemas.wire import Header, decode, encode
-from services.runtime.actions import Publish, PutQuestion, Reply, ReplyError
+from services.runtime.actions import Publish, PutQuery, Reply, ReplyError
 from services.runtime.host import Host, Input, origin
 from services.runtime.node import (
-    Answer,
-    Answered,
-    Ask,
-    Asked,
-    Due,
     Event,
     Interface,
     Level,
-    Note,
-    Overheard,
+    LogRecord,
+    NoReply,
+    QueryFailed,
+    QueryReceived,
     Received,
-    Refuse,
+    ReceivedRaw,
+    RefuseQuery,
+    ReplyReceived,
     Send,
-    Silence,
+    SendQuery,
+    SendReply,
+    SetTimer,
     Started,
-    Unanswered,
-    WakeAt,
+    TimerFired,
 )
 
 STATE_NOW = RoverState(
@@ -122,94 +122,94 @@ def test_a_message_is_checked_and_handed_up():
 def test_a_bad_message_never_reaches_the_node_and_is_counted(payload):
     node, host = hosted(subscribes=(COMMAND,))
     (note,) = host.deliver(COMMAND, payload, 20)
-    assert isinstance(note, Note)
+    assert isinstance(note, LogRecord)
     assert (note.level, note.fields) == (Level.WARNING, {"refused": 1})
     assert note.text.startswith("refused: he3/short/tc/command: ")
     assert (node.seen, host.refused, host.events) == ([], 1, 1)
 
 
 def test_an_overheard_message_is_handed_up_unread():
-    node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), overhears=(COMMAND,))
+    node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), receives_raw=(COMMAND,))
     host.deliver(COMMAND, b"\xff sealed", 20)
-    assert node.seen == [Overheard(COMMAND, b"\xff sealed")]
+    assert node.seen == [ReceivedRaw(COMMAND, b"\xff sealed")]
     assert host.refused == 0
 
 
 def test_a_question_of_the_node_is_put_and_its_answer_comes_back_checked_once():
     node, host = hosted()
-    node.next = [Ask(MEASURE, MEASUREMENT, "q1", 5.0)]
+    node.next = [SendQuery(MEASURE, MEASUREMENT, "q1", 5.0)]
     (put,) = host.due("t", 20)
-    assert isinstance(put, PutQuestion)
-    assert (put.topic, put.side, put.question, put.timeout_s) == (MEASURE, Side.MOON, "q1", 5.0)
+    assert isinstance(put, PutQuery)
+    assert (put.topic, put.side, put.query, put.timeout_s) == (MEASURE, Side.MOON, "q1", 5.0)
     assert decode(MEASURE, put.payload, "short")[1] == MEASUREMENT
     assert host.open_questions() == [put]
     reply = MeasurementReply(sample_id="s1", x_m=1.0, y_m=2.0, helium3_ppb=8.0, noise_std_ppb=0.1)
     host.answered("q1", message(MEASURE, reply), 21)
-    assert node.seen[-1] == Answered(MEASURE, "q1", reply)
+    assert node.seen[-1] == ReplyReceived(MEASURE, "q1", reply)
     assert host.open_questions() == []
     seen = len(node.seen)
     assert host.answered("q1", message(MEASURE, reply), 22) == []
-    assert host.unanswered("q1", Silence.TIMEOUT, "", 23) == []
+    assert host.unanswered("q1", NoReply.TIMEOUT, "", 23) == []
     assert len(node.seen) == seen, "an answer that comes twice is taken once"
 
 
 def test_a_bad_answer_is_no_answer_and_is_counted():
     node, host = hosted()
-    node.next = [Ask(MEASURE, MEASUREMENT, "q1")]
+    node.next = [SendQuery(MEASURE, MEASUREMENT, "q1")]
     host.due("t", 20)
     actions = host.answered("q1", b"rubbish", 21)
-    assert isinstance(actions[0], Note)
+    assert isinstance(actions[0], LogRecord)
     event = node.seen[-1]
-    assert isinstance(event, Unanswered)
-    assert (event.why, host.refused) == (Silence.REFUSED, 1)
+    assert isinstance(event, QueryFailed)
+    assert (event.why, host.refused) == (NoReply.REFUSED, 1)
     assert "(reply)" in event.detail
 
 
 def test_silence_is_handed_up_with_its_reason():
     node, host = hosted()
-    node.next = [Ask(MEASURE, MEASUREMENT, "q1")]
+    node.next = [SendQuery(MEASURE, MEASUREMENT, "q1")]
     host.due("t", 20)
-    host.unanswered("q1", Silence.NO_ROUTE, "", 21)
-    assert node.seen[-1] == Unanswered(MEASURE, "q1", Silence.NO_ROUTE, "")
+    host.unanswered("q1", NoReply.NO_ROUTE, "", 21)
+    assert node.seen[-1] == QueryFailed(MEASURE, "q1", NoReply.NO_ROUTE, "")
 
 
 def test_whoever_asks_is_answered_once_and_by_name_of_his_question():
     node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
-    node.next = [Answer(7, STATE_NOW), Answer(7, STATE_NOW), Refuse(7, "again")]
+    node.next = [SendReply(7, STATE_NOW), SendReply(7, STATE_NOW), RefuseQuery(7, "again")]
     (reply,) = host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7, 20)
     assert isinstance(reply, Reply)
     assert (reply.token, reply.topic) == (7, LIST_COMMANDS)
-    assert node.seen == [Asked(LIST_COMMANDS, NoParameters(), 7)]
+    assert node.seen == [QueryReceived(LIST_COMMANDS, NoParameters(), 7)]
 
 
 def test_a_question_may_be_answered_later_but_not_after_a_new_start():
     node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
     host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7, 20)
     host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 8, 20)
-    node.next = [Refuse(7, "not now")]
+    node.next = [RefuseQuery(7, "not now")]
     assert host.due("t", 21) == [ReplyError(7, LIST_COMMANDS, "not now")]
     host.start(4, 22)
-    node.next = [Answer(8, STATE_NOW)]
+    node.next = [SendReply(8, STATE_NOW)]
     assert host.due("t", 23) == []
 
 
 def test_a_bad_question_is_answered_with_its_refusal_and_counted():
     node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), serves=(LINK_SET,))
     note, reply = host.ask(LINK_SET, b"nonsense", 7, 20)
-    assert isinstance(note, Note)
+    assert isinstance(note, LogRecord)
     assert isinstance(reply, ReplyError)
     assert (reply.token, host.refused, node.seen) == (7, 1, [])
     assert "expected" in reply.why or "invalid" in reply.why
     host.ask_checked(LINK_SET, LinkChange(), 8, 20)
-    assert node.seen == [Asked(LINK_SET, LinkChange(), 8)]
+    assert node.seen == [QueryReceived(LINK_SET, LinkChange(), 8)]
 
 
 def test_timers_and_notes_pass_through():
     node, host = hosted()
-    note, wake = Note(Level.INFO, "so"), WakeAt("t", 50)
+    note, wake = LogRecord(Level.INFO, "so"), SetTimer("t", 50)
     node.next = [note, wake]
     assert host.due("t", 40) == [note, wake]
-    assert node.seen == [Due("t")]
+    assert node.seen == [TimerFired("t")]
 
 
 def test_telemetry_is_made_on_the_moon_and_commands_on_earth():
@@ -223,17 +223,17 @@ def test_a_node_hears_what_it_subscribes_to_on_its_own_side_only():
     assert rover.heard_topics() == [(PLAN, Side.MOON), (COMMAND, Side.MOON)]
     assert not rover.hears(PLAN, Side.EARTH)
     assert not rover.hears(SAMPLE, Side.MOON)
-    _, link = hosted(name="link", sides=(Side.MOON, Side.EARTH), overhears=(PLAN, SAMPLE))
+    _, link = hosted(name="link", sides=(Side.MOON, Side.EARTH), receives_raw=(PLAN, SAMPLE))
     assert link.heard_topics() == [(SAMPLE, Side.MOON), (PLAN, Side.EARTH)], "only where they are made"
 
 
 def test_who_takes_custody_hears_the_acknowledgements_of_the_other_side_too():
     _, rover = hosted(subscribes=(COMMAND,), custody=True)
-    assert rover.hears(TM_ACK, Side.MOON)
-    assert not rover.hears(TC_ACK, Side.MOON)
+    assert rover.hears(ACK_UP, Side.MOON)
+    assert not rover.hears(ACK_DOWN, Side.MOON)
     _, ground = hosted(name="ground", sides=(Side.EARTH,), subscribes=(SAMPLE,), custody=True)
-    assert ground.hears(TC_ACK, Side.EARTH)
-    assert not ground.hears(TM_ACK, Side.EARTH)
+    assert ground.hears(ACK_DOWN, Side.EARTH)
+    assert not ground.hears(ACK_UP, Side.EARTH)
 
 
 def test_every_event_leaves_a_line_in_the_trace():

@@ -24,8 +24,8 @@ from services.runtime.journal import (
     decode_input,
     encode_input,
 )
-from services.runtime.node import Due, Interface, Silence, WakeAt
-from services.runtime.scheduler import CHECKPOINT_EVERY, InlineExecutor, Seat
+from services.runtime.node import Interface, NoReply, SetTimer, TimerFired
+from services.runtime.scheduler import CHECKPOINT_EVERY, InlineExecutor, NodeScheduler
 
 WHO = {"mission": "m", "scenario": "s"}
 
@@ -38,7 +38,7 @@ def inputs(count: int) -> list[tuple[int, Input]]:
         Input("ask", (LINK_SET, b"{}", 7)),
         Input("ask_checked", (LINK_SET, LinkChange(loss=0.5), 9)),
         Input("answered", ("who", b"bytes\nof all sorts \x00\xff")),
-        Input("unanswered", ("who", Silence.TIMEOUT, "too late")),
+        Input("unanswered", ("who", NoReply.TIMEOUT, "too late")),
         Input("computed", ("plan:1", (1, "two"), None)),
         Input("start", (3,)),
     ]
@@ -213,29 +213,29 @@ class Counting:
     def __init__(self) -> None:
         self.count = 0
 
-    def handle(self, event: object, now: int) -> list[WakeAt]:
-        self.count += isinstance(event, Due)
-        return [WakeAt("tick", now + 1_000_000_000)]
+    def handle(self, event: object, now: int) -> list[SetTimer]:
+        self.count += isinstance(event, TimerFired)
+        return [SetTimer("tick", now + 1_000_000_000)]
 
 
 def test_a_seat_restored_from_its_checkpoint_goes_on_where_it_was() -> None:
     from services.runtime.host import Host
 
     journal = SimulatedJournal(WHO)
-    seat = Seat(Host(Counting(), "m"), InlineExecutor(), journal)
-    seat.put((0, "", 0), Input("start", (1,)))  # type: ignore[arg-type]
-    seat.run(0)
-    while (wake := seat.next_wake()) is not None and seat.host._node.count < CHECKPOINT_EVERY + 50:  # type: ignore[attr-defined]
-        seat.run(wake)
+    scheduler = NodeScheduler(Host(Counting(), "m"), InlineExecutor(), journal)
+    scheduler.put((0, "", 0), Input("start", (1,)))  # type: ignore[arg-type]
+    scheduler.run(0)
+    while (wake := scheduler.next_wake()) is not None and scheduler.host._node.count < CHECKPOINT_EVERY + 50:  # type: ignore[attr-defined]
+        scheduler.run(wake)
     assert journal.state is not None
     later = journal.entries(since_checkpoint=True)
     assert 0 < len(later) < CHECKPOINT_EVERY
 
-    again = Seat(Host(Counting(), "m"), InlineExecutor())
+    again = NodeScheduler(Host(Counting(), "m"), InlineExecutor())
     again.replay(later, journal.state)
     assert again.host._node.count == CHECKPOINT_EVERY + 50  # type: ignore[attr-defined]
-    assert again.next_wake() == seat.next_wake()
-    assert again.last == seat.last
+    assert again.next_wake() == scheduler.next_wake()
+    assert again.last == scheduler.last
 
 
 @pytest.mark.parametrize("topic", [*BY_NAME.values(), addressed(SAMPLE, "somebody")], ids=lambda topic: topic.name)

@@ -14,7 +14,7 @@ from schemas.link import Direction
 from schemas.maps import MapPoint, MapPointQuery
 from schemas.topics import CLOCK_SET, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, MAP_LAYER, MAP_POINT, TIME_CONTROL
 from schemas.wire import Header, Refused, decode_reply, encode
-from services.runtime.queries.server import SnapshotServer, SnapshotService, request_of
+from services.runtime.queries.server import QueryServer, QueryService, request_from_selector
 
 WITHIN_S = 20.0
 
@@ -28,7 +28,7 @@ def point(request: MapPointQuery, revision: int) -> MapPoint:
     )  # fmt: skip
 
 
-class Asked:
+class FakeQuery:
     """A question as Zenoh hands it over, whose end can be waited for."""
 
     def __init__(self, payload: bytes | None = None, **parameters: str) -> None:
@@ -46,24 +46,24 @@ class Asked:
 class OneTopicBus:
     """Hands what is asked to whoever serves."""
 
-    def serve(self, _topic: Any, on_question: Any) -> None:
-        self.ask = on_question
+    def serve(self, _topic: Any, on_query: Any) -> None:
+        self.ask = on_query
 
 
 @pytest.fixture
-def server() -> SnapshotServer:
-    service = SnapshotService((MAP_POINT,), lambda _topic, request, snapshot: point(request, snapshot))
-    return SnapshotServer(service, "ground", "short", lambda: 7)
+def server() -> QueryServer:
+    service = QueryService((MAP_POINT,), lambda _topic, request, snapshot: point(request, snapshot))
+    return QueryServer(service, "ground", "short", lambda: 7)
 
 
 @pytest.fixture
 def ask(server):
-    bus = OneTopicBus()
-    server.serve(MAP_POINT, bus)
+    session = OneTopicBus()
+    server.serve(MAP_POINT, session)
 
-    def ask(question: Asked) -> tuple[str, Any]:
-        bus.ask(question)
-        return question.end.get(timeout=WITHIN_S)
+    def ask(query: FakeQuery) -> tuple[str, Any]:
+        session.ask(query)
+        return query.end.get(timeout=WITHIN_S)
 
     return ask
 
@@ -74,16 +74,19 @@ def message(**body: Any) -> bytes:
 
 
 def test_before_there_is_a_map_a_question_is_refused_and_not_kept_waiting(ask):
-    assert ask(Asked(x="1", y="2")) == ("refused", "earth/map/point: there is no map yet; ask again in a moment")
+    assert ask(FakeQuery(x="1", y="2")) == (
+        "refused",
+        "earth/map/point: there is no map yet; ask again in a moment",
+    )
 
 
 def test_parameters_are_answered_with_the_plain_body_and_a_message_with_a_message(server, ask):
     server.show(3)
-    how, plain = ask(Asked(x="1", y="2"))
+    how, plain = ask(FakeQuery(x="1", y="2"))
     assert how == "answered"
     body = json.loads(plain)
     assert (body["x_m"], body["y_m"], body["revision"]) == (1.0, 2.0, 3)
-    how, enveloped = ask(Asked(message(x=1.0, y=2.0)))
+    how, enveloped = ask(FakeQuery(message(x=1.0, y=2.0)))
     assert how == "answered"
     header, reply = decode_reply(MAP_POINT, enveloped, "short")
     assert (header.source, header.made_at) == ("ground", 7)
@@ -93,57 +96,57 @@ def test_parameters_are_answered_with_the_plain_body_and_a_message_with_a_messag
 def test_the_newest_snapshot_answers(server, ask):
     for revision in (1, 2, 9):
         server.show(revision)
-        assert json.loads(ask(Asked(x="1", y="2"))[1])["revision"] == revision
+        assert json.loads(ask(FakeQuery(x="1", y="2"))[1])["revision"] == revision
 
 
 @pytest.mark.parametrize(
-    ("question", "expected"),
+    ("query", "expected"),
     [
-        (Asked(), "earth/map/point: x: field required"),
-        (Asked(x="1", y="much"), "earth/map/point: y: input should be a valid number"),
-        (Asked(x="1", y="nan"), "earth/map/point: y: input should be"),
-        (Asked(x="1", y="2", z="3"), "earth/map/point: z: extra inputs are not permitted"),
-        (Asked(x="900", y="2"), "map: expected a place within 0..500 m"),
-        (Asked(b""), "he3/short/earth/map/point: message: invalid JSON"),
-        (Asked(b"{}"), "he3/short/earth/map/point: header: field required"),
-        (Asked(message(x=1.0, y=2.0).replace(b"short", b"other")), "damaged"),
+        (FakeQuery(), "earth/map/point: x: field required"),
+        (FakeQuery(x="1", y="much"), "earth/map/point: y: input should be a valid number"),
+        (FakeQuery(x="1", y="nan"), "earth/map/point: y: input should be"),
+        (FakeQuery(x="1", y="2", z="3"), "earth/map/point: z: extra inputs are not permitted"),
+        (FakeQuery(x="900", y="2"), "map: expected a place within 0..500 m"),
+        (FakeQuery(b""), "he3/short/earth/map/point: message: invalid JSON"),
+        (FakeQuery(b"{}"), "he3/short/earth/map/point: header: field required"),
+        (FakeQuery(message(x=1.0, y=2.0).replace(b"short", b"other")), "damaged"),
     ],
 )
-def test_bad_questions_are_refused_in_one_line_and_the_next_is_answered(server, ask, question, expected):
+def test_bad_questions_are_refused_in_one_line_and_the_next_is_answered(server, ask, query, expected):
     server.show(1)
-    how, line = ask(question)
+    how, line = ask(query)
     assert how == "refused"
     assert expected in line
     assert "\n" not in line
-    assert ask(Asked(x="1", y="2"))[0] == "answered"
+    assert ask(FakeQuery(x="1", y="2"))[0] == "answered"
 
 
 def test_a_hundred_questions_at_once_are_each_answered_once(server):
-    bus = OneTopicBus()
-    server.serve(MAP_POINT, bus)
+    session = OneTopicBus()
+    server.serve(MAP_POINT, session)
     server.show(1)
-    questions = [Asked(x=str(number), y="2") for number in range(100)]
-    for question in questions:
-        bus.ask(question)
-    for number, question in enumerate(questions):
-        how, answer = question.end.get(timeout=WITHIN_S)
+    queries = [FakeQuery(x=str(number), y="2") for number in range(100)]
+    for query in queries:
+        session.ask(query)
+    for number, query in enumerate(queries):
+        how, answer = query.end.get(timeout=WITHIN_S)
         assert how == "answered"
         assert json.loads(answer)["x_m"] == number
-        assert question.end.empty()
+        assert query.end.empty()
 
 
 def test_selectors_can_say_all_that_operators_change():
-    change = request_of(LINK_SET, {"direction": "down", "loss": "0.3", "rate_bit_s": "2000"})
+    change = request_from_selector(LINK_SET, {"direction": "down", "loss": "0.3", "rate_bit_s": "2000"})
     assert (change.direction, change.loss, change.rate_bit_s) == (Direction.DOWN, 0.3, 2000.0)
     assert change.one_way_light_time_s is None
-    assert request_of(LINK_SET, {"contact": "false"}).contact is False
-    assert request_of(LINK_SET, {}).model_dump(exclude_defaults=True) == {}
-    assert request_of(CLOCK_SET, {"rate": "10"}).rate == 10.0
-    assert request_of(MAP_LAYER, {"layer": "std", "step": "5"}).step == 5
-    assert request_of(TIME_CONTROL, {"paused": "true", "steps": "3"}).steps == 3
-    command = request_of(ISSUE_COMMAND, {"command_id": "mine-1", "kind": "pause"})
+    assert request_from_selector(LINK_SET, {"contact": "false"}).contact is False
+    assert request_from_selector(LINK_SET, {}).model_dump(exclude_defaults=True) == {}
+    assert request_from_selector(CLOCK_SET, {"rate": "10"}).rate == 10.0
+    assert request_from_selector(MAP_LAYER, {"layer": "std", "step": "5"}).step == 5
+    assert request_from_selector(TIME_CONTROL, {"paused": "true", "steps": "3"}).steps == 3
+    command = request_from_selector(ISSUE_COMMAND, {"command_id": "mine-1", "kind": "pause"})
     assert command.kind is CommandKind.PAUSE
-    request_of(LIST_COMMANDS, {})
+    request_from_selector(LIST_COMMANDS, {})
 
 
 @pytest.mark.parametrize(
@@ -175,7 +178,7 @@ def test_selectors_can_say_all_that_operators_change():
 )
 def test_selectors_that_say_nonsense_are_refused_in_one_line(topic, parameters):
     with pytest.raises(InvalidInput) as refused:
-        request_of(topic, parameters)
+        request_from_selector(topic, parameters)
     assert str(refused.value).startswith(f"{topic.name}: ")
     assert "\n" not in str(refused.value)
 

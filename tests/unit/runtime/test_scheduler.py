@@ -10,24 +10,24 @@ from schemas.lockstep import Grant, Joined
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, MEASURE, Side
 from schemas.wire import Header, encode
-from services.runtime.actions import Action, Publish, PutQuestion, Reply, ReplyError
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.host import Host, Input
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp
 from services.runtime.node import (
     Compute,
-    Due,
     Effect,
     Event,
     Interface,
+    NoReply,
+    QueryFailed,
     Received,
     Send,
-    Silence,
+    SetTimer,
     Started,
-    Unanswered,
-    WakeAt,
+    TimerFired,
 )
-from services.runtime.scheduler import InlineExecutor, Kind, Seat
+from services.runtime.scheduler import InlineExecutor, Kind, NodeScheduler
 
 
 class Scripted:
@@ -62,7 +62,7 @@ class Carrier:
     def publish(self, action: Publish, stamp: Stamp) -> None:
         self.sent.append((action, stamp))
 
-    def ask(self, action: PutQuestion, stamp: Stamp) -> None:
+    def ask(self, action: PutQuery, stamp: Stamp) -> None:
         self.sent.append((action, stamp))
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
@@ -79,12 +79,12 @@ def message(number: int, source: str = "field") -> Input:
     )
 
 
-def seat_of(node: Scripted, executor: object = None) -> Seat:
-    return Seat(Host(node, "m"), executor or InlineExecutor())
+def scheduler_of(node: Scripted, executor: object = None) -> NodeScheduler:
+    return NodeScheduler(Host(node, "m"), executor or InlineExecutor())
 
 
 def part_of(node: Scripted, executor: object = None) -> Participant:
-    part = Participant(seat_of(node, executor), "rover.1")
+    part = Participant(scheduler_of(node, executor), "rover.1")
     part.obey("k")
     part.joined(Joined(term="k", admitted=True, now=100, step=0, starts=1))
     return part
@@ -101,22 +101,24 @@ def stamp(sender: str, number: int, step: int) -> Stamp:
 
 def test_messages_come_before_questions_answers_results_and_timers_and_by_sender_and_number_among_themselves() -> None:
     node = Scripted(
-        lambda event, now: [WakeAt("b", 7), WakeAt("a", 7), Compute("job", int)] if isinstance(event, Started) else []
+        lambda event, now: (
+            [SetTimer("b", 7), SetTimer("a", 7), Compute("job", int)] if isinstance(event, Started) else []
+        )
     )
-    seat = seat_of(node)
-    seat.put((Kind.MESSAGE, "", 0), Input("start", (1,)))
-    seat.run(5)
+    scheduler = scheduler_of(node)
+    scheduler.put((Kind.MESSAGE, "", 0), Input("start", (1,)))
+    scheduler.run(5)
     inputs = [((Kind.MESSAGE, who, number), message(number, who)) for who in ("a", "b") for number in (1, 2)]
     Random(1).shuffle(inputs)
     for order, given in inputs:
-        seat.put(order, given)
-    seat.run(7)
+        scheduler.put(order, given)
+    scheduler.run(7)
     kinds = [type(event).__name__ for _, event in node.seen[1:]]
-    assert kinds == ["Received"] * 4 + ["Computed", "Due", "Due"]
+    assert kinds == ["Received"] * 4 + ["Computed", "TimerFired", "Due"]
     assert [(e.header.source, e.body.round) for _, e in node.seen if isinstance(e, Received)] == [
         ("a", 1), ("a", 2), ("b", 1), ("b", 2)
     ]  # fmt: skip
-    assert [e.timer for _, e in node.seen if isinstance(e, Due)] == ["a", "b"]
+    assert [e.timer for _, e in node.seen if isinstance(e, TimerFired)] == ["a", "b"]
 
 
 def test_what_arrives_during_a_step_waits_for_the_next() -> None:
@@ -199,7 +201,7 @@ def test_silence_counts_in_the_step_of_the_question_or_asks_for_a_poke() -> None
     asked = Stamp("rover", "rover.1", 9, 4, 100)
     granted(part, 5, 100, rover=1)
     assert not part.ready()
-    assert part.take_answer(Input("unanswered", ("q", Silence.NO_ROUTE, "")), asked, None)
+    assert part.take_answer(Input("unanswered", ("q", NoReply.NO_ROUTE, "")), asked, None)
     assert part.ready()
 
 
@@ -233,7 +235,7 @@ def test_everything_sent_is_stamped_and_reported() -> None:
 
 
 def test_a_timer_in_the_past_is_due_now() -> None:
-    node = Scripted(lambda event, now: [WakeAt("late", now - 50)] if isinstance(event, Started) else [])
+    node = Scripted(lambda event, now: [SetTimer("late", now - 50)] if isinstance(event, Started) else [])
     part = part_of(node)
     part.start(1)
     assert granted(part, 1, 100).act(Carrier()).next_wake == 100
@@ -242,10 +244,10 @@ def test_a_timer_in_the_past_is_due_now() -> None:
 def test_an_unanswered_question_reaches_the_node_once() -> None:
     def script(event: Event, now: int) -> Iterable[Effect]:
         from schemas.measurement import MeasurementRequest
-        from services.runtime.node import Ask
+        from services.runtime.node import SendQuery
 
         request = MeasurementRequest(sample_id="s", x_m=1.0, y_m=1.0, depth_m=0.1)
-        return [Ask(MEASURE, request, "q")] if isinstance(event, Started) else []
+        return [SendQuery(MEASURE, request, "q")] if isinstance(event, Started) else []
 
     node = Scripted(script)
     part = part_of(node)
@@ -256,6 +258,6 @@ def test_an_unanswered_question_reaches_the_node_once() -> None:
     asked = carrier.sent[0][1]
     assert asked is not None
     for _ in range(2):
-        part.take_answer(Input("unanswered", ("q", Silence.NO_ROUTE, "")), asked, None)
+        part.take_answer(Input("unanswered", ("q", NoReply.NO_ROUTE, "")), asked, None)
     granted(part, 2, 100, rover=1).act(carrier)
-    assert [type(event) for _, event in node.seen] == [Started, Unanswered]
+    assert [type(event) for _, event in node.seen] == [Started, QueryFailed]

@@ -11,22 +11,22 @@ from schemas.wire import Header, encode
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.node import (
     SECOND,
-    Answer,
-    Answered,
-    Ask,
-    Asked,
     Compute,
     Computed,
-    Due,
     Effect,
     Event,
     Interface,
+    NoReply,
+    QueryFailed,
+    QueryReceived,
     Received,
+    ReplyReceived,
     Send,
-    Silence,
+    SendQuery,
+    SendReply,
+    SetTimer,
     Started,
-    Unanswered,
-    WakeAt,
+    TimerFired,
 )
 
 
@@ -58,12 +58,12 @@ def rover(script: Callable[[Event, int], Iterable[Effect]]) -> Scripted:
 def test_a_timer_comes_at_the_nanosecond_asked_for_and_a_moved_one_only_once() -> None:
     def script(event: Event, now: int) -> Iterable[Effect]:
         if isinstance(event, Started):
-            return [WakeAt("a", 5), WakeAt("a", 7), WakeAt("b", 3), WakeAt("c", 4), WakeAt("c", None)]
+            return [SetTimer("a", 5), SetTimer("a", 7), SetTimer("b", 3), SetTimer("c", 4), SetTimer("c", None)]
         return []
 
     node = rover(script)
     simulation(node).run()
-    assert [(at, event.timer) for at, event in node.seen if isinstance(event, Due)] == [(3, "b"), (7, "a")]
+    assert [(at, event.timer) for at, event in node.seen if isinstance(event, TimerFired)] == [(3, "b"), (7, "a")]
 
 
 def test_messages_of_one_instant_are_handled_by_sender_and_order_of_sending_whatever_the_order_of_nodes() -> None:
@@ -94,22 +94,22 @@ def test_a_question_is_answered_in_the_same_instant_and_one_to_nobody_says_so() 
     request = MeasurementRequest(sample_id="s", x_m=1.0, y_m=2.0, depth_m=0.1)
 
     def asker(event: Event, now: int) -> Iterable[Effect]:
-        return [Ask(MEASURE, request, "q")] if isinstance(event, Started) else []
+        return [SendQuery(MEASURE, request, "q")] if isinstance(event, Started) else []
 
     def server(event: Event, now: int) -> Iterable[Effect]:
-        if isinstance(event, Asked):
+        if isinstance(event, QueryReceived):
             reply = MeasurementReply(sample_id="s", x_m=1.0, y_m=2.0, helium3_ppb=8.0, noise_std_ppb=0.1)
-            return [Answer(event.token, reply)]
+            return [SendReply(event.token, reply)]
         return []
 
     node = rover(asker)
     simulation(node, Scripted(Interface("field", (Side.MOON,), serves=(MEASURE,)), server)).run()
-    answers = [event for _, event in node.seen if isinstance(event, Answered)]
-    assert [(a.question, a.reply.helium3_ppb) for a in answers] == [("q", 8.0)]
+    answers = [event for _, event in node.seen if isinstance(event, ReplyReceived)]
+    assert [(a.query, a.reply.helium3_ppb) for a in answers] == [("q", 8.0)]
 
     alone = rover(asker)
     simulation(alone).run()
-    assert [e.why for _, e in alone.seen if isinstance(e, Unanswered)] == [Silence.NO_ROUTE]
+    assert [e.why for _, e in alone.seen if isinstance(e, QueryFailed)] == [NoReply.NO_ROUTE]
 
 
 def test_a_computation_ends_exactly_as_much_later_as_it_says_and_carries_its_error() -> None:
@@ -134,7 +134,7 @@ def test_a_stranger_s_bad_message_is_refused_with_one_line_and_handled_by_nobody
     world.inject(STATE, Side.MOON, encode(header, happened(1)))
     world.run()
     assert listener.seen == before
-    assert world.seat("listener").refused == 2
+    assert world.scheduler("listener").refused == 2
     texts = [note.text for _, _, note in world.notes]
     assert len(texts) == 2
     assert all(text.startswith("refused: he3/m/tm/state: ") and "\n" not in text for text in texts)

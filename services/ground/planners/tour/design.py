@@ -25,7 +25,7 @@ from services.ground.planners.tour.site import Site
 LLOYD_ITERATIONS = 12
 REORDER_EVERY = 6
 """Steps of the places between two looks at the order in which they are visited."""
-LONGEST_STEP_M = 8.0
+MAX_STEP_M = 8.0
 """No place moves farther at a time [m]."""
 FIRST_STEP_M = 3.0
 LAST_STEP_M = 0.4
@@ -138,7 +138,7 @@ def drawn_taut(
             if squared > 0:
                 lam = max(price, (excess / (3.0 * rate) - float((momentum * pull).sum())) / squared)
         move = -rate * (momentum + lam * pull)
-        move *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.hypot(*move.T), 1e-9))[:, None]
+        move *= np.minimum(1.0, MAX_STEP_M / np.maximum(np.hypot(*move.T), 1e-9))[:, None]
         places = site.settle(places + move)
     order, _ = _reordered(site, places)
     return places[order]

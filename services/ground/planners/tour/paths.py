@@ -11,7 +11,7 @@ from services.ground.planners.traversability import OpenGround
 
 MARGINS = (0.75, 3.0)
 """How far round two places the search looks, in multiples of their distance, before it looks everywhere."""
-LEAST_MARGIN_CELLS = 20.0
+MIN_MARGIN_CELLS = 20.0
 
 
 def shortest_way(ground: OpenGround, begin_m: FloatArray, end_m: FloatArray) -> FloatArray:
@@ -23,7 +23,7 @@ def shortest_way(ground: OpenGround, begin_m: FloatArray, end_m: FloatArray) -> 
     apart = float(np.hypot(*(end_m - begin_m)))
     ends = np.array([begin_m, end_m])
     for share in MARGINS:
-        margin_m = max(share * apart, LEAST_MARGIN_CELLS * ground.grid.resolution_m)
+        margin_m = max(share * apart, MIN_MARGIN_CELLS * ground.grid.resolution_m)
         try:
             way = _within(ground, ends, margin_m)
         except NoRoute:

@@ -45,13 +45,13 @@ STEPS = 10
 STEP_ON_M = 1.5
 """Root mean square step [m] with which the places of an outlook begin to move on."""
 KICKS = 20
-MOST_REFITTED = 0.34
+MAX_REFITTED = 0.34
 """An outlook over more or fewer samples is used as long as the difference is at most this share of them."""
 ROUNDING = 1e-9
 """Share of the budget that is left alone, so that sums of legs in another order do not exceed it."""
 SETTINGS = ("thrift", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks")
-SHORTEST_IN_SPACINGS = 0.5
-LONGEST_IN_SPACINGS = 6.0
+MIN_IN_SPACINGS = 0.5
+MAX_IN_SPACINGS = 6.0
 """Length scales that a design uses, in spacings of an even lattice of all samples over the site."""
 
 
@@ -84,7 +84,7 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     variance = _average_variance(request, site)
     leg_m = LEG_CONSTANT * sqrt(site.area_m2 / samples)
     thrift = float(extra.get("thrift", THRIFT)) / (samples * leg_m)
-    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MOST_REFITTED * left:
+    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MAX_REFITTED * left:
         places = fitted(site, request.observed_m, request.outlook_m, left)
         metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
         price = thrift * variance(places)
@@ -119,7 +119,7 @@ def _metres_without_budget(site: Site, places: FloatArray, leg_m: float) -> floa
 def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:
     hyperparameters, grid = request.hyperparameters, request.grid
     spacing_m = sqrt(grid.width_m * grid.height_m / (request.samples_left + len(request.observed_m)))
-    kernel = telling(hyperparameters.kernel, SHORTEST_IN_SPACINGS * spacing_m, LONGEST_IN_SPACINGS * spacing_m)
+    kernel = telling(hyperparameters.kernel, MIN_IN_SPACINGS * spacing_m, MAX_IN_SPACINGS * spacing_m)
     return AverageVariance(kernel.of_squared_distance, hyperparameters.noise_variance, site.nodes, request.observed_m)
 
 

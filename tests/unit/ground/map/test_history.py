@@ -68,7 +68,7 @@ def test_what_revisions_share_is_held_once() -> None:
 
 
 def test_the_older_half_is_thinned_when_there_is_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(history, "MOST_BYTES", 8 * 2 * snapshot(1).mean_ppb.nbytes)
+    monkeypatch.setattr(history, "MAX_BYTES", 8 * 2 * snapshot(1).mean_ppb.nbytes)
     kept = after(40)
     held = [each.revision for each in revisions(kept)]
     assert len(held) <= 10

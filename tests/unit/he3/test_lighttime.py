@@ -6,7 +6,7 @@ import pytest
 
 from he3.constants import MOON_DISTANCE_MAX_M, MOON_DISTANCE_MEAN_M, MOON_DISTANCE_MIN_M, SPEED_OF_LIGHT_M_S
 from he3.errors import InvalidInput
-from he3.light_time import PRESET_LIGHT_TIMES_S, light_time_ns, light_time_s, preset_light_time_s
+from he3.lighttime import PRESET_LIGHT_TIMES_S, light_time_ns, light_time_s, preset_light_time_s
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from he3.errors import InvalidInput, NumericalFailure
-from he3.random_field import correlated, exponential_covariance, layer_correlation, unit_fields
+from he3.randomfield import correlated, exponential_covariance, layer_correlation, unit_fields
 
 
 def fields(count: int, shape: tuple[int, int], length_m: float, seed: int, spacing_m: float = 1.0) -> np.ndarray:
