@@ -114,7 +114,7 @@ def test_messages_come_before_questions_answers_results_and_timers_and_by_sender
         scheduler.put(order, given)
     scheduler.run(7)
     kinds = [type(event).__name__ for _, event in node.seen[1:]]
-    assert kinds == ["Received"] * 4 + ["Computed", "TimerFired", "Due"]
+    assert kinds == ["Received"] * 4 + ["Computed", "TimerFired", "TimerFired"]
     assert [(e.header.source, e.body.round) for _, e in node.seen if isinstance(e, Received)] == [
         ("a", 1), ("a", 2), ("b", 1), ("b", 2)
     ]  # fmt: skip
