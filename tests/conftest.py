@@ -1,16 +1,26 @@
-"""Before any test imports numpy: one BLAS thread, as in production (he3/__init__.py says why)."""
+"""Settings of the whole suite: one BLAS thread, as in production, and one profile of hypothesis."""
 
 import os
 
+# Set before numpy is imported; he3/__init__.py says why.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
+
+# No bound of wall time on an example: the gate has to be green on a slow machine too. The examples follow from the
+# test's own source, so that a red run is due to the change at hand; `--hypothesis-profile=search` draws new ones.
+settings.register_profile(
+    "gate", deadline=None, print_blob=True, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.register_profile("search", settings.get_profile("gate"), derandomize=False)
+settings.load_profile("gate")
 
 
 @pytest.fixture(scope="session")
 def quarter_of_t1(tmp_path_factory):
-    """A quarter of t1 as somebody's own region file, every second cell: 125 x 125 cells of 2 m."""
+    """A region file with a quarter of t1, every second cell: 125 x 125 cells of 2 m."""
     from services.mission.regions import load_region
 
     whole = load_region("t1")

@@ -418,7 +418,7 @@ steps = st.lists(
     at_edge=st.sampled_from(AtEdge),
     window=st.sampled_from([1, 4, 256]),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_whatever_happens_each_message_comes_once_and_in_order(
     steps: list[tuple[int, str]],
     seed: int,

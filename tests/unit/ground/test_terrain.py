@@ -48,7 +48,7 @@ def test_an_area_partly_or_wholly_outside_the_region_closes_what_of_it_lies_with
     assert not touched_by(GRID, ((60.0, 60.0), (90.0, 60.0), (90.0, 90.0))).any()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     radius=st.floats(0.05, 3.0),
     angle=st.floats(0.0, 2 * np.pi),

@@ -79,7 +79,7 @@ def test_conditioning_returns_a_new_belief_and_leaves_the_old_one() -> None:
     assert (len(before), len(after)) == (10, 20)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(places_on_site, st.integers(0, 2**32 - 1))
 def test_one_by_one_or_all_at_once_or_in_another_order_is_the_same_belief(places: np.ndarray, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -94,7 +94,7 @@ def test_one_by_one_or_all_at_once_or_in_another_order_is_the_same_belief(places
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(places_on_site, places_on_site)
 def test_variance_never_grows_with_data_and_never_turns_negative(first: np.ndarray, second: np.ndarray) -> None:
     points = np.vstack((first, second, [[250.0, 250.0]]))

@@ -38,7 +38,7 @@ def test_the_same_place_twice_is_one_measurement_with_half_the_noise() -> None:
     assert information_gain(np.full((2, 2), 3.0), 0.5) == pytest.approx(information_gain(np.array([[3.0]]), 0.25))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(1, 8), st.integers(1, 8), st.integers(0, 10**6))
 def test_information_adds_up_by_the_chain_rule_and_never_helps_twice(first: int, second: int, seed: int) -> None:
     a, b = places(first, seed), places(second, seed + 1)

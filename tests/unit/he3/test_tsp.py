@@ -21,7 +21,7 @@ def shortest(distances):
 
 
 @given(n=st.integers(1, 25), seed=st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_tour_begins_at_the_first_place_and_visits_each_once(n, seed):
     order = short_tour(apart(np.random.default_rng(seed).uniform(0, 100, (n, 2))), kicks=2, seed=seed)
     assert order[0] == 0

@@ -250,7 +250,7 @@ offers = st.lists(
     windows=st.booleans(),
     late=st.integers(0, 5),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_every_letter_is_accounted_for_and_none_arrives_early_or_out_of_contact(
     offers: list[tuple[int, int, Topic]],
     rate: float | None,

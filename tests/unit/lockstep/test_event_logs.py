@@ -247,7 +247,7 @@ def in_lockstep(seed: int, dice: Random, start: int = 1000) -> EventSink:
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_random_nodes_have_the_same_history_in_one_process_and_in_lockstep(seed: int, order: int) -> None:
     assert in_lockstep(seed, Random(order)) == in_process(seed)
 
@@ -259,7 +259,7 @@ def test_random_nodes_do_enough_for_the_comparison_to_mean_something() -> None:
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_never_longer(seed: int, order: int) -> None:
     dice = Random(order)
     trace: EventSink = []
@@ -294,7 +294,7 @@ def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_neve
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_time_keeper_that_dies_at_any_moment_is_succeeded_and_time_goes_on_from_where_it_stood(
     seed: int, order: int
 ) -> None:

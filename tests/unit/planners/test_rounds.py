@@ -5,7 +5,7 @@ from math import inf
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from he3.errors import InvalidInput, NoRoute, OutsideRegion
@@ -133,7 +133,7 @@ def requests(draw):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25)
 @given(requests())
 def test_a_round_keeps_to_open_ground_to_the_region_and_to_the_budget_or_is_refused(name, request_):
     refusal, answer = None, None

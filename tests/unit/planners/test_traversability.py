@@ -39,7 +39,7 @@ def meets(a, b, row, column, grown):
     return low <= high
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=250)
 @given(st.one_of(masks, sparse_masks), places, places)
 @example(np.eye(SIZE, dtype=bool)[::-1] ^ True, (0.0, 0.0), (7.0, 7.0))
 @example(~np.eye(SIZE, dtype=bool), (0.5, 2.5), (2.5, 0.5))
@@ -55,7 +55,7 @@ def test_a_leg_is_free_exactly_when_every_cell_that_it_touches_is_traversable(ma
         assert answer
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(st.one_of(masks, sparse_masks), places, places, st.sampled_from([0.5, 1.0, 3.0]))
 def test_one_leg_at_a_time_is_judged_as_many_are_and_alike_from_both_ends(mask, a, b, resolution):
     ground = OpenGround(SiteGrid(SIZE, SIZE, resolution), mask)
@@ -114,7 +114,7 @@ def test_a_mask_of_another_shape_is_refused():
         OpenGround(SiteGrid(4, 5), np.ones((5, 4), dtype=bool))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(masks, st.integers(0, SIZE * SIZE - 1), st.integers(0, SIZE * SIZE - 1))
 def test_a_route_is_found_exactly_when_open_cells_connect_the_places(mask, i, j):
     begin, end = (divmod(k, SIZE) for k in (i, j))

@@ -1100,7 +1100,7 @@ def any_rounds(draw: st.DrawFn) -> list[RoundPlan]:
     return rounds
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(rough_regions(), any_rounds(), st.floats(0.1, 1.0))
 def test_the_rover_never_enters_closed_terrain_and_its_odometer_is_the_way_it_drove(land, rounds, radius):
     moon = Moon(land=land, state_period_s=4.0, footprint_radius_m=radius, drill_s_per_m=10.0, analysis_s=1.0)
@@ -1128,7 +1128,7 @@ def test_the_rover_never_enters_closed_terrain_and_its_odometer_is_the_way_it_dr
 KINDS = [kind.value for kind in CommandKind]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     any_rounds(),
     st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 6000), st.integers(0, 6000), inner, inner), max_size=15),

@@ -149,7 +149,7 @@ def test_each_kernel_has_its_way() -> None:
     assert way(smooth_plus_rough, SPLIT_FROM - 1) is StoredRows
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.floats(1.0, 2000.0), st.integers(1, 200), st.floats(-800.0, 800.0))
 def test_a_squared_exponential_is_known_from_its_nodes_wherever_it_is_centred(
     length: float, cells: int, centre: float

@@ -39,7 +39,7 @@ def test_of_equal_rows_none_is_preferred() -> None:
     assert not rows_that_matter(np.ones(4), np.ones((1, 4), dtype=np.float32), allowed=4.5).any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seeds,
     st.sampled_from(sorted(KERNELS)),
