@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field, model_validator
 
@@ -21,7 +21,7 @@ class CommandKind(StrEnum):
 
 
 class CommandStage(StrEnum):
-    """In the order in which a command passes them; the last five end it."""
+    """In the order in which a command passes them; those in `ENDS` end it."""
 
     QUEUED = "queued"
     RELEASED = "released"
@@ -34,6 +34,14 @@ class CommandStage(StrEnum):
     FAILED = "failed"
     EXPIRED = "expired"
     LOST = "lost"
+
+
+ENDS: Final = frozenset(
+    {CommandStage.REJECTED, CommandStage.COMPLETED, CommandStage.FAILED, CommandStage.EXPIRED, CommandStage.LOST}
+)
+"""Stages that end a command; after LOST, which the ground assumes, a report of the real end may still arrive."""
+
+_ORDER: Final = {stage: number for number, stage in enumerate(CommandStage)}
 
 
 class Telecommand(Wire):
@@ -75,6 +83,16 @@ class CommandStatus(Wire):
 
     command: Telecommand
     stages: tuple[CommandReport, ...]
+
+    @property
+    def end(self) -> CommandReport | None:
+        """The report that ended the command; None while it is under way. A reported end counts before LOST."""
+        ends = [report for report in self.stages if report.stage in ENDS]
+        return next((report for report in ends if report.stage is not CommandStage.LOST), ends[-1] if ends else None)
+
+    def has_reached(self, stage: CommandStage) -> bool:
+        """Whether the command has passed that stage or a later one, or has ended in any way."""
+        return self.end is not None or any(_ORDER[report.stage] >= _ORDER[stage] for report in self.stages)
 
 
 class CommandList(Wire):

@@ -60,6 +60,11 @@ class GroundStatus(Wire):
     """When the rover was as shown: compare with now."""
     detail: Text = ""
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the mission has completed or failed."""
+        return self.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED)
+
 
 class MissionTrack(Wire):
     """Everything a picture of the mission needs: what was measured, driven and planned."""

@@ -10,7 +10,7 @@ from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
 from he3.reference import Region
 from he3.trend import OrbitalTrend
-from schemas.commands import CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
+from schemas.commands import ENDS, CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
 from schemas.ground import (
     GroundStatus,
     InterestArea,
@@ -44,7 +44,7 @@ from services.ground.map.service import MAP_TOPICS, answer
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.planners.interface import Planner
 from services.ground.scoring import Scorer
-from services.ground.telecommands import ENDS, LOOK_AGAIN_S, CommandBook
+from services.ground.telecommands import LOOK_AGAIN_S, CommandBook
 from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing, interest_weights, worth_nothing
 from services.mission.regions import load_region
 from services.mission.scenario import Scenario
@@ -291,7 +291,7 @@ class GroundNode:
             yield from self._keep_out(command, now)
         if command.kind not in _AWAY:
             return
-        if report.stage is CommandStage.STARTED and not any(passed.stage in ENDS for passed in status.stages):
+        if report.stage is CommandStage.STARTED and status.end is None:
             self._director.moving(command.command_id)
         elif report.stage is CommandStage.COMPLETED:
             target = command.target_m if command.target_m is not None else self._scenario.start_m

@@ -21,10 +21,6 @@ LOOK_AGAIN_S = 30.0  # between looks at the link for a command that has not left
 LOST_AFTER_S = 60.0  # past its expiry and a round trip, before silence means that a command is lost
 
 _ORDER = {stage: number for number, stage in enumerate(CommandStage)}
-ENDS = frozenset(
-    {CommandStage.REJECTED, CommandStage.COMPLETED, CommandStage.FAILED, CommandStage.EXPIRED, CommandStage.LOST}
-)
-"""Stages after which nothing more comes, except that word of a command given up for lost may still come."""
 
 _NEVER_CARRIED_OUT = frozenset({CommandStage.REJECTED, CommandStage.FAILED, CommandStage.EXPIRED})
 Polygon = tuple[tuple[float, float], ...]
@@ -65,7 +61,7 @@ class CommandBook:
             )
         if command.polygon_m is not None and (why := closes_nothing(self.grid, command.polygon_m)) is not None:
             raise InvalidInput(f"command {command.command_id}: polygon_m: {why}")
-        under_way = sum(not is_over(status) for status in self._book.values())
+        under_way = sum(status.end is None for status in self._book.values())
         if under_way >= MAX_UNDER_WAY:
             raise InvalidInput(f"expected at most {MAX_UNDER_WAY} commands under way, got one more")
         stages = tuple(
@@ -169,8 +165,3 @@ class CommandBook:
     def listed(self) -> tuple[CommandStatus, ...]:
         """The newest commands with their stages, in the order in which they were issued."""
         return tuple(self._book.values())[-MAX_LISTED:]
-
-
-def is_over(status: CommandStatus) -> bool:
-    """Whether the command has ended."""
-    return any(passed.stage in ENDS for passed in status.stages)

@@ -169,15 +169,6 @@ def _checked(document: dict[str, Any]) -> Any:
         raise InvalidInput(f"command: {one_line(error)}") from None
 
 
-def has_come_to(status: CommandStatus, stage: CommandStage) -> bool:
-    """Whether the command has passed that stage, or one that only comes after it, or has ended in whatever way."""
-    from schemas.commands import CommandStage as Stage
-    from services.console.client.command_handle import ENDS
-
-    order = list(Stage)
-    return any(report.stage in ENDS or order.index(report.stage) >= order.index(stage) for report in status.stages)
-
-
 def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: float) -> CommandStatus:
     """The command's status once it has passed that stage or ended; raises PeerUnreachable when time runs out."""
     import queue
@@ -193,7 +184,7 @@ def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: 
     listed: CommandList = client.query(LIST_COMMANDS, NoParameters())
     status = next((each for each in listed.commands if each.command.command_id == name), status)
     deadline = time.monotonic() + timeout_s
-    while not has_come_to(status, stage):
+    while not status.has_reached(stage):
         try:
             heard = news.get(timeout=max(0.0, deadline - time.monotonic()))
         except queue.Empty:
@@ -209,15 +200,12 @@ def _waited(client: Any, status: CommandStatus, stage: CommandStage, timeout_s: 
 def fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None:
     """Raise He3Error, with stage and reason, for a command that has ended otherwise than completed or as waited for."""
     from he3.errors import He3Error
+    from schemas.commands import ENDS
     from schemas.commands import CommandStage as Stage
-    from services.console.client.command_handle import ENDS
 
-    if not status.stages:
-        return
-    last = status.stages[-1]
-    wanted = stage if stage in ENDS else Stage.COMPLETED
-    if last.stage in ENDS and last.stage is not wanted:
-        raise He3Error(f"command {status.command.command_id}: {last.stage.value}{': ' + last.why if last.why else ''}")
+    end = status.end
+    if end is not None and end.stage is not (stage if stage in ENDS else Stage.COMPLETED):
+        raise He3Error(f"command {status.command.command_id}: {end.stage.value}{': ' + end.why if end.why else ''}")
 
 
 def commands(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:

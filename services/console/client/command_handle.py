@@ -9,11 +9,6 @@ from schemas.commands import CommandList, CommandStage, CommandStatus, NoParamet
 from schemas.topics import LIST_COMMANDS
 from services.runtime.transport.session import Client
 
-ENDS = frozenset(
-    {CommandStage.REJECTED, CommandStage.COMPLETED, CommandStage.FAILED, CommandStage.EXPIRED, CommandStage.LOST}
-)
-"""Stages after which nothing more comes of a command."""
-
 
 class CommandHandle:
     """A telecommand on its way."""
@@ -32,17 +27,17 @@ class CommandHandle:
         return tuple(report.stage for report in self.status.stages)
 
     def wait(self, stage: CommandStage | str = CommandStage.COMPLETED, timeout_s: float = 60.0) -> CommandStatus:
-        """The status once that stage is passed, or the command has ended another way; look at its last stage.
+        """The status once the command has reached that stage or a later one, or has ended; see `CommandStatus.end`.
 
         timeout_s: wall time. Raises PeerUnreachable when it runs out.
         """
-        wanted = {CommandStage(stage)} | ENDS
+        wanted = CommandStage(stage)
         deadline = time.monotonic() + timeout_s
-        while not wanted & set(self.stages):
+        while not self.status.has_reached(wanted):
             left = deadline - time.monotonic()
             if left <= 0:
                 raise PeerUnreachable(
-                    f"command {self.command_id}: not {CommandStage(stage).value} within {timeout_s:g} s; "
+                    f"command {self.command_id}: not {wanted.value} within {timeout_s:g} s; "
                     f"it is {self.stages[-1].value if self.stages else 'nowhere'} so far"
                 )
             time.sleep(min(0.1, left))

@@ -17,7 +17,7 @@ from schemas.link import AtEdge, LinkChange
 from schemas.telemetry import EventKind, RoverMode, RoverState
 from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, STATE, TRACK, Side, Topic
 from schemas.wire import Header, decode, encode
-from services.console.cli.command import command_lines, has_come_to
+from services.console.cli.command import command_lines
 from services.field.node import build_node as build_field
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.node import build_node as build_ground
@@ -542,13 +542,13 @@ def test_waiting_for_a_stage_ends_with_it_with_a_later_one_and_with_any_end() ->
     flown = Flown()
     flown.until(RoverMode.DRIVING)
     status = flown.command("pause")
-    assert has_come_to(status, CommandStage.RELEASED)
-    assert not has_come_to(status, CommandStage.RADIATED)
+    assert status.has_reached(CommandStage.RELEASED)
+    assert not status.has_reached(CommandStage.RADIATED)
     flown.simulation.run_for(1000.0)
     seen = flown.status()
     unseen = seen.model_copy(update={"stages": tuple(r for r in seen.stages if r.stage is not CommandStage.RADIATED)})
-    assert has_come_to(unseen, CommandStage.RADIATED)
-    assert has_come_to(unseen, CommandStage.COMPLETED)
+    assert unseen.has_reached(CommandStage.RADIATED)
+    assert unseen.has_reached(CommandStage.COMPLETED)
 
 
 def test_what_became_of_a_command_can_be_read_without_a_log() -> None:

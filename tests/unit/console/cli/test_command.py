@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from he3.errors import He3Error
+from schemas import commands
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
-from services.console.cli.command import fail_if_it_failed, has_come_to
+from services.console.cli.command import fail_if_it_failed
 
 Stage = CommandStage
-ENDS = (Stage.REJECTED, Stage.COMPLETED, Stage.FAILED, Stage.EXPIRED, Stage.LOST)
+ENDS = tuple(stage for stage in Stage if stage in commands.ENDS)
 
 
 def status(*stages: CommandStage) -> CommandStatus:
@@ -25,16 +26,16 @@ def status(*stages: CommandStage) -> CommandStatus:
 @pytest.mark.parametrize("end", ENDS)
 @pytest.mark.parametrize("wanted", list(Stage))
 def test_an_end_of_whatever_kind_ends_the_waiting_for_any_stage(end: CommandStage, wanted: CommandStage) -> None:
-    assert has_come_to(status(Stage.QUEUED, end), wanted)
+    assert status(Stage.QUEUED, end).has_reached(wanted)
 
 
 def test_a_command_under_way_has_come_to_its_stages_and_to_those_that_it_went_past() -> None:
     under_way = status(Stage.QUEUED, Stage.RELEASED, Stage.RECEIVED)
-    assert has_come_to(under_way, Stage.RELEASED)
-    assert has_come_to(under_way, Stage.RADIATED)
-    assert not has_come_to(under_way, Stage.ACCEPTED)
-    assert not any(has_come_to(under_way, end) for end in ENDS)
-    assert not has_come_to(status(), Stage.QUEUED)
+    assert under_way.has_reached(Stage.RELEASED)
+    assert under_way.has_reached(Stage.RADIATED)
+    assert not under_way.has_reached(Stage.ACCEPTED)
+    assert not any(under_way.has_reached(end) for end in ENDS)
+    assert not status().has_reached(Stage.QUEUED)
 
 
 @pytest.mark.parametrize("end", [end for end in ENDS if end is not Stage.COMPLETED])
@@ -54,3 +55,10 @@ def test_a_command_that_ended_as_it_was_waited_for_or_is_under_way_is_no_failure
 def test_a_command_that_completed_while_a_failure_was_waited_for_is_not_what_was_wanted() -> None:
     with pytest.raises(He3Error, match="completed"):
         fail_if_it_failed(status(Stage.QUEUED, Stage.COMPLETED), Stage.FAILED)
+
+
+def test_a_reported_end_counts_before_the_assumption_that_the_command_is_lost() -> None:
+    late = status(Stage.QUEUED, Stage.COMPLETED, Stage.LOST)
+    assert late.end is not None
+    assert late.end.stage is Stage.COMPLETED
+    fail_if_it_failed(late, Stage.COMPLETED)
