@@ -33,6 +33,7 @@ from schemas.wire import Wire, decode
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.scenario import Scenario, load_scenario
+from services.runtime.inputs import MessageArrived
 from services.runtime.journal import JournalReader, identity_of
 from services.runtime.options import parse_setting, with_settings
 from services.runtime.transport.session import Client
@@ -215,8 +216,8 @@ class Mission:
         for path in sorted(self._folder.glob("ground-*.mcap")):
             with path.open("rb") as stream:
                 for _, given in JournalReader(stream, identity, str(path)):
-                    if given.what == "deliver" and given.arguments[0] is SAMPLE:
-                        header, body = decode(SAMPLE, given.arguments[1], self.scenario.name)
+                    if isinstance(given, MessageArrived) and given.topic is SAMPLE:
+                        header, body = decode(SAMPLE, given.payload, self.scenario.name)
                         told = (header.incarnation, header.sequence)
                         reported.setdefault(body.sample_id, set()).add(told)
         return reported

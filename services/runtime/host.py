@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
 
 from schemas.topics import Crosses, Side, Topic
@@ -16,6 +15,17 @@ from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.protocol import CustodyConfig, under_custody
+from services.runtime.inputs import (
+    CheckedQueryArrived,
+    ComputationEnded,
+    Input,
+    MessageArrived,
+    ProcessStarted,
+    QueryArrived,
+    QueryUnanswered,
+    ReplyArrived,
+    TimerElapsed,
+)
 from services.runtime.node import (
     Computed,
     Effect,
@@ -46,17 +56,6 @@ def origin(topic: Topic) -> Side:
     if topic.crosses is Crosses.NEVER:
         return topic.sides[0]
     return Side.EARTH if topic.crosses is Crosses.UP else Side.MOON
-
-
-@dataclass(frozen=True, slots=True)
-class Input:
-    """Something that a driver reports to a host: the name of the host's method and its arguments but the time.
-
-    A value, so that it can be kept in a journal before it is acted on, and handled again after a restart.
-    """
-
-    what: str
-    arguments: tuple[Any, ...]
 
 
 EventSink = Callable[[MissionTime, str, str], None]
@@ -157,16 +156,33 @@ class Host:
 
     # --- what a driver reports ----------------------------------------------------------------------------------
 
-    def take(self, given: Input, now: MissionTime) -> list[Action]:
-        """Actions upon that input: the method that it names, with its arguments and the time."""
-        handle: Callable[..., list[Action]] = getattr(self, given.what)
-        actions = handle(*given.arguments, now)
+    def handle(self, given: Input, now: MissionTime) -> list[Action]:
+        """Actions that follow from the input, in order. `ProcessStarted` is the first input of each start."""
+        match given:
+            case ProcessStarted(incarnation):
+                actions = self._start(incarnation, now)
+            case MessageArrived(topic, payload):
+                actions = self._message(topic, payload, now)
+            case QueryArrived(topic, payload, token):
+                actions = self._query(topic, payload, token, now)
+            case CheckedQueryArrived(topic, request, token):
+                actions = self._checked_query(topic, request, token, now)
+            case ReplyArrived(query, payload):
+                actions = self._reply(query, payload, now)
+            case QueryUnanswered(query, why, detail):
+                actions = self._unanswered(query, why, detail, now)
+            case TimerElapsed(timer):
+                actions = self._timer(timer, now)
+            case ComputationEnded(job, result, error):
+                what = f"computed {job}{' failed' if error else ''}"
+                actions = self._handle(Computed(job, result, error), now, what)
         if self._custody is not None:
             actions += self._custody.timer()
         return actions
 
-    def start(self, incarnation: int, now: MissionTime) -> list[Action]:
-        """Actions of the node's start; to be called once a start, before anything else."""
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _start(self, incarnation: int, now: MissionTime) -> list[Action]:
         self._incarnation = incarnation
         self._sequences = {}
         self._asked = {}
@@ -174,8 +190,8 @@ class Host:
             self._custody.starts(self._mission, incarnation)
         return self._handle(Started(incarnation), now, f"started {incarnation}")
 
-    def deliver(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
-        """Actions upon a message that came; one that is not what its topic asks for is refused and counted."""
+    def _message(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
+        """A message that its topic does not admit is refused and counted."""
         what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}"
         if topic in self._interface.receives_raw:
             return self._handle(ReceivedRaw(topic, payload), now, what)
@@ -193,21 +209,20 @@ class Host:
             actions += self._handle(Received(*delivery), now, what)
         return actions
 
-    def ask(self, topic: Topic, payload: bytes, token: int, now: MissionTime) -> list[Action]:
-        """Actions upon a question put to this node; a bad one is answered with its refusal."""
+    def _query(self, topic: Topic, payload: bytes, token: int, now: MissionTime) -> list[Action]:
+        """A query that its topic does not admit is answered with the refusal."""
         try:
             _, body = decode(topic, payload, self._mission)
         except Refused as refusal:
             return [self.refuse(str(refusal)), ReplyError(token, topic, str(refusal))]
-        return self.ask_checked(topic, body, token, now)
+        return self._checked_query(topic, body, token, now)
 
-    def ask_checked(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
-        """Like `ask`, with a request that was made from selector parameters and is checked already."""
+    def _checked_query(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
         self._asked[token] = topic
         return self._handle(QueryReceived(topic, request, token), now, f"asked {topic.name}")
 
-    def answered(self, query: str, payload: bytes, now: MissionTime) -> list[Action]:
-        """Actions upon the answer to this node's question."""
+    def _reply(self, query: str, payload: bytes, now: MissionTime) -> list[Action]:
+        """A reply that its topic does not admit is a refused query; one to a query that has ended is ignored."""
         put = self._queries.pop(query, None)
         if put is None:
             return []
@@ -221,25 +236,17 @@ class Host:
             ReplyReceived(topic, query, reply), now, f"answered {topic.name} {zlib.crc32(payload):08x} {query}"
         )
 
-    def unanswered(self, query: str, why: NoReply, detail: str, now: MissionTime) -> list[Action]:
-        """Actions upon the news that a question of this node has no answer."""
+    def _unanswered(self, query: str, why: NoReply, detail: str, now: MissionTime) -> list[Action]:
         put = self._queries.pop(query, None)
         if put is None:
             return []
         topic = put.topic
         return self._handle(QueryFailed(topic, query, why, detail), now, f"unanswered {topic.name} {why.name} {query}")
 
-    def due(self, timer: str, now: MissionTime) -> list[Action]:
-        """Actions upon a timer."""
+    def _timer(self, timer: str, now: MissionTime) -> list[Action]:
         if self._custody is not None and timer == CUSTODY_TIMER:
             return self._custody.due(now)
         return self._handle(TimerFired(timer), now, f"due {timer}")
-
-    def computed(self, job: str, result: Any, error: Exception | None, now: MissionTime) -> list[Action]:
-        """Actions upon the end of a computation."""
-        return self._handle(Computed(job, result, error), now, f"computed {job}{' failed' if error else ''}")
-
-    # --- inside -------------------------------------------------------------------------------------------------
 
     def _handle(self, event: Event, now: MissionTime, what: str) -> list[Action]:
         self._events += 1

@@ -32,7 +32,17 @@ from mcap.writer import CompressionType, Writer
 from he3.errors import He3Error, InvalidInput
 from schemas.topics import BY_NAME
 from services.mission.scenario import Scenario
-from services.runtime.host import Input
+from services.runtime.inputs import (
+    CheckedQueryArrived,
+    ComputationEnded,
+    Input,
+    MessageArrived,
+    ProcessStarted,
+    QueryArrived,
+    QueryUnanswered,
+    ReplyArrived,
+    TimerElapsed,
+)
 from services.runtime.node import MissionTime, NoReply
 
 IDENTITY = "he3-journal"
@@ -106,7 +116,7 @@ class JournalWriter:
             sealed = zlib.crc32(data).to_bytes(CRC_BYTES, "little") + data
             self._writer.add_message(channel, now, sealed, now, self._count)
             self._count += 1
-            self._starts += given.what == "start"
+            self._starts += isinstance(given, ProcessStarted)
         self._stream.flush()
 
     def checkpoint(self, state: bytes) -> None:
@@ -143,7 +153,7 @@ class JournalFolder:
                 reader = JournalReader(stream, self._identity, str(path), mark)
                 inputs.extend(reader)
             torn += size - reader.good_bytes
-        starts = sum(1 for _, given in inputs if given.what == "start")
+        starts = sum(1 for _, given in inputs if isinstance(given, ProcessStarted))
         if checkpoint is None:
             return History(tuple(inputs), starts, torn)
         return History(tuple(inputs), checkpoint.starts + starts, torn, checkpoint.state)
@@ -237,23 +247,22 @@ class JournalReader:
 def encode_input(given: Input) -> tuple[str, bytes]:
     """Channel and bytes of an input; messages are kept exactly as they came."""
     match given:
-        case Input("deliver", (topic, payload)):
-            return f"deliver/{topic.name}", payload
-        case Input("ask", (topic, payload, token)):
-            return f"ask/{topic.name}", b"%d\n" % token + payload
-        case Input("ask_checked", (topic, request, token)):
-            return f"ask_checked/{topic.name}", b"%d\n" % token + request.model_dump_json().encode()
-        case Input("answered", (query, payload)):
-            return "answered", query.encode() + b"\n" + payload
-        case Input("unanswered", (query, why, detail)):
-            return "unanswered", json.dumps([query, why.name, detail]).encode()
-        case Input("computed", (job, result, error)):
-            return "computed", job.encode() + b"\n" + pickle.dumps((result, error))
-        case Input("due", (timer,)):
-            return "due", timer.encode()
-        case Input("start", (incarnation,)):
+        case ProcessStarted(incarnation):
             return "start", b"%d" % incarnation
-    raise InvalidInput(f"expected an input that a journal knows, got {given.what}")
+        case MessageArrived(topic, payload):
+            return f"message/{topic.name}", payload
+        case QueryArrived(topic, payload, token):
+            return f"query/{topic.name}", b"%d\n" % token + payload
+        case CheckedQueryArrived(topic, request, token):
+            return f"checked_query/{topic.name}", b"%d\n" % token + request.model_dump_json().encode()
+        case ReplyArrived(query, payload):
+            return "reply", query.encode() + b"\n" + payload
+        case QueryUnanswered(query, why, detail):
+            return "unanswered", json.dumps([query, why.name, detail]).encode()
+        case TimerElapsed(timer):
+            return "timer", timer.encode()
+        case ComputationEnded(job, result, error):
+            return "computation", job.encode() + b"\n" + pickle.dumps((result, error))
 
 
 def decode_input(channel: str, data: bytes) -> Input:
@@ -261,24 +270,24 @@ def decode_input(channel: str, data: bytes) -> Input:
     what, _, name = channel.partition("/")
     head, _, rest = data.partition(b"\n")
     match what:
-        case "deliver":
-            return Input(what, (BY_NAME[name], data))
-        case "ask":
-            return Input(what, (BY_NAME[name], rest, int(head)))
-        case "ask_checked":
-            return Input(what, (BY_NAME[name], BY_NAME[name].payload.model_validate_json(rest), int(head)))
-        case "answered":
-            return Input(what, (head.decode(), rest))
+        case "start":
+            return ProcessStarted(int(data))
+        case "message":
+            return MessageArrived(BY_NAME[name], data)
+        case "query":
+            return QueryArrived(BY_NAME[name], rest, int(head))
+        case "checked_query":
+            return CheckedQueryArrived(BY_NAME[name], BY_NAME[name].payload.model_validate_json(rest), int(head))
+        case "reply":
+            return ReplyArrived(head.decode(), rest)
         case "unanswered":
             query, why, detail = json.loads(data)
-            return Input(what, (query, NoReply[why], detail))
-        case "computed":
+            return QueryUnanswered(query, NoReply[why], detail)
+        case "timer":
+            return TimerElapsed(data.decode())
+        case "computation":
             outcome: tuple[Any, Any] = pickle.loads(rest)
-            return Input(what, (head.decode(), *outcome))
-        case "due":
-            return Input(what, (data.decode(),))
-        case "start":
-            return Input(what, (int(data),))
+            return ComputationEnded(head.decode(), *outcome)
     raise JournalDamaged(f"expected a record of a journal, got one of channel '{channel}'")
 
 

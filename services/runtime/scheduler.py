@@ -15,7 +15,8 @@ from enum import IntEnum
 from typing import Any, Final, Protocol
 
 from services.runtime.actions import Action, PutQuery
-from services.runtime.host import Host, Input
+from services.runtime.host import Host
+from services.runtime.inputs import ComputationEnded, Input, TimerElapsed
 from services.runtime.node import Compute, Finish, MissionTime, PublishSnapshot, SetTimer, seconds
 
 CHECKPOINT_EVERY: Final = 300
@@ -141,7 +142,7 @@ class NodeScheduler:
         self.last = now
         outward: list[Action] = []
         for given in batch:
-            outward.extend(action for action in self.host.take(given, now) if not self._performed(action, now))
+            outward.extend(action for action in self.host.handle(given, now) if not self._performed(action, now))
         if self._journal is not None and batch:
             self._keep_state(batch)
         return outward
@@ -149,7 +150,7 @@ class NodeScheduler:
     def _keep_state(self, batch: Sequence[Input]) -> None:
         """A checkpoint now and then, and after each result: what computing led to takes longest to handle again."""
         self._since_checkpoint += len(batch)
-        if self._since_checkpoint >= CHECKPOINT_EVERY or any(given.what == "computed" for given in batch):
+        if self._since_checkpoint >= CHECKPOINT_EVERY or any(isinstance(given, ComputationEnded) for given in batch):
             assert self._journal is not None, "only who keeps a journal keeps checkpoints"
             self._journal.checkpoint(self.state())
             self._since_checkpoint = 0
@@ -174,11 +175,12 @@ class NodeScheduler:
             self._heap = sorted((at, timer) for timer, at in self._timers.items())
         for now, given in kept:
             self.last = now
-            if given.what == "due":
-                self._timers.pop(given.arguments[0], None)
-            elif given.what == "computed":
-                begun.pop(given.arguments[0], None)
-            for action in self.host.take(given, now):
+            match given:
+                case TimerElapsed(timer):
+                    self._timers.pop(timer, None)
+                case ComputationEnded(job):
+                    begun.pop(job, None)
+            for action in self.host.handle(given, now):
                 match action:
                     case Compute(job, takes_s=takes_s):
                         begun[job] = (now + seconds(takes_s), action)
@@ -197,14 +199,14 @@ class NodeScheduler:
             if error is not None and not isinstance(error, Exception):
                 raise error
             result = None if error is not None else each.future.result()
-            self._inbox.append(((Kind.RESULT, each.job, number), Input("computed", (each.job, result, error))))
+            self._inbox.append(((Kind.RESULT, each.job, number), ComputationEnded(each.job, result, error)))
 
     def _collect_timers(self, now: MissionTime) -> None:
         while self._heap and self._heap[0][0] <= now:
             at, timer = heapq.heappop(self._heap)
             if self._timers.get(timer) == at:
                 del self._timers[timer]
-                self._inbox.append(((Kind.TIMER, timer, 0), Input("due", (timer,))))
+                self._inbox.append(((Kind.TIMER, timer, 0), TimerElapsed(timer)))
 
     def _performed(self, action: Action, now: MissionTime) -> bool:
         match action:

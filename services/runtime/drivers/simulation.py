@@ -19,7 +19,8 @@ from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire, decode_reply, encode
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import custody_config
-from services.runtime.host import EventSink, Host, Input
+from services.runtime.host import EventSink, Host
+from services.runtime.inputs import Input, MessageArrived, ProcessStarted, QueryArrived, QueryUnanswered, ReplyArrived
 from services.runtime.journal import JournalReader, JournalWriter, Mark
 from services.runtime.node import SECOND, Finish, Level, LogRecord, MissionTime, Node, NoReply, PublishSnapshot, seconds
 from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
@@ -107,7 +108,7 @@ class Simulation:
             journal = SimulatedJournal(identity)
             self._journals[name] = [journal]
             self._schedulers[name] = NodeScheduler(self._schedulers[name].host, self._executor, journal)
-            self._schedulers[name].put((Kind.MESSAGE, NOBODY, 0), Input("start", (1,)))
+            self._schedulers[name].put((Kind.MESSAGE, NOBODY, 0), ProcessStarted(1))
 
     def alive(self, name: str) -> bool:
         """Whether that node's process runs."""
@@ -171,7 +172,7 @@ class Simulation:
         starts = self._starts.get(scheduler.name, 0) + 1
         self._starts[scheduler.name] = starts
         self._schedulers[scheduler.name] = scheduler
-        scheduler.put((Kind.MESSAGE, NOBODY, 0), Input("start", (starts,)))
+        scheduler.put((Kind.MESSAGE, NOBODY, 0), ProcessStarted(starts))
 
     # --- the outside world --------------------------------------------------------------------------------------
 
@@ -256,12 +257,12 @@ class Simulation:
             tap(action.topic, action.side, action.payload, self.now)
         for name, scheduler in self._schedulers.items():
             if name != sender and scheduler.host.hears(action.topic, action.side):
-                scheduler.put((Kind.MESSAGE, sender, emission), Input("deliver", (action.topic, action.payload)))
+                scheduler.put((Kind.MESSAGE, sender, emission), MessageArrived(action.topic, action.payload))
 
     def _route_question(self, topic: Topic, side: Side, payload: bytes, token: int, asker: str) -> None:
         for scheduler in self._schedulers.values():
             if (topic, side) in scheduler.host.served_topics():
-                scheduler.put((Kind.QUESTION, asker, token), Input("ask", (topic, payload, token)))
+                scheduler.put((Kind.QUESTION, asker, token), QueryArrived(topic, payload, token))
                 self._served_by[token] = scheduler.name
                 return
         self._answer(NOBODY, token, NoReply.NO_ROUTE)
@@ -278,11 +279,11 @@ class Simulation:
         order = (Kind.ANSWER, answerer, token)
         match answer:
             case bytes():
-                scheduler.put(order, Input("answered", (query, answer)))
+                scheduler.put(order, ReplyArrived(query, answer))
             case NoReply():
-                scheduler.put(order, Input("unanswered", (query, answer, "")))
+                scheduler.put(order, QueryUnanswered(query, answer, ""))
             case _:
-                scheduler.put(order, Input("unanswered", (query, NoReply.REFUSED, answer)))
+                scheduler.put(order, QueryUnanswered(query, NoReply.REFUSED, answer))
 
 
 class _Idle:

@@ -26,7 +26,16 @@ from services.runtime.clock import mission_time, newer, wall_time
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.event_log import EventLog
 from services.runtime.heartbeat import Heartbeat
-from services.runtime.host import Host, Input
+from services.runtime.host import Host
+from services.runtime.inputs import (
+    CheckedQueryArrived,
+    Input,
+    MessageArrived,
+    ProcessStarted,
+    QueryArrived,
+    QueryUnanswered,
+    ReplyArrived,
+)
 from services.runtime.journal import JournalFolder, identity_of
 from services.runtime.lockstep.stamp import read_stamp
 from services.runtime.log import Log
@@ -214,7 +223,7 @@ class Process:
 
     def _loop(self) -> None:
         now = self._now()
-        self.scheduler.put((Kind.MESSAGE, "", 0), Input("start", (self._incarnation,)))
+        self.scheduler.put((Kind.MESSAGE, "", 0), ProcessStarted(self._incarnation))
         self.perform_all(self._resume)
         self._run_seat(now)
         while not self.stop.event.is_set():
@@ -290,7 +299,7 @@ class Process:
         self.stop.inbox.put(take_in)
 
     def _came(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
-        self.later(partial(self._take_message, Input("deliver", (topic, payload)), attachment))
+        self.later(partial(self._take_message, MessageArrived(topic, payload), attachment))
 
     def _take_message(self, given: Input, attachment: bytes) -> None:
         stamp = read_stamp(attachment)
@@ -303,9 +312,9 @@ class Process:
 
     def _answer_came(self, query: str, answer: bytes | NoReply, detail: str, _attachment: bytes) -> None:
         if isinstance(answer, bytes):
-            self.later(partial(self._put, Kind.QUESTION, Input("answered", (query, answer))))
+            self.later(partial(self._put, Kind.QUESTION, ReplyArrived(query, answer)))
         else:
-            self.later(partial(self._put, Kind.QUESTION, Input("unanswered", (query, answer, detail))))
+            self.later(partial(self._put, Kind.QUESTION, QueryUnanswered(query, answer, detail)))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
 
@@ -319,7 +328,7 @@ class Process:
         self._tokens[token] = query
         payload = query.payload
         if payload is not None:
-            self._put(Kind.QUESTION, Input("ask", (topic, payload, token)))
+            self._put(Kind.QUESTION, QueryArrived(topic, payload, token))
             return
         try:
             request: Wire = request_from_selector(topic, query.parameters)
@@ -327,7 +336,7 @@ class Process:
             self._tokens.pop(token).refuse(str(error))
             self.refused(str(error))
             return
-        self._put(Kind.QUESTION, Input("ask_checked", (topic, request, token)))
+        self._put(Kind.QUESTION, CheckedQueryArrived(topic, request, token))
 
     def set_clock(self, side: Side, payload: bytes | NoReply) -> None:
         if isinstance(payload, NoReply):

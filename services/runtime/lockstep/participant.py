@@ -13,7 +13,7 @@ from typing import Protocol
 
 from schemas.lockstep import Grant, Join, Joined, StepDone
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
-from services.runtime.host import Input
+from services.runtime.inputs import Input, ProcessStarted
 from services.runtime.lockstep.stamp import Stamp
 from services.runtime.node import Finish, MissionTime
 from services.runtime.scheduler import Kind, NodeScheduler
@@ -111,7 +111,7 @@ class Participant:
 
     def start(self, incarnation: int) -> None:
         """Let the node begin, in the first step that is granted."""
-        self.scheduler.put((Kind.MESSAGE, OUTSIDE, 0), Input("start", (incarnation,)))
+        self.scheduler.put((Kind.MESSAGE, OUTSIDE, 0), ProcessStarted(incarnation))
 
     # --- what reaches it ----------------------------------------------------------------------------------------
 

@@ -16,7 +16,14 @@ from schemas.topics import Side, Topic, addressed, counted
 from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.drivers.wall_clock import CLOCKS, IDLE_S, Process, Service, Stop
-from services.runtime.host import Input
+from services.runtime.inputs import (
+    CheckedQueryArrived,
+    Input,
+    MessageArrived,
+    QueryArrived,
+    QueryUnanswered,
+    ReplyArrived,
+)
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp, read_stamp
 from services.runtime.node import NoReply
@@ -240,16 +247,15 @@ class LockstepProcess(Process):
     # --- what comes in, in other threads ------------------------------------------------------------------------
 
     def _came(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
-        self.later(partial(self._take, Input("deliver", (topic, payload)), attachment))
+        self.later(partial(self._take, MessageArrived(topic, payload), attachment))
 
     def _asked(self, topic: Topic, query: IncomingQuery) -> None:
         self.later(partial(self._take_question, topic, query))
 
     def _answer_came_in(self, name: str, asked: Stamp, answer: bytes | NoReply, detail: str, attachment: bytes) -> None:
-        if isinstance(answer, bytes):
-            given = Input("answered", (name, answer))
-        else:
-            given = Input("unanswered", (name, answer, detail))
+        given: Input = (
+            QueryUnanswered(name, answer, detail) if isinstance(answer, NoReply) else ReplyArrived(name, answer)
+        )
         self.later(partial(self._take_answer, given, asked, attachment))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
@@ -272,10 +278,10 @@ class LockstepProcess(Process):
         token = self._counter
         payload = query.payload
         if payload is not None:
-            given = Input("ask", (topic, payload, token))
+            given: Input = QueryArrived(topic, payload, token)
         else:
             try:
-                given = Input("ask_checked", (topic, request_from_selector(topic, query.parameters), token))
+                given = CheckedQueryArrived(topic, request_from_selector(topic, query.parameters), token)
             except He3Error as error:
                 query.refuse(str(error))
                 return

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from schemas.lockstep import Grant, Joined, StepDone
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.drivers.simulation import Simulation
-from services.runtime.host import Host, Input
+from services.runtime.host import Host
+from services.runtime.inputs import Input, MessageArrived, QueryArrived, QueryUnanswered, ReplyArrived
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp, read_stamp
 from services.runtime.lockstep.time_manager import TimeManager
@@ -140,7 +141,7 @@ class Network:
         self.later(arrive)
 
     def silence(self, asker: Participant, query: PutQuery, asked: Stamp) -> None:
-        given = Input("unanswered", (query.query, NoReply.NO_ROUTE, ""))
+        given = QueryUnanswered(query.query, NoReply.NO_ROUTE, "")
         self.to(asker, lambda: asker.take_answer(given, asked, None))
 
     def run(self, fault: Callable[[], None] = lambda: None) -> None:
@@ -194,7 +195,7 @@ class Carrier:
 
     def publish(self, action: Publish, stamp: Stamp) -> None:
         came = read_stamp(stamp.encode())
-        given = Input("deliver", (action.topic, action.payload))
+        given = MessageArrived(action.topic, action.payload)
         for part in self._network.parts.values():
             if part.scheduler.host.hears(action.topic, action.side):  # the sender too: some transports echo
                 self._network.to(part, lambda part=part: part.take_message(given, came))
@@ -209,7 +210,7 @@ class Carrier:
             return
         token = next(_TOKENS)
         network.queries[token] = (self._sender, server.process, action, stamp)
-        given = Input("ask", (action.topic, action.payload, token))
+        given = QueryArrived(action.topic, action.payload, token)
         network.to(server, lambda: server.take_question(given, token, stamp))
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
@@ -217,9 +218,9 @@ class Carrier:
             return  # asked through a router that is gone
         asker, _, query, asked = self._network.queries.pop(action.token)
         if isinstance(action, Reply):
-            given = Input("answered", (query.query, action.payload))
+            given = ReplyArrived(query.query, action.payload)
         else:
-            given = Input("unanswered", (query.query, NoReply.REFUSED, action.why))
+            given = QueryUnanswered(query.query, NoReply.REFUSED, action.why)
         self._network.to(asker, lambda: asker.take_answer(given, asked, stamp))
 
     def perform(self, action: Action) -> None:

@@ -26,7 +26,16 @@ from schemas.topics import (
 )
 from schemas.wire import Header, decode, encode
 from services.runtime.actions import Publish, PutQuery, Reply, ReplyError
-from services.runtime.host import Host, Input, origin
+from services.runtime.host import Host, origin
+from services.runtime.inputs import (
+    CheckedQueryArrived,
+    MessageArrived,
+    ProcessStarted,
+    QueryArrived,
+    QueryUnanswered,
+    ReplyArrived,
+    TimerElapsed,
+)
 from services.runtime.node import (
     Event,
     Interface,
@@ -71,7 +80,7 @@ class Scripted:
 def hosted(**interface: object) -> tuple[Scripted, Host]:
     node = Scripted(**interface)
     host = Host(node, "short")
-    host.start(3, 10)
+    host.handle(ProcessStarted(3), 10)
     node.seen.clear()
     return node, host
 
@@ -86,7 +95,7 @@ PAUSE = Telecommand(command_id="c1", kind=CommandKind.PAUSE)
 def test_what_a_node_sends_is_stamped_and_counted_by_topic():
     node, host = hosted()
     node.next = [Send(STATE, STATE_NOW), Send(STATE, STATE_NOW), Send(SAMPLE, STATE_NOW)]
-    published = host.take(Input("due", ("t",)), 99)
+    published = host.handle(TimerElapsed("t"), 99)
     headers = [decode(STATE, action.payload, "short")[0] for action in published if isinstance(action, Publish)]
     assert [(h.source, h.incarnation, h.sequence, h.made_at) for h in headers] == [
         ("rover", 3, 0, 99),
@@ -99,9 +108,9 @@ def test_what_a_node_sends_is_stamped_and_counted_by_topic():
 def test_a_new_start_counts_from_nothing_under_its_own_incarnation():
     node, host = hosted()
     node.next = [Send(STATE, STATE_NOW)]
-    host.due("t", 11)
+    host.handle(TimerElapsed("t"), 11)
     node.next = [Send(STATE, STATE_NOW)]
-    (published,) = host.start(4, 12)
+    (published,) = host.handle(ProcessStarted(4), 12)
     header = decode(STATE, published.payload, "short")[0]
     assert (header.incarnation, header.sequence) == (4, 0)
     assert node.seen[-1] == Started(4)
@@ -110,7 +119,7 @@ def test_a_new_start_counts_from_nothing_under_its_own_incarnation():
 
 def test_a_message_is_checked_and_handed_up():
     node, host = hosted(subscribes=(COMMAND,))
-    assert host.deliver(COMMAND, message(COMMAND, PAUSE), 20) == []
+    assert host.handle(MessageArrived(COMMAND, message(COMMAND, PAUSE)), 20) == []
     (event,) = node.seen
     assert isinstance(event, Received)
     assert (event.topic, event.body) == (COMMAND, PAUSE)
@@ -121,7 +130,7 @@ def test_a_message_is_checked_and_handed_up():
 @pytest.mark.parametrize("payload", [b"", b"{}", message(COMMAND, PAUSE, mission="other")])
 def test_a_bad_message_never_reaches_the_node_and_is_counted(payload):
     node, host = hosted(subscribes=(COMMAND,))
-    (note,) = host.deliver(COMMAND, payload, 20)
+    (note,) = host.handle(MessageArrived(COMMAND, payload), 20)
     assert isinstance(note, LogRecord)
     assert (note.level, note.fields) == (Level.WARNING, {"refused": 1})
     assert note.text.startswith("refused: he3/short/tc/command: ")
@@ -130,7 +139,7 @@ def test_a_bad_message_never_reaches_the_node_and_is_counted(payload):
 
 def test_an_overheard_message_is_handed_up_unread():
     node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), receives_raw=(COMMAND,))
-    host.deliver(COMMAND, b"\xff sealed", 20)
+    host.handle(MessageArrived(COMMAND, b"\xff sealed"), 20)
     assert node.seen == [ReceivedRaw(COMMAND, b"\xff sealed")]
     assert host.refused == 0
 
@@ -138,26 +147,26 @@ def test_an_overheard_message_is_handed_up_unread():
 def test_a_question_of_the_node_is_put_and_its_answer_comes_back_checked_once():
     node, host = hosted()
     node.next = [SendQuery(MEASURE, MEASUREMENT, "q1", 5.0)]
-    (put,) = host.due("t", 20)
+    (put,) = host.handle(TimerElapsed("t"), 20)
     assert isinstance(put, PutQuery)
     assert (put.topic, put.side, put.query, put.timeout_s) == (MEASURE, Side.MOON, "q1", 5.0)
     assert decode(MEASURE, put.payload, "short")[1] == MEASUREMENT
     assert host.open_questions() == [put]
     reply = MeasurementReply(sample_id="s1", x_m=1.0, y_m=2.0, helium3_ppb=8.0, noise_std_ppb=0.1)
-    host.answered("q1", message(MEASURE, reply), 21)
+    host.handle(ReplyArrived("q1", message(MEASURE, reply)), 21)
     assert node.seen[-1] == ReplyReceived(MEASURE, "q1", reply)
     assert host.open_questions() == []
     seen = len(node.seen)
-    assert host.answered("q1", message(MEASURE, reply), 22) == []
-    assert host.unanswered("q1", NoReply.TIMEOUT, "", 23) == []
+    assert host.handle(ReplyArrived("q1", message(MEASURE, reply)), 22) == []
+    assert host.handle(QueryUnanswered("q1", NoReply.TIMEOUT, ""), 23) == []
     assert len(node.seen) == seen, "an answer that comes twice is taken once"
 
 
 def test_a_bad_answer_is_no_answer_and_is_counted():
     node, host = hosted()
     node.next = [SendQuery(MEASURE, MEASUREMENT, "q1")]
-    host.due("t", 20)
-    actions = host.answered("q1", b"rubbish", 21)
+    host.handle(TimerElapsed("t"), 20)
+    actions = host.handle(ReplyArrived("q1", b"rubbish"), 21)
     assert isinstance(actions[0], LogRecord)
     event = node.seen[-1]
     assert isinstance(event, QueryFailed)
@@ -168,15 +177,15 @@ def test_a_bad_answer_is_no_answer_and_is_counted():
 def test_silence_is_handed_up_with_its_reason():
     node, host = hosted()
     node.next = [SendQuery(MEASURE, MEASUREMENT, "q1")]
-    host.due("t", 20)
-    host.unanswered("q1", NoReply.NO_ROUTE, "", 21)
+    host.handle(TimerElapsed("t"), 20)
+    host.handle(QueryUnanswered("q1", NoReply.NO_ROUTE, ""), 21)
     assert node.seen[-1] == QueryFailed(MEASURE, "q1", NoReply.NO_ROUTE, "")
 
 
 def test_whoever_asks_is_answered_once_and_by_name_of_his_question():
     node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
     node.next = [SendReply(7, STATE_NOW), SendReply(7, STATE_NOW), RefuseQuery(7, "again")]
-    (reply,) = host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7, 20)
+    (reply,) = host.handle(QueryArrived(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7), 20)
     assert isinstance(reply, Reply)
     assert (reply.token, reply.topic) == (7, LIST_COMMANDS)
     assert node.seen == [QueryReceived(LIST_COMMANDS, NoParameters(), 7)]
@@ -184,23 +193,23 @@ def test_whoever_asks_is_answered_once_and_by_name_of_his_question():
 
 def test_a_question_may_be_answered_later_but_not_after_a_new_start():
     node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
-    host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7, 20)
-    host.ask(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 8, 20)
+    host.handle(QueryArrived(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7), 20)
+    host.handle(QueryArrived(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 8), 20)
     node.next = [RefuseQuery(7, "not now")]
-    assert host.due("t", 21) == [ReplyError(7, LIST_COMMANDS, "not now")]
-    host.start(4, 22)
+    assert host.handle(TimerElapsed("t"), 21) == [ReplyError(7, LIST_COMMANDS, "not now")]
+    host.handle(ProcessStarted(4), 22)
     node.next = [SendReply(8, STATE_NOW)]
-    assert host.due("t", 23) == []
+    assert host.handle(TimerElapsed("t"), 23) == []
 
 
 def test_a_bad_question_is_answered_with_its_refusal_and_counted():
     node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), serves=(LINK_SET,))
-    note, reply = host.ask(LINK_SET, b"nonsense", 7, 20)
+    note, reply = host.handle(QueryArrived(LINK_SET, b"nonsense", 7), 20)
     assert isinstance(note, LogRecord)
     assert isinstance(reply, ReplyError)
     assert (reply.token, host.refused, node.seen) == (7, 1, [])
     assert "expected" in reply.why or "invalid" in reply.why
-    host.ask_checked(LINK_SET, LinkChange(), 8, 20)
+    host.handle(CheckedQueryArrived(LINK_SET, LinkChange(), 8), 20)
     assert node.seen == [QueryReceived(LINK_SET, LinkChange(), 8)]
 
 
@@ -208,7 +217,7 @@ def test_timers_and_notes_pass_through():
     node, host = hosted()
     note, wake = LogRecord(Level.INFO, "so"), SetTimer("t", 50)
     node.next = [note, wake]
-    assert host.due("t", 40) == [note, wake]
+    assert host.handle(TimerElapsed("t"), 40) == [note, wake]
     assert node.seen == [TimerFired("t")]
 
 
@@ -239,9 +248,9 @@ def test_who_takes_custody_hears_the_acknowledgements_of_the_other_side_too():
 def test_every_event_leaves_a_line_in_the_trace():
     lines: list[tuple[int, str, str]] = []
     host = Host(Scripted(subscribes=(COMMAND,)), "short", lambda *line: lines.append(line))
-    host.start(1, 10)
-    host.deliver(COMMAND, message(COMMAND, PAUSE), 20)
-    host.due("look", 30)
+    host.handle(ProcessStarted(1), 10)
+    host.handle(MessageArrived(COMMAND, message(COMMAND, PAUSE)), 20)
+    host.handle(TimerElapsed("look"), 30)
     assert [(at, name, what.split()[0]) for at, name, what in lines] == [
         (10, "rover", "started"),
         (20, "rover", "received"),

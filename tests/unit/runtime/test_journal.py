@@ -15,7 +15,17 @@ from schemas.link import LinkChange
 from schemas.topics import BY_NAME, LINK_SET, SAMPLE, Topic, addressed
 from services.runtime import journal as journals
 from services.runtime.drivers.simulation import SimulatedJournal
-from services.runtime.host import Input
+from services.runtime.inputs import (
+    CheckedQueryArrived,
+    ComputationEnded,
+    Input,
+    MessageArrived,
+    ProcessStarted,
+    QueryArrived,
+    QueryUnanswered,
+    ReplyArrived,
+    TimerElapsed,
+)
 from services.runtime.journal import (
     JournalDamaged,
     JournalFolder,
@@ -33,14 +43,14 @@ WHO = {"mission": "m", "scenario": "s"}
 def inputs(count: int) -> list[tuple[int, Input]]:
     """Inputs of every kind, in turn."""
     kinds = [
-        Input("deliver", (SAMPLE, b'{"a": "b"}' * 7)),
-        Input("due", ("step",)),
-        Input("ask", (LINK_SET, b"{}", 7)),
-        Input("ask_checked", (LINK_SET, LinkChange(loss=0.5), 9)),
-        Input("answered", ("who", b"bytes\nof all sorts \x00\xff")),
-        Input("unanswered", ("who", NoReply.TIMEOUT, "too late")),
-        Input("computed", ("plan:1", (1, "two"), None)),
-        Input("start", (3,)),
+        MessageArrived(SAMPLE, b'{"a": "b"}' * 7),
+        TimerElapsed("step"),
+        QueryArrived(LINK_SET, b"{}", 7),
+        CheckedQueryArrived(LINK_SET, LinkChange(loss=0.5), 9),
+        ReplyArrived("who", b"bytes\nof all sorts \x00\xff"),
+        QueryUnanswered("who", NoReply.TIMEOUT, "too late"),
+        ComputationEnded("plan:1", (1, "two"), None),
+        ProcessStarted(3),
     ]
     return [(1000 + number, kinds[number % len(kinds)]) for number in range(count)]
 
@@ -63,7 +73,7 @@ def same(some: Any, others: Any) -> bool:
     return [(now, encode_input(given)) for now, given in some] == [(now, encode_input(given)) for now, given in others]
 
 
-@pytest.mark.parametrize("given", [given for _, given in inputs(8)], ids=lambda given: given.what)
+@pytest.mark.parametrize("given", [given for _, given in inputs(8)], ids=lambda given: type(given).__name__)
 def test_every_kind_of_input_comes_back_as_it_was(given: Input) -> None:
     back = decode_input(*encode_input(given))
 
@@ -103,12 +113,12 @@ def test_the_next_start_writes_a_file_of_its_own_behind_a_torn_one(tmp_path: Pat
     path.write_bytes(path.read_bytes()[:-3])
     folder = JournalFolder(tmp_path, "rover", WHO)
     writer = folder.begin()
-    writer.append(5000, [Input("due", ("later",))])
+    writer.append(5000, [TimerElapsed("later")])
     ended(writer)
     history = folder.history()
 
     assert same(history.inputs[:19], inputs(19))
-    assert history.inputs[19:] == ((5000, Input("due", ("later",))),)
+    assert history.inputs[19:] == ((5000, TimerElapsed("later")),)
     assert history.torn_bytes > 0
 
 
@@ -135,7 +145,7 @@ def checkpointed(path: Path, before: int, after: int, *, starts: int = 1) -> Jou
     folder = JournalFolder(path, "rover", WHO)
     for number in range(1, starts + 1):
         writer = folder.begin(folder.history())
-        writer.append(number, [Input("start", (number,))])
+        writer.append(number, [ProcessStarted(number)])
         if number < starts:
             ended(writer)
     for now, given in inputs(before):
@@ -156,23 +166,23 @@ def test_after_a_checkpoint_only_later_inputs_are_read_and_no_start_is_forgotten
     assert history.starts == 3
 
     writer = folder.begin(history)
-    writer.append(9, [Input("start", (4,))])
+    writer.append(9, [ProcessStarted(4)])
     ended(writer)
     assert folder.history().starts == 4
-    assert same(folder.history().inputs, [*inputs(5), (9, Input("start", (4,)))])
+    assert same(folder.history().inputs, [*inputs(5), (9, ProcessStarted(4))])
 
 
 def test_a_later_checkpoint_takes_the_place_of_an_earlier_one(tmp_path: Path) -> None:
     folder = checkpointed(tmp_path, before=7, after=5)
     writer = folder.begin(folder.history())
-    writer.append(50, [Input("start", (2,)), Input("due", ("a",))])
+    writer.append(50, [ProcessStarted(2), TimerElapsed("a")])
     writer.checkpoint(b"a later state")
-    writer.append(60, [Input("due", ("b",))])
+    writer.append(60, [TimerElapsed("b")])
     ended(writer)
 
     history = folder.history()
     assert history.state == b"a later state"
-    assert history.inputs == ((60, Input("due", ("b",))),)
+    assert history.inputs == ((60, TimerElapsed("b")),)
     assert history.starts == 2
 
 
@@ -183,7 +193,7 @@ def test_a_checkpoint_that_cannot_be_trusted_is_passed_over(
     folder = checkpointed(tmp_path, before=7, after=5)
     checkpoint, file = tmp_path / "rover.checkpoint", tmp_path / "rover-0001.mcap"
     content = checkpoint.read_bytes()
-    expected = [(1, Input("start", (1,))), *inputs(7), *inputs(5)]
+    expected = [(1, ProcessStarted(1)), *inputs(7), *inputs(5)]
     match spoil:
         case "cut":
             checkpoint.write_bytes(content[:-1])
@@ -223,7 +233,7 @@ def test_a_seat_restored_from_its_checkpoint_goes_on_where_it_was() -> None:
 
     journal = SimulatedJournal(WHO)
     scheduler = NodeScheduler(Host(Counting(), "m"), InlineExecutor(), journal)
-    scheduler.put((0, "", 0), Input("start", (1,)))  # type: ignore[arg-type]
+    scheduler.put((0, "", 0), ProcessStarted(1))  # type: ignore[arg-type]
     scheduler.run(0)
     while (wake := scheduler.next_wake()) is not None and scheduler.host._node.count < CHECKPOINT_EVERY + 50:  # type: ignore[attr-defined]
         scheduler.run(wake)

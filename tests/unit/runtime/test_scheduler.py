@@ -11,7 +11,8 @@ from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, MEASURE, Side
 from schemas.wire import Header, encode
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
-from services.runtime.host import Host, Input
+from services.runtime.host import Host
+from services.runtime.inputs import Input, MessageArrived, ProcessStarted, QueryUnanswered
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp
 from services.runtime.node import (
@@ -74,9 +75,7 @@ class Carrier:
 
 def message(number: int, source: str = "field") -> Input:
     header = Header(mission="m", source=source, incarnation=1, sequence=number, made_at=0)
-    return Input(
-        "deliver", (EVENT, encode(header, RoverEvent(kind=EventKind.PARKED, at=0, x_m=0, y_m=0, round=number)))
-    )
+    return MessageArrived(EVENT, encode(header, RoverEvent(kind=EventKind.PARKED, at=0, x_m=0, y_m=0, round=number)))
 
 
 def scheduler_of(node: Scripted, executor: object = None) -> NodeScheduler:
@@ -106,7 +105,7 @@ def test_messages_come_before_questions_answers_results_and_timers_and_by_sender
         )
     )
     scheduler = scheduler_of(node)
-    scheduler.put((Kind.MESSAGE, "", 0), Input("start", (1,)))
+    scheduler.put((Kind.MESSAGE, "", 0), ProcessStarted(1))
     scheduler.run(5)
     inputs = [((Kind.MESSAGE, who, number), message(number, who)) for who in ("a", "b") for number in (1, 2)]
     Random(1).shuffle(inputs)
@@ -201,7 +200,7 @@ def test_silence_counts_in_the_step_of_the_question_or_asks_for_a_poke() -> None
     asked = Stamp("rover", "rover.1", 9, 4, 100)
     granted(part, 5, 100, rover=1)
     assert not part.ready()
-    assert part.take_answer(Input("unanswered", ("q", NoReply.NO_ROUTE, "")), asked, None)
+    assert part.take_answer(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
     assert part.ready()
 
 
@@ -258,6 +257,6 @@ def test_an_unanswered_question_reaches_the_node_once() -> None:
     asked = carrier.sent[0][1]
     assert asked is not None
     for _ in range(2):
-        part.take_answer(Input("unanswered", ("q", NoReply.NO_ROUTE, "")), asked, None)
+        part.take_answer(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
     granted(part, 2, 100, rover=1).act(carrier)
     assert [type(event) for _, event in node.seen] == [Started, QueryFailed]
