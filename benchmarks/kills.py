@@ -36,7 +36,7 @@ from services.mission.scenario import Scenario, load_scenario
 from services.runtime.inputs import MessageArrived
 from services.runtime.journal import JournalReader, identity_of
 from services.runtime.options import parse_setting, with_settings
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 VICTIMS = ("rover", "ground", "link", "field")

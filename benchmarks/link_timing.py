@@ -42,7 +42,8 @@ from services.mission.deployment import find_scenario
 from services.mission.scenario import load_scenario
 from services.runtime.clock import mission_time
 from services.runtime.node import SECOND
-from services.runtime.transport.session import Client, Session, open_session
+from services.runtime.transport.client import Client
+from services.runtime.transport.session import Session, open_session
 
 Row = dict[str, Any]
 T = TypeVar("T")

@@ -33,7 +33,7 @@ from services.mission.in_process import InProcessMission
 from services.runtime.event_log import EventLog, merge_event_logs
 from services.runtime.node import SECOND
 from services.runtime.scheduler import Executor
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 Row = dict[str, Any]
 

@@ -28,7 +28,8 @@ from services.console.client.mission_client import MissionClient
 from services.console.client.session import join_when_up
 from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
 from services.mission.deployment import deployment
-from services.runtime.transport.session import open_session, selector_text
+from services.runtime.transport.client import selector_text
+from services.runtime.transport.session import open_session
 
 SCENARIO = "t1-nominal"
 POINT_SHARE, BOX_SHARE = 0.90, 0.08

@@ -36,7 +36,8 @@ from services.console.client.session import join_when_up
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.scenario import load_scenario
-from services.runtime.transport.session import Client, open_session
+from services.runtime.transport.client import Client
+from services.runtime.transport.session import open_session
 
 BARE_KEY = "bench/bare"
 GIVE_UP_S = 300.0

@@ -309,7 +309,7 @@ class LockstepLinkProcess(LockstepProcess):
         self._shown = time.monotonic()
         message = self._clock_message()
         for side, session in self.sessions.items():
-            session.show(CLOCKS[side], message)
+            session.publish_best_effort(CLOCKS[side], message)
 
     def _tell_time(self, query: IncomingQuery) -> None:
         query.reply(self._clock_message())

@@ -20,7 +20,7 @@ import pytest
 
 from schemas.topics import Side, Topic
 from schemas.wire import Header
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 

@@ -14,7 +14,7 @@ from schemas.lockstep import TimeControl, TimeStatus
 from schemas.topics import TIME_CONTROL
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.event_log import EventLog, merge_event_logs
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 CHATTER = Path(__file__).parents[1] / "chatter.py"
 _SPEC = importlib.util.spec_from_file_location("chatter", CHATTER)

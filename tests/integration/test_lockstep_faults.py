@@ -19,7 +19,7 @@ from schemas.lockstep import TimeControl, TimeStatus
 from schemas.measurement import MeasurementRequest
 from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_SET, MEASURE, TIME_CONTROL, Side
 from services.runtime.node import SECOND
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 pytestmark = pytest.mark.timeout(240)
 

@@ -14,7 +14,7 @@ from services.console.cli.options import AsJson, Earth, Mission
 if TYPE_CHECKING:
     from schemas.link import ClockState
     from schemas.lockstep import TimeStatus
-    from services.runtime.transport.session import Client
+    from services.runtime.transport.client import Client
 
 EXAMPLES = """\b
 Examples, for a mission that runs in lockstep (he3 up t1-nominal --lockstep):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from schemas.commands import CommandStatus
     from services.console.client.mission_client import MissionClient
     from services.console.client.session import Watcher
-    from services.runtime.transport.session import Client
+    from services.runtime.transport.client import Client
 
 EXAMPLES = """\b
 Examples:

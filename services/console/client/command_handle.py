@@ -7,7 +7,7 @@ import time
 from he3.errors import PeerUnreachable
 from schemas.commands import CommandList, CommandStage, CommandStatus, NoParameters
 from schemas.topics import LIST_COMMANDS
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 
 class CommandHandle:

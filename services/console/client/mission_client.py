@@ -65,7 +65,7 @@ from services.console.client.run_file import find
 from services.ground.map.feed import FeedMap, FeedReader
 from services.runtime.clock import mission_time
 from services.runtime.node import MissionTime, seconds
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 NEWS: tuple[Topic, ...] = (GROUND_STATUS, SAMPLE, EVENT, STATE, COMMAND_STATUS, LINK_STATUS)
 

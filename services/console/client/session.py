@@ -16,7 +16,7 @@ from services.console.client.run_file import find
 from services.console.report.progress import Moment, moment_of
 from services.runtime.clock import mission_time, newer
 from services.runtime.node import SECOND
-from services.runtime.transport.session import Client
+from services.runtime.transport.client import Client
 
 CONNECT_WITHIN_S = 20.0
 """How long a service that has just been started may take to open its router."""

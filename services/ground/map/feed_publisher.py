@@ -77,7 +77,7 @@ class FeedPublisher:
                 if self._ended:
                     return
                 newest = self._newest
-            wanted = session.listened(MAP_FEED) or time.monotonic() - self._asked_at < WANTED_S
+            wanted = session.has_subscribers(MAP_FEED) or time.monotonic() - self._asked_at < WANTED_S
             with self._lock:
                 if newest is shown:
                     frame = self._writer.beat() if wanted else None
@@ -85,4 +85,4 @@ class FeedPublisher:
                     frame = self._writer.take(feed_of(newest), wanted)
             shown = newest
             if frame is not None:
-                session.show(MAP_FEED, frame, media_type="application/octet-stream")
+                session.publish_best_effort(MAP_FEED, frame, media_type="application/octet-stream")

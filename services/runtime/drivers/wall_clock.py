@@ -177,9 +177,9 @@ class Process:
             # Nobody waits for a process that goes on; for a new one the mission waits, and so may operators.
             self._answers.wait_until_ready(self.stop.event)
         for side, session in self.sessions.items():
-            session.announce(interface.name, side)
+            session.declare_alive(interface.name, side)
             if self._service.onlooker:
-                session.announce(interface.name, side, ONLOOKERS)
+                session.declare_alive(interface.name, side, ONLOOKERS)
         self.log.info("ready", sides="+".join(side.value for side in interface.sides), pid=os.getpid())
         return True
 
@@ -210,7 +210,7 @@ class Process:
         session.subscribe(topic, lambda payload, _attachment: self.later(partial(self.set_clock, side, payload)))
         told = False
         while self.clock is None and not self.stop.event.is_set():
-            session.ask(topic, b"", 2.0, lambda answer, *_: self.later(partial(self.set_clock, side, answer)))
+            session.query(topic, b"", 2.0, lambda answer, *_: self.later(partial(self.set_clock, side, answer)))
             try:
                 self.stop.inbox.get(timeout=IDLE_S)()
             except queue.Empty:
@@ -273,7 +273,7 @@ class Process:
                 self.sessions[side].publish(topic, payload)
             case PutQuery(topic, side, payload, query, timeout_s):
                 on_end = partial(self._answer_came, query)
-                self.sessions[side].ask(topic, payload, timeout_s, on_end)
+                self.sessions[side].query(topic, payload, timeout_s, on_end)
             case Reply(token, _, payload):
                 self._question_of(token, lambda query: query.reply(payload))
             case ReplyError(token, _, why):

@@ -86,7 +86,7 @@ class LockstepProcess(Process):
         session, home = self.sessions[self._home], self._home
         session.subscribe(CLOCKS[home], lambda payload, _: self.later(partial(self.set_clock, home, payload)))
         session.subscribe(grant_to(self.name, home), lambda payload, _: self.later(partial(self._granted, payload)))
-        session.announce(self.process_id, home, MEMBERS)
+        session.declare_alive(self.process_id, home, MEMBERS)
         began = time.monotonic()
         told = False
         while not self.stop.event.is_set() and not self._joined:
@@ -103,7 +103,7 @@ class LockstepProcess(Process):
         if now - self._asked_at < ASKS_AGAIN_S:
             return
         self._asked_at = now
-        self.sessions[self._home].ask(
+        self.sessions[self._home].query(
             JOIN[self._home],
             encode(self.header(), self.part.join()),
             ASKS_AGAIN_S,
@@ -220,7 +220,7 @@ class LockstepProcess(Process):
         """Twice: for those who take part, who count and are waited for, and for onlookers, as they come along."""
         session, attachment = self.sessions[action.side], stamp.encode()
         session.publish(self._counted(action.topic), action.payload, attachment)
-        session.show(action.topic, action.payload, attachment)
+        session.publish_best_effort(action.topic, action.payload, attachment)
 
     def _counted(self, topic: Topic) -> Topic:
         if topic.name not in self._counted_topics:
@@ -228,11 +228,11 @@ class LockstepProcess(Process):
         return self._counted_topics[topic.name]
 
     def _publish_quietly(self, topic: Topic, side: Side, payload: bytes) -> None:
-        self.sessions[side].show(topic, payload)
+        self.sessions[side].publish_best_effort(topic, payload)
 
     def ask(self, action: PutQuery, stamp: Stamp) -> None:
         on_end = partial(self._answer_came_in, action.query, stamp)
-        self.sessions[action.side].ask(action.topic, action.payload, FOREVER_S, on_end, stamp.encode())
+        self.sessions[action.side].query(action.topic, action.payload, FOREVER_S, on_end, stamp.encode())
 
     def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
         match action:
@@ -272,7 +272,7 @@ class LockstepProcess(Process):
             self._early.append((topic, query))
             return
         if stamp is not None and stamp.step <= self.part.joined_at:
-            query.leave()  # its asker counts on nobody's answering: this process did not take part then
+            query.drop()  # its asker counts on nobody's answering: this process did not take part then
             return
         self._counter += 1
         token = self._counter

@@ -1,1 +1,5 @@
-"""Zenoh, and nothing else: the only package that opens sessions. All others see bytes, topics and sides."""
+"""Zenoh, and nothing else: the only package that opens sessions. All other code sees bytes, topics and sides.
+
+`session` is a service's session on one side; `client` is an operator's. It imports `schemas` and
+`services.mission.deployment`, where the shipped Zenoh configurations lie.
+"""

@@ -8,7 +8,7 @@ import pytest
 
 from he3.errors import InvalidInput
 from services.console.__main__ import main
-from services.runtime.transport.session import refusal
+from services.runtime.transport.client import refusal
 
 SCENARIO = """
 name = "mine"

@@ -1,0 +1,137 @@
+"""An operator's session: queries that wait for their reply, and subscriptions to checked messages.
+
+It declares nothing that a service waits for, so it cannot hold a mission up.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.topics import Side, Topic
+from schemas.wire import Header, Wire, decode, decode_reply, encode
+from services.runtime.node import NoReply
+from services.runtime.transport.session import Session, open_session
+
+QUERY_TIMEOUT_S = 10.0
+
+
+class Client:
+    """An operator's session on one side. Use it in a `with` statement; its methods may be called from any thread."""
+
+    def __init__(self, endpoint: str, mission: str, name: str = "operator", side: Side = Side.EARTH) -> None:
+        """Raises PeerUnreachable when no router listens at the endpoint."""
+        self._mission = mission
+        self._name = name
+        self._session = Session(open_session(side, "client", endpoint), mission)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._session.close()
+
+    # --- queries ------------------------------------------------------------------------------------------------
+
+    def query(self, topic: Topic, request: Wire, timeout_s: float = QUERY_TIMEOUT_S) -> Any:
+        """The body of the reply to a query that carries a message.
+
+        Raises PeerUnreachable when there is no reply, or what `refusal` makes of the refusal.
+        """
+        header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=0)
+        payload, _ = self._reply(topic, encode(header, request), timeout_s)
+        return decode_reply(topic, payload, self._mission)[1]
+
+    def fetch(
+        self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = QUERY_TIMEOUT_S
+    ) -> tuple[bytes, bytes]:
+        """The reply as it came, and its attachment, to a query by selector parameters, as a stock client sends it.
+
+        Raises PeerUnreachable when there is no reply, InvalidInput for parameters that no selector can hold, or what
+        `refusal` makes of the refusal.
+        """
+        return self._reply(topic, None, timeout_s, selector_text(parameters))
+
+    def latest(self, topic: Topic, timeout_s: float = QUERY_TIMEOUT_S) -> tuple[Header, Any]:
+        """Header and body of the last message of a topic that its sender keeps, or of a clock.
+
+        Raises PeerUnreachable when there is no reply.
+        """
+        return decode(topic, self._reply(topic, b"", timeout_s)[0], self._mission)
+
+    def _reply(
+        self, topic: Topic, payload: bytes | None, timeout_s: float, parameters: str = ""
+    ) -> tuple[bytes, bytes]:
+        ended = threading.Event()
+        outcome: list[tuple[bytes | NoReply, str, bytes]] = []
+
+        def on_end(answer: bytes | NoReply, detail: str, attachment: bytes) -> None:
+            outcome.append((answer, detail, attachment))
+            ended.set()
+
+        self._session.query(topic, payload, timeout_s, on_end, parameters=parameters)
+        if not ended.wait(timeout_s + 1.0):
+            raise PeerUnreachable(f"{topic.key(self._mission)}: no answer within {timeout_s:g} s")
+        answer, detail, attachment = outcome[0]
+        if isinstance(answer, bytes):
+            return answer, attachment
+        if answer is NoReply.REFUSED:
+            raise refusal(detail)
+        raise PeerUnreachable(f"{topic.key(self._mission)}: {answer.value}{' ' + detail if detail else ''}")
+
+    # --- subscriptions ------------------------------------------------------------------------------------------
+
+    def subscribe(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> Callable[[], None]:
+        """Call `on_message(header, body)`, in another thread, with each well-formed message from now on.
+
+        Returns the function that ends the subscription.
+        """
+
+        def checked(payload: bytes, _attachment: bytes) -> None:
+            try:
+                header, body = decode(topic, payload, self._mission)
+            except ValueError:
+                return  # malformed: the services count and report those
+            on_message(header, body)
+
+        return self._session.subscribe(topic, checked)
+
+    def subscribe_raw(self, topic: Topic, on_payload: Callable[[bytes], None]) -> Callable[[], None]:
+        """Call `on_payload`, in another thread, with the bytes of each message from now on.
+
+        Returns the function that ends the subscription.
+        """
+        return self._session.subscribe(topic, lambda payload, _attachment: on_payload(payload))
+
+    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
+        """Call `on_change(name, alive)`, in another thread, for each process that is alive, appears, or disappears."""
+        self._session.watch_alive(side, on_change)
+
+
+def selector_text(parameters: Mapping[str, object]) -> str:
+    """Parameters as they stand in a selector, without those that are None.
+
+    Raises InvalidInput for a value with a character that would end it.
+    """
+    text = {key: str(value) for key, value in parameters.items() if value is not None}
+    for key, value in text.items():
+        if not value.isprintable() or any(mark in value for mark in ";#?="):
+            raise InvalidInput(f"{key}: expected a value without ';', '#', '?' or '=', got {value[:60]!r}")
+    return ";".join(f"{key}={value}" for key, value in text.items())
+
+
+def refusal(why: str) -> He3Error:
+    """What a refused question raises: InvalidInput where the text says what was expected of the asker and what came."""
+    return InvalidInput(why) if _OF_WHAT_WAS_ASKED.search(why) else He3Error(why)
+
+
+_OF_WHAT_WAS_ASKED = re.compile(r"\bexpected .+[,;:] got ")
