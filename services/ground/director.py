@@ -72,8 +72,7 @@ class Director:
         if isinstance(self._planner, str) and ":" in self._planner:
             planner_named(self._planner)  # somebody's own is refused now or never
         self.interests: dict[str, tuple[Sequence[Place], float]] = {
-            f"scenario-{number}": (region.polygon_m, region.weight)
-            for number, region in enumerate(scenario.ground.interest, start=1)
+            area_id: (area.polygon_m, area.weight) for area_id, area in scenario.ground.interests.items()
         }
         """Corners and weight of the areas that are worth more, or less, than the rest."""
         self._interest = interest_weights(grid, list(self.interests.values()))

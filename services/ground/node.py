@@ -96,9 +96,7 @@ class GroundNode:
         self._scorer = scorer
         light = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
         self._commands = CommandBook(director.grid, light)
-        self._keep_outs = {
-            f"scenario-{number}": polygon for number, polygon in enumerate(scenario.ground.keep_outs_m, start=1)
-        }
+        self._keep_outs = scenario.ground.keep_outs
         self._samples: list[SampleReport] = []
         self._rover: RoverState | None = None
         self._rover_made_at: MissionTime | None = None
@@ -428,7 +426,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     if ground.max_slope_deg is not None:
         steepest = min(steepest, ground.max_slope_deg)
     open_cells = region.traversable & (region.slope_deg <= steepest)
-    terrain = GroundTerrain(region.grid, open_cells, scenario.rover.footprint_radius_m, ground.keep_outs_m)
+    terrain = GroundTerrain(region.grid, open_cells, scenario.rover.footprint_radius_m, ground.keep_outs)
     trend = OrbitalTrend(region.grid, region.orbital_ppb) if ground.prior == "orbital" else None
     belief = Belief(region.grid, ground.kernel, scenario.field.noise_std_ppb, trend)
     if not terrain.traversable.any():

@@ -27,7 +27,7 @@ class GroundTerrain:
         grid: SiteGrid,
         open_cells: BoolArray,
         footprint_radius_m: float = 0.0,
-        keep_outs: Iterable[Sequence[Place]] = (),
+        keep_outs: Mapping[str, Sequence[Place]] | None = None,
     ) -> None:
         if open_cells.shape != grid.shape:
             raise InvalidInput(f"terrain: expected open cells of shape {grid.shape}, got {open_cells.shape}")
@@ -35,7 +35,7 @@ class GroundTerrain:
         self._orbital = np.array(open_cells, dtype=np.bool_)
         self._footprint = _footprint(footprint_radius_m / grid.resolution_m)
         self._areas: dict[str, BoolArray] = {
-            f"scenario-{number}": touched_by(grid, polygon) for number, polygon in enumerate(keep_outs, 1)
+            area_id: touched_by(grid, polygon) for area_id, polygon in (keep_outs or {}).items()
         }
         self._obstacles: dict[tuple[float, float, float], BoolArray] = {}
         self._met = np.zeros_like(self._orbital)

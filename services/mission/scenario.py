@@ -153,6 +153,21 @@ class GroundConfig(Section):
     rover_timeout_s: Positive = 3600.0
     """Unheard of for longer, the rover is reported as silent."""
 
+    @property
+    def keep_outs(self) -> dict[str, Polygon]:
+        """Corners [m] of each keep-out area by the id under which rover, ground and operator know it."""
+        return {_area_id(number): polygon for number, polygon in enumerate(self.keep_outs_m, start=1)}
+
+    @property
+    def interests(self) -> dict[str, InterestRegion]:
+        """The areas of interest by the id under which the operator changes them."""
+        return {_area_id(number): area for number, area in enumerate(self.interest, start=1)}
+
+
+def _area_id(number: int) -> str:
+    """The id of the scenario's area of that number, counted from 1."""
+    return f"scenario-{number}"
+
 
 class NetworkConfig(Section):
     """Where the two routers listen. Loopback unless somebody decides otherwise."""

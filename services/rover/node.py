@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Final
 
@@ -43,16 +43,14 @@ class RoverNode:
         site: SiteGrid,
         start_m: Place,
         start: MissionTime,
-        keep_outs_m: Sequence[Sequence[Place]] = (),
+        keep_outs: Mapping[str, Sequence[Place]] | None = None,
     ) -> None:
-        """keep_outs_m: corners of the areas closed from the beginning; they have the ids that the ground gives them."""
+        """keep_outs: corners [m] of the areas closed from the beginning, by their ids."""
         self.queue_depth = 0
         """Messages that wait for the ground's acknowledgement: whoever keeps them says how many."""
         self._config = config
         self._executive = Executive(config, site, start_m, start)
-        self._executive.areas = {
-            f"scenario-{number}": Area.within(polygon) for number, polygon in enumerate(keep_outs_m, start=1)
-        }
+        self._executive.areas = {area_id: Area.within(polygon) for area_id, polygon in (keep_outs or {}).items()}
         self._executive.at_safe_point = partial(orders.carry_out_waiting, self._executive)
         self._told: RoverMode | None = None
         self._awake = False
@@ -120,7 +118,7 @@ def build_node(scenario: Scenario, site: SiteGrid | None = None) -> RoverNode:
     """The rover of that scenario; the extent of its site may be handed in, else it is the region's."""
     if site is None:
         site = _site_of(scenario)
-    return RoverNode(scenario.rover, site, scenario.start_m, scenario.start_ns, scenario.ground.keep_outs_m)
+    return RoverNode(scenario.rover, site, scenario.start_m, scenario.start_ns, scenario.ground.keep_outs)
 
 
 def _site_of(scenario: Scenario) -> SiteGrid:

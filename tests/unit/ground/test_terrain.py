@@ -88,14 +88,14 @@ def test_a_keep_out_is_replaced_under_its_id_and_removed_without_a_polygon() -> 
 
 
 def test_a_keep_out_that_is_what_it_was_leaves_the_map_the_very_same() -> None:
-    terrain = GroundTerrain(GRID, ALL_OPEN, 0.0, [TRIANGLE])
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.0, {"scenario-1": TRIANGLE})
     before = terrain.traversable
     assert not terrain.set_keep_out("scenario-1", [TRIANGLE])
     assert terrain.traversable is before
 
 
 def test_keep_outs_of_the_scenario_are_closed_from_the_beginning() -> None:
-    assert not GroundTerrain(GRID, ALL_OPEN, 0.0, [TRIANGLE]).traversable[15, 20]
+    assert not GroundTerrain(GRID, ALL_OPEN, 0.0, {"a": TRIANGLE}).traversable[15, 20]
 
 
 def test_an_obstacle_closes_its_disc_and_at_least_its_own_cell() -> None:
@@ -150,7 +150,7 @@ def test_a_rover_that_came_by_a_narrow_way_is_sent_back_over_it() -> None:
 
 
 def test_a_rover_within_an_area_just_closed_is_lent_a_way_out_of_it() -> None:
-    terrain = GroundTerrain(GRID, ALL_OPEN, 0.8, [((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))])
+    terrain = GroundTerrain(GRID, ALL_OPEN, 0.8, {"a": ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))})
     lent = terrain.open_from((12.0, 15.0))
     assert lent[15, 12]
     assert not lent[15, 18]

@@ -8,7 +8,7 @@ import pytest
 
 from he3.errors import InvalidInput
 from services.mission.deployment import find_scenario, shipped_scenarios
-from services.mission.scenario import MAX_SCENARIO_BYTES, load_scenario
+from services.mission.scenario import MAX_SCENARIO_BYTES, GroundConfig, InterestRegion, load_scenario
 
 GOOD = 'name = "mine"\nregion = "t1"\n'
 
@@ -138,3 +138,10 @@ def test_an_unknown_name_is_answered_with_those_that_ship():
     with pytest.raises(InvalidInput) as refused:
         find_scenario("t9")
     assert all(name in str(refused.value) for name in shipped_scenarios())
+
+
+def test_areas_of_a_scenario_have_ids_that_count_from_one():
+    one, two = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)), ((5.0, 5.0), (6.0, 5.0), (6.0, 6.0))
+    ground = GroundConfig(keep_outs_m=(one, two), interest=(InterestRegion(polygon_m=two, weight=2.0),))
+    assert ground.keep_outs == {"scenario-1": one, "scenario-2": two}
+    assert ground.interests == {"scenario-1": ground.interest[0]}
