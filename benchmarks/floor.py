@@ -31,9 +31,9 @@ from he3.information import rmse
 from he3.measurement import sample_noise
 from he3.posterior.grid import GridPosterior
 from he3.reference import Region
-from services.ground.planners.tour.design import drawn_taut, first_design, worth
+from services.ground.planners.tour.design import initial_design, objective, optimise_places
 from services.ground.planners.tour.route import route_through
-from services.ground.planners.tour.site import site_about
+from services.ground.planners.tour.site import reachable_site
 from services.ground.terrain import GroundTerrain
 from services.mission.regions import load_region
 
@@ -85,7 +85,7 @@ def floor(
     begun = time.perf_counter()
     truth = true_covariance(region, noise_std_ppb, seed, cells)
     traversable = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable
-    site = site_about(region.grid, traversable, start_of(region), field_nodes(region.grid, None))
+    site = reachable_site(region.grid, traversable, start_of(region), field_nodes(region.grid, None))
     none = np.zeros((0, 2))
     coarse = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, site.nodes, none)
     nodes = field_nodes(region.grid, None, NODES)
@@ -93,16 +93,16 @@ def floor(
     rng = np.random.default_rng(seed)
     found: list[tuple[float, FloatArray]] = []
     for number in range(designs):
-        places = first_design(site, none, samples, budget_m, int(rng.integers(len(site.nodes.weights))))
-        places = site.settle_in_cells(drawn_taut(site, coarse, places, 0.0, budget_m, steps, FIRST_STEP_M))
-        found.append((worth(site, fine, places, 0.0, budget_m), places))
+        places = initial_design(site, none, samples, budget_m, int(rng.integers(len(site.nodes.weights))))
+        places = site.snap_to_cell_centres(optimise_places(site, coarse, places, 0.0, budget_m, steps, FIRST_STEP_M))
+        found.append((objective(site, fine, places, 0.0, budget_m), places))
         if progress is not None:
             progress(number + 1, designs)
     found.sort(key=lambda design: design[0])
     least, best = found[0]
     route = route_through(site, best, KICKS, seed)
     if route.at_m[-1] > budget_m:
-        route = route.within(budget_m)
+        route = route.truncated(budget_m)
     alike = [places for value, places in found if sqrt(value / least) <= ALIKE]
     achieved = [_rmse(region, truth, places, noise_std_ppb, s) for places in alike for s in range(NOISE_SEEDS)]
     expected = truth.scale_ppb * sqrt(truth.kernel.prior_variance * fine(best))

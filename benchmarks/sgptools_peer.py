@@ -26,7 +26,7 @@ from he3.frames import FloatArray, path_length
 from he3.measurement import sample_noise
 from he3.reference import Region
 from services.ground.belief import Belief, Observation, fit
-from services.ground.planners.tour.paths import shortest_way
+from services.ground.planners.tour.paths import shortest_path
 from services.ground.planners.traversability import OpenGround
 from services.ground.scoring import Scorer
 from services.ground.terrain import GroundTerrain
@@ -151,7 +151,7 @@ def _path(ground: OpenGround, start_m: tuple[float, float], places: FloatArray) 
     corners = [np.array(start_m)]
     pieces, blocked = [np.array([start_m])], 0
     for place in places:
-        way = shortest_way(ground, corners[-1], place)
+        way = shortest_path(ground, corners[-1], place)
         blocked += len(way) > 2
         pieces.append(way[1:])
         corners.append(place)

@@ -13,9 +13,9 @@ import numpy as np
 
 from he3.errors import NoRoute
 from he3.frames import path_length
-from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
-from services.ground.planners.rounds import belief_about, planned
-from services.ground.planners.routes import Routes
+from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
+from services.ground.planners.rounds import belief_given, planned_round
+from services.ground.planners.routes import RouteFinder
 from services.ground.planners.traversability import OpenGround
 
 SPACING_CELLS = 10
@@ -24,16 +24,16 @@ SPACING_CELLS = 10
 
 def most_uncertain(request: PlanningRequest) -> PlannedRound:
     """The round to the most uncertain places within reach, one after the other. Raises NoRoute if there is none."""
-    grid = checked(request).grid
+    grid = validated(request).grid
     ground = OpenGround(grid, request.traversable)
-    routes = Routes(ground)
+    routes = RouteFinder(ground)
     here = ground.footing(request.start_m)
     rows, columns = (axis[ground.clearance > 1] for axis in np.mgrid[: grid.rows, : grid.columns])
     kept = (rows % SPACING_CELLS == 0) & (columns % SPACING_CELLS == 0)
     rows, columns = rows[kept], columns[kept]
     places = (np.column_stack((columns, rows)) + 0.5) * grid.resolution_m
     interest = np.ones(len(places)) if request.interest is None else request.interest[rows, columns]
-    belief = belief_about(request)
+    belief = belief_given(request)
     path, chosen, left_m = [np.array([here])], [], request.budget_m
     while len(chosen) < request.samples and len(places):
         within_reach = routes.distances_from(here)[rows, columns] <= left_m
@@ -50,4 +50,4 @@ def most_uncertain(request: PlanningRequest) -> PlannedRound:
         belief = belief.condition_on_places([target])
     if not chosen:
         raise NoRoute(f"no place to sample can be reached within the {request.budget_m:g} m that are left")
-    return planned(request, np.vstack(path), np.array(chosen))
+    return planned_round(request, np.vstack(path), np.array(chosen))

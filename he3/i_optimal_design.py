@@ -78,9 +78,9 @@ class AverageVariance:
         covariance: CovarianceOfSquaredDistance,
         noise_variance: float,
         nodes: FieldNodes,
-        taken_m: FloatArray,
+        sampled_m: FloatArray,
     ) -> None:
-        taken = as_points(taken_m) if len(taken_m) else np.zeros((0, 2))
+        taken = as_points(sampled_m) if len(sampled_m) else np.zeros((0, 2))
         self._nodes = nodes
         span = np.ptp(np.vstack((nodes.places_m, taken)), axis=0)
         reach = 2.0 * float(np.hypot(*span)) + 4.0 * nodes.spacing_m

@@ -23,7 +23,7 @@ PLANNERS = {
 def planner_named(name: str) -> Planner:
     """The planner of that name, ours or anybody's; raises InvalidInput for a name that none has."""
     if ":" in name:
-        own: Planner = import_module("services.ground.planners.plugin").own_planner(name)
+        own: Planner = import_module("services.ground.planners.plugin").load_plugin(name)
         return own
     if name not in PLANNERS:
         raise InvalidInput(f"expected a planner among {', '.join(PLANNERS)}, or module:function; got {name!r}")

@@ -43,21 +43,40 @@ from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.hyperparameters import Hyperparameters
 from he3.information import information_gains
-from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
-from services.ground.planners.rounds import PACE, belief_about, budget_share_m, cut, places_along, planned
+from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
+from services.ground.planners.rounds import (
+    MAX_SHARE_RATIO,
+    belief_given,
+    budget_share_m,
+    path_prefix,
+    places_along,
+    planned_round,
+)
 from services.ground.planners.traversability import OpenGround
-from services.ground.planners.trees import Growth, Tree, spanning_tree
+from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree
 
-DEFAULTS = {"iterations": 3600.0, "sample_cost_m": 300.0, "least_scale": 1.0, "pace": PACE, "rewire_scale_m": 400.0}
+DEFAULTS = {
+    "iterations": 3600.0,
+    "sample_cost_m": 300.0,
+    "least_scale": 1.0,
+    "pace": MAX_SHARE_RATIO,
+    "rewire_scale_m": 400.0,
+}
 """Settings by name. The tree's rewiring radius shrinks more slowly than the paper's, for shorter paths."""
-HALVING = {"se": 1.1774, "matern12": 0.6931, "matern32": 0.9690, "matern52": 1.0420, "smooth+rough": 0.6931}
+HALF_CORRELATION_SCALES = {
+    "se": 1.1774,
+    "matern12": 0.6931,
+    "matern32": 0.9690,
+    "matern52": 1.0420,
+    "smooth+rough": 0.6931,
+}
 """Distance at which the correlation, of the rough part where there are two, has fallen to a half, in length scales."""
 _LENGTH_SCALES = ("length_scale_m", "rough_length_scale_m")
 
 
 def informative(request: PlanningRequest) -> PlannedRound:
     """The round along the best path of the tree. Raises NoRoute, or InvalidInput for a request that makes no sense."""
-    options = checked(request).options
+    options = validated(request).options
     if unknown := set(options.extra) - set(DEFAULTS):
         raise InvalidInput(f"informative knows the settings {', '.join(DEFAULTS)}; got {', '.join(sorted(unknown))}")
     settings = DEFAULTS | options.extra
@@ -65,9 +84,9 @@ def informative(request: PlanningRequest) -> PlannedRound:
     ground = OpenGround(request.grid, request.traversable)
     start = ground.footing(request.start_m)
     lead_m = path_length(np.array([request.start_m, start]))
-    growth = Growth(step_m=options.step_m, rewire_scale_m=settings["rewire_scale_m"])
+    growth = GrowthSettings(step_m=options.step_m, rewire_scale_m=settings["rewire_scale_m"])
     iterations = min(int(settings["iterations"]), options.max_iterations)
-    tree = spanning_tree(ground, start, iterations=iterations, seed=request.seed, growth=growth)
+    tree = exploration_tree(ground, start, iterations=iterations, seed=request.seed, growth=growth)
     away_m = np.hypot(*(tree.nodes_m - start).T)
     if away_m.max() <= options.goal_tolerance_m:
         raise NoRoute(
@@ -80,12 +99,12 @@ def informative(request: PlanningRequest) -> PlannedRound:
     nodes = nodes[cost_m[nodes] <= limit_m]
     area_m2 = float(ground.connected_to(start).sum()) * request.grid.resolution_m**2
     spacing_m = sqrt(area_m2 / (len(request.observed_m) + request.samples_left))
-    hyperparameters = farsighted(request.hyperparameters, settings["least_scale"] * spacing_m)
+    hyperparameters = with_least_length_scale(request.hyperparameters, settings["least_scale"] * spacing_m)
     places = places_on_paths(tree, nodes, request.samples)
     nats = path_information(replace(request, hyperparameters=hyperparameters), places)
     utility = nats**options.information_exponent / (cost_m[nodes] + settings["sample_cost_m"] * request.samples)
-    path = cut(tree.path_to(int(nodes[np.argmax(utility)])), request.budget_m - lead_m)
-    return planned(request, path, places_along(path, request.samples))
+    path = path_prefix(tree.path_to(int(nodes[np.argmax(utility)])), request.budget_m - lead_m)
+    return planned_round(request, path, places_along(path, request.samples))
 
 
 def path_information(request: PlanningRequest, places_m: FloatArray) -> FloatArray:
@@ -93,17 +112,17 @@ def path_information(request: PlanningRequest, places_m: FloatArray) -> FloatArr
 
     Where the request has weights of interest, the field's deviation at a place counts as many times as its weight.
     """
-    covariance = belief_about(request).posterior_covariances(places_m)
+    covariance = belief_given(request).posterior_covariances(places_m)
     if request.interest is not None:
         weight = request.interest[request.grid.cells_of(places_m.reshape(-1, 2))].reshape(places_m.shape[:2])
         covariance *= weight[:, :, None] * weight[:, None, :]
     return information_gains(covariance, request.hyperparameters.noise_variance_ppb2)
 
 
-def farsighted(hyperparameters: Hyperparameters, least_m: float) -> Hyperparameters:
+def with_least_length_scale(hyperparameters: Hyperparameters, least_m: float) -> Hyperparameters:
     """The same hyperparameters, but with correlations that do not fall to a half before the given distance [m]."""
     kernel = hyperparameters.kernel
-    least_scale_m = least_m / HALVING[kernel.name]
+    least_scale_m = least_m / HALF_CORRELATION_SCALES[kernel.name]
     short = {k: least_scale_m for k, v in kernel.parameters().items() if k in _LENGTH_SCALES and v < least_scale_m}
     return replace(hyperparameters, kernel=replace(kernel, **short)) if short else hyperparameters  # type: ignore[type-var]
 

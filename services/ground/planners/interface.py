@@ -83,7 +83,7 @@ Planner = Callable[[PlanningRequest], PlannedRound]
 """Raises NoRoute when nothing can be planned: walled in, budget spent, no place left."""
 
 
-def checked(request: PlanningRequest) -> PlanningRequest:
+def validated(request: PlanningRequest) -> PlanningRequest:
     """The request itself, after its shapes were checked once; raises InvalidInput otherwise."""
     for name in ("traversable", "std_ppb", "interest"):
         array = getattr(request, name)

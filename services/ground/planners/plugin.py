@@ -28,7 +28,7 @@ MAX_VERTICES = 4096  # of a path, as a message admits
 ON_PATH_M = 0.01  # a sample may be so far from the path
 
 
-def own_planner(name: str) -> Planner:
+def load_plugin(name: str) -> Planner:
     """The planner of that name, its answers checked; raises InvalidInput if there is none."""
     module, _, function = name.partition(":")
     if not (module and function):
@@ -40,7 +40,7 @@ def own_planner(name: str) -> Planner:
             found = import_module(module)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever importing somebody's module does
         raise InvalidInput(f"planner {name}: expected a module to import from the working directory or Python's path, "
-                           f"got {_said(error)}") from None  # fmt: skip
+                           f"got {_one_line(error)}") from None  # fmt: skip
     planner = getattr(found, function, None)
     if not callable(planner):
         came = "none" if planner is None else type(planner).__name__
@@ -56,7 +56,7 @@ def _checked(name: str, planner: Planner, request: PlanningRequest) -> PlannedRo
         raise
     except (Exception, SystemExit) as error:
         where = traceback.extract_tb(error.__traceback__)[-1]
-        raise InvalidInput(f"planner {name}: expected a PlannedRound or NoRoute, got {_said(error)} "
+        raise InvalidInput(f"planner {name}: expected a PlannedRound or NoRoute, got {_one_line(error)} "
                            f"({Path(where.filename).name}, line {where.lineno})") from error  # fmt: skip
     if not isinstance(answer, PlannedRound):
         raise InvalidInput(f"planner {name}: expected a PlannedRound, got {type(answer).__name__}")
@@ -79,7 +79,7 @@ def _checked(name: str, planner: Planner, request: PlanningRequest) -> PlannedRo
     return PlannedRound(path, samples, float(nats), outlook)
 
 
-def _said(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
     """The error's kind and text on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
 
@@ -90,7 +90,7 @@ def _points(name: str, which: str, values: object) -> FloatArray:
         points = np.array(values, dtype=np.float64)
         return as_points(points) if points.size else np.zeros((0, 2))
     except (InvalidInput, TypeError, ValueError) as error:
-        raise InvalidInput(f"planner {name}: {which}: {_said(error)}") from None
+        raise InvalidInput(f"planner {name}: {which}: {_one_line(error)}") from None
 
 
 def _check_legs(name: str, request: PlanningRequest, path: FloatArray) -> None:
@@ -114,7 +114,7 @@ def _check_samples(name: str, path: FloatArray, samples: FloatArray) -> None:
     """Every sample lies on the path, none before the one that precedes it."""
     reached = 0.0
     for x, y in samples:
-        apart, at = _near(path, float(x), float(y))
+        apart, at = _distances_from_legs(path, float(x), float(y))
         on_path = apart <= ON_PATH_M
         if not on_path.any():
             raise InvalidInput(f"planner {name}: expected samples on the path, got one at ({x:.1f}, {y:.1f}) m, "
@@ -126,7 +126,7 @@ def _check_samples(name: str, path: FloatArray, samples: FloatArray) -> None:
         reached = float(ahead.min())
 
 
-def _near(path: FloatArray, x: float, y: float) -> tuple[FloatArray, FloatArray]:
+def _distances_from_legs(path: FloatArray, x: float, y: float) -> tuple[FloatArray, FloatArray]:
     """For each leg of a polyline (K, 2): how far from it a place is [m], and how far along is the nearest point [m]."""
     begin = path[:-1] if len(path) > 1 else path
     along = np.diff(path, axis=0) if len(path) > 1 else np.zeros((1, 2))

@@ -10,7 +10,7 @@ from he3.gp import GaussianProcess
 from he3.information import information_gain
 from services.ground.planners.interface import PlannedRound, PlanningRequest
 
-PACE = 1.5
+MAX_SHARE_RATIO = 1.5
 """A round may take so many times its even share of the metres that are left: the last rounds still have some then."""
 
 
@@ -30,7 +30,7 @@ def places_along(path_m: FloatArray, count: int) -> FloatArray:
     return places
 
 
-def cut(path_m: FloatArray, length_m: float) -> FloatArray:
+def path_prefix(path_m: FloatArray, length_m: float) -> FloatArray:
     """The first ``length_m`` metres of the polyline, or all of it if it is no longer than that."""
     along = arc_lengths(path_m)
     if along[-1] <= length_m:
@@ -48,16 +48,16 @@ def budget_share_m(request: PlanningRequest) -> float:
     return request.budget_m * request.samples / request.samples_left
 
 
-def belief_about(request: PlanningRequest) -> GaussianProcess:
+def belief_given(request: PlanningRequest) -> GaussianProcess:
     """The belief given all that is observed or certain to be; only its covariances mean anything."""
     belief = GaussianProcess(request.hyperparameters)
     return belief.condition_on_places(request.observed_m) if request.observed_m.size else belief
 
 
-def planned(request: PlanningRequest, path_m: FloatArray, samples_m: FloatArray) -> PlannedRound:
+def planned_round(request: PlanningRequest, path_m: FloatArray, samples_m: FloatArray) -> PlannedRound:
     """The round with this path, which begins at the start or where the rover finds footing, and these sample places."""
     start = np.array(request.start_m, dtype=np.float64)
     path = path_m if np.array_equal(path_m[0], start) else np.vstack((start, path_m))
-    covariance = belief_about(request).posterior_covariance(samples_m)
+    covariance = belief_given(request).posterior_covariance(samples_m)
     nats = information_gain(covariance, request.hyperparameters.noise_variance_ppb2)
     return PlannedRound(path_m=path, samples_m=samples_m, information_nats=nats)

@@ -18,15 +18,15 @@ from he3.errors import NoRoute
 from he3.frames import FloatArray, as_points, path_length
 from services.ground.planners.traversability import OpenGround
 
-TAUT_PASSES = 4
-TAUT_SPACING_CELLS = 4.0
+SHORTENING_PASSES = 4
+SHORTENING_SPACING_CELLS = 4.0
 """Between passes, corners may move along the legs by so many cells."""
-TAUT_GAIN = 1e-3
+SHORTENING_MIN_GAIN = 1e-3
 """A pass that shortens the way by a smaller share than this is the last."""
 _NEIGHBOURS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))  # rows, columns, cells
 
 
-class Routes:
+class RouteFinder:
     """Ways over open ground. Making one costs some tens of milliseconds on 500 x 500 cells, a search about as much."""
 
     def __init__(self, ground: OpenGround) -> None:
@@ -87,7 +87,7 @@ class Routes:
             chain.append(int(before[chain[-1]]))
         row, column = np.divmod(np.array(chain), self.ground.grid.columns)
         centres = (np.column_stack((column, row)) + 0.5) * self.ground.grid.resolution_m
-        return taut(self.ground, np.vstack((ends[0], centres, ends[1])))
+        return shortened_path(self.ground, np.vstack((ends[0], centres, ends[1])))
 
     def _cell_of(self, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
         """Flat index (n,) of each place's cell, and how far [m] its centre is. Raises NoRoute for one that is not
@@ -101,21 +101,21 @@ class Routes:
         return rows * self.ground.grid.columns + columns, np.hypot(*(places - centres).T)
 
 
-def taut(ground: OpenGround, path_m: FloatArray) -> FloatArray:
+def shortened_path(ground: OpenGround, path_m: FloatArray) -> FloatArray:
     """A free polyline [m] between the same ends as the free polyline (K, 2), no longer, with the slack taken out."""
     best = path = as_points(path_m)
-    for attempt in range(TAUT_PASSES):
-        path = _skipping(ground, path)[::-1]  # from either end in turn: greed at one end is undone from the other
-        shorter = path_length(path) < path_length(best) * (1.0 - TAUT_GAIN)
+    for attempt in range(SHORTENING_PASSES):
+        path = _keep_visible(ground, path)[::-1]  # from either end in turn: greed at one end is undone from the other
+        shorter = path_length(path) < path_length(best) * (1.0 - SHORTENING_MIN_GAIN)
         if path_length(path) <= path_length(best):
             best = path if attempt % 2 else path[::-1]
         if not shorter and attempt:
             break
-        path = _finer(path, TAUT_SPACING_CELLS * ground.grid.resolution_m)
-    return _skipping(ground, best)
+        path = _subdivided(path, SHORTENING_SPACING_CELLS * ground.grid.resolution_m)
+    return _keep_visible(ground, best)
 
 
-def _skipping(ground: OpenGround, path: FloatArray) -> FloatArray:
+def _keep_visible(ground: OpenGround, path: FloatArray) -> FloatArray:
     """The polyline with only those vertices from which the last of the next ones that can be seen is taken."""
     kept, at, last = [0], 0, len(path) - 1
     while at < last:
@@ -127,7 +127,7 @@ def _skipping(ground: OpenGround, path: FloatArray) -> FloatArray:
     return path[kept]
 
 
-def _finer(path: FloatArray, spacing_m: float) -> FloatArray:
+def _subdivided(path: FloatArray, spacing_m: float) -> FloatArray:
     """The same polyline with vertices added, no two further apart than that."""
     parts = [path[:1]]
     for a, b in pairwise(path):

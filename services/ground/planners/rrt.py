@@ -13,8 +13,8 @@ Three cases the paper does not speak of. Far from all samples the uncertainty is
 float32; of places that are so far equally uncertain, the one farthest from all samples is the target, as it would be
 with more digits (in the first round, the one farthest from the rover). Where a tree does not reach its target within
 the bound, the next two most uncertain targets are tried, then the longest of the paths that came nearest is driven.
-Under a finite budget, targets lie no further than the round's even share of it, and a path ends after ``PACE`` times
-that share.
+Under a finite budget, targets lie no further than the round's even share of it, and a path ends after
+``MAX_SHARE_RATIO`` times that share.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from scipy import ndimage
 
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, Place, SiteGrid, path_length
-from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
-from services.ground.planners.rounds import PACE, budget_share_m, cut, places_along, planned
+from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
+from services.ground.planners.rounds import MAX_SHARE_RATIO, budget_share_m, path_prefix, places_along, planned_round
 from services.ground.planners.traversability import OpenGround
-from services.ground.planners.trees import Growth, tree_path
+from services.ground.planners.trees import GrowthSettings, tree_path
 
 TARGETS_TRIED = 3
 TIE = 1e-4
@@ -50,14 +50,14 @@ def rrtstar(request: PlanningRequest) -> PlannedRound:
 
 
 def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> PlannedRound:
-    options = checked(request).options
+    options = validated(request).options
     if unknown := set(options.extra) - set(SETTINGS):
         raise InvalidInput(f"rrt and rrtstar know the settings {', '.join(SETTINGS)}; got {', '.join(sorted(unknown))}")
     share_m = budget_share_m(request)
     ground = OpenGround(request.grid, request.traversable)
     start = ground.footing(request.start_m)
-    limit_m = min(request.budget_m, PACE * share_m) - path_length(np.array([request.start_m, start]))
-    growth = Growth(step_m=options.step_m, goal_tolerance_m=options.goal_tolerance_m)
+    limit_m = min(request.budget_m, MAX_SHARE_RATIO * share_m) - path_length(np.array([request.start_m, start]))
+    growth = GrowthSettings(step_m=options.step_m, goal_tolerance_m=options.goal_tolerance_m)
     rng = np.random.default_rng(request.seed)
     candidates = _candidates(request, ground.connected_to(start), start, share_m)
     best = np.array([start])
@@ -74,13 +74,13 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
         if reached:
             break
         _close_disc(candidates, request.grid, target, options.goal_tolerance_m)
-    best = cut(best, limit_m)
+    best = path_prefix(best, limit_m)
     if path_length(best) <= 0.0:
         raise NoRoute(
             f"no target was reached from ({start[0]:g}, {start[1]:g}) m within {options.max_iterations} iterations "
             f"and {limit_m:g} m"
         )
-    return planned(request, best, places_along(best, request.samples))
+    return planned_round(request, best, places_along(best, request.samples))
 
 
 def _candidates(

@@ -48,7 +48,7 @@ class Tree:
 
 
 @dataclass(frozen=True, slots=True)
-class Growth:
+class GrowthSettings:
     """How a tree grows."""
 
     step_m: float = 10.0
@@ -65,7 +65,7 @@ class Growth:
 
 def tree_path(
     ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, iterations: int, refine: int, seed: int,
-    growth: Growth,
+    growth: GrowthSettings,
 ) -> tuple[FloatArray, bool]:  # fmt: skip
     """The path (K, 2) [m] from start towards the target along the tree as it grew, and whether the target was reached.
 
@@ -74,7 +74,7 @@ def tree_path(
     leads to the node nearest to it; it is the start alone, (1, 2), if no node is nearer than that.
     """
     with _SEEDING:
-        growing = _prepared(ground, start_m, target_m, optimal=optimal, seed=seed, growth=growth)
+        growing = _tree_growth(ground, start_m, target_m, optimal=optimal, seed=seed, growth=growth)
         growing.solve(iterations, refine)
         problem = growing.problem
         if not problem.hasSolution():
@@ -84,19 +84,19 @@ def tree_path(
         return path, bool(problem.hasExactSolution())
 
 
-def spanning_tree(ground: OpenGround, start_m: Place, *, iterations: int, seed: int, growth: Growth) -> Tree:
+def exploration_tree(ground: OpenGround, start_m: Place, *, iterations: int, seed: int, growth: GrowthSettings) -> Tree:
     """An RRT* tree over all that can be reached from the start, with no target, after so many iterations."""
     with _SEEDING:
-        growing = _prepared(ground, start_m, start_m, optimal=True, seed=seed, growth=replace(growth, goal_bias=0.0))
+        growing = _tree_growth(ground, start_m, start_m, optimal=True, seed=seed, growth=replace(growth, goal_bias=0.0))
         information = growing.problem.getSpaceInformation()
-        growing.problem.setGoal(_Nowhere(information))
+        growing.problem.setGoal(_UnreachableGoal(information))
         growing.solve(iterations, iterations)
         data = ob.PlannerData(information)
         growing.planner.getPlannerData(data)
-        return _tree(data)
+        return _tree_from_planner_data(data)
 
 
-class _Nowhere(ob.GoalRegion):  # type: ignore[misc]
+class _UnreachableGoal(ob.GoalRegion):  # type: ignore[misc]
     """A goal that no state satisfies: the tree just grows."""
 
     def __init__(self, space: ob.SpaceInformation) -> None:
@@ -122,13 +122,13 @@ class _LegValidator(ob.MotionValidator):  # type: ignore[misc]
 
 
 @dataclass(slots=True)
-class _Growing:
+class _TreeGrowth:
     """One OMPL problem and the planner that is about to grow its tree."""
 
     problem: ob.ProblemDefinition
     planner: ob.Planner
     validator: _LegValidator
-    growth: Growth
+    growth: GrowthSettings
     optimal: bool
 
     def solve(self, iterations: int, refine: int) -> None:
@@ -160,9 +160,9 @@ class _Growing:
         )
 
 
-def _prepared(
-    ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, seed: int, growth: Growth
-) -> _Growing:
+def _tree_growth(
+    ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, seed: int, growth: GrowthSettings
+) -> _TreeGrowth:
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(seed % _SEEDS + 1)
     space = ob.RealVectorStateSpace(2)
@@ -192,10 +192,10 @@ def _prepared(
         area = ground.grid.width_m * ground.grid.height_m
         planner.setRewireFactor(growth.rewire_scale_m / sqrt(3.0 * area / pi))
     planner.setup()
-    return _Growing(problem, planner, validator, growth, optimal)
+    return _TreeGrowth(problem, planner, validator, growth, optimal)
 
 
-def _tree(data: ob.PlannerData) -> Tree:
+def _tree_from_planner_data(data: ob.PlannerData) -> Tree:
     count = data.numVertices()
     nodes = np.empty((count, 2))
     parents = np.full(count, -1, dtype=np.intp)
@@ -204,10 +204,10 @@ def _tree(data: ob.PlannerData) -> Tree:
         nodes[i] = state[0], state[1]
         for child in data.getEdges(i):
             parents[child] = i
-    return arranged(nodes, parents, int(data.getStartIndex(0)))
+    return tree_from_parents(nodes, parents, int(data.getStartIndex(0)))
 
 
-def arranged(nodes: FloatArray, parents: IntArray, root: int) -> Tree:
+def tree_from_parents(nodes: FloatArray, parents: IntArray, root: int) -> Tree:
     """The tree of these nodes and parents, renumbered so that the root is node 0, with costs and order."""
     if root != 0:
         swap = np.arange(len(nodes))

@@ -14,7 +14,7 @@ from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import Matern52, SmoothPlusRough
 from services.ground.planners import PLANNERS, plan, planner_named
 from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
-from services.ground.planners.rounds import arc_lengths, cut, places_along
+from services.ground.planners.rounds import arc_lengths, path_prefix, places_along
 
 NAMES = sorted(PLANNERS)
 SIZE = 28
@@ -256,8 +256,8 @@ def test_a_request_that_contradicts_itself_is_refused():
 def test_places_along_a_path_are_equally_spaced_and_end_with_it():
     path = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [3.0, 4.0], [3.0, 4.0]])
     np.testing.assert_allclose(places_along(path, 5), [[1.4, 0], [2.8, 0], [3, 1.2], [3, 2.6], [3, 4]])
-    assert path_length(cut(path, 3.5)) == pytest.approx(3.5)
-    assert cut(path, 7.0) is path
+    assert path_length(path_prefix(path, 3.5)) == pytest.approx(3.5)
+    assert path_prefix(path, 7.0) is path
 
 
 def test_the_information_of_a_round_is_that_of_its_places_given_what_is_known():

@@ -14,7 +14,7 @@ from he3.i_optimal_design import AverageVariance, field_nodes
 from he3.kernels import Matern12, SquaredExponential
 from services.ground.planners import plan
 from services.ground.planners.interface import PlannerOptions, PlanningRequest
-from services.ground.planners.tour.planner import telling
+from services.ground.planners.tour.planner import clamp_length_scales
 from services.ground.planners.traversability import OpenGround
 
 SIDE = 120
@@ -250,9 +250,9 @@ def test_hyperparameters_at_their_bounds_still_make_a_tour(kernel):
 
 
 def test_only_length_scales_beyond_their_bounds_are_brought_back():
-    assert telling(Matern12(2.0, 30.0), 10.0, 100.0) == Matern12(2.0, 30.0)
-    assert telling(Matern12(2.0, 5.0), 10.0, 100.0) == Matern12(2.0, 10.0)
-    assert telling(SquaredExponential(2.0, 400.0), 10.0, 100.0) == SquaredExponential(2.0, 100.0)
+    assert clamp_length_scales(Matern12(2.0, 30.0), 10.0, 100.0) == Matern12(2.0, 30.0)
+    assert clamp_length_scales(Matern12(2.0, 5.0), 10.0, 100.0) == Matern12(2.0, 10.0)
+    assert clamp_length_scales(SquaredExponential(2.0, 400.0), 10.0, 100.0) == SquaredExponential(2.0, 100.0)
 
 
 def test_coarse_cells_are_sampled_as_well():

@@ -12,10 +12,10 @@ from he3.frames import SiteGrid, path_length
 from he3.gp import Hyperparameters
 from he3.kernels import KERNELS, kernel_from
 from services.ground.planners import trees
-from services.ground.planners.informative import farsighted, places_on_paths
+from services.ground.planners.informative import places_on_paths, with_least_length_scale
 from services.ground.planners.rounds import places_along
 from services.ground.planners.traversability import OpenGround
-from services.ground.planners.trees import Growth, Tree, arranged, spanning_tree, tree_path
+from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree, tree_from_parents, tree_path
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def ground():
 def grown(ground, *, optimal, seed=1, refine=0, **growth):
     return tree_path(
         ground, (20.0, 20.0), (280.0, 20.0), optimal=optimal, iterations=5000, refine=refine, seed=seed,
-        growth=Growth(**growth),
+        growth=GrowthSettings(**growth),
     )  # fmt: skip
 
 
@@ -63,7 +63,7 @@ def test_a_target_behind_walls_gives_the_path_that_came_nearest():
     mask[:, 30] = False
     path, reached = tree_path(
         OpenGround(SiteGrid(60, 60), mask), (5.0, 5.0), (55.0, 5.0), optimal=True, iterations=300, refine=0, seed=0,
-        growth=Growth(goal_tolerance_m=3.0),
+        growth=GrowthSettings(goal_tolerance_m=3.0),
     )  # fmt: skip
     assert not reached
     assert 20.0 < path[-1, 0] < 30.0
@@ -72,13 +72,15 @@ def test_a_target_behind_walls_gives_the_path_that_came_nearest():
 def test_a_tree_with_no_room_to_grow_stays_in_its_cell():
     mask = np.zeros((60, 60), dtype=bool)
     mask[5, 5] = True
-    tree = spanning_tree(OpenGround(SiteGrid(60, 60), mask), (5.5, 5.5), iterations=200, seed=0, growth=Growth())
+    tree = exploration_tree(
+        OpenGround(SiteGrid(60, 60), mask), (5.5, 5.5), iterations=200, seed=0, growth=GrowthSettings()
+    )
     assert tree.nodes_m[0].tolist() == [5.5, 5.5]
     assert (np.floor(tree.nodes_m) == 5.0).all()
 
 
 def test_a_spanning_tree_has_one_root_free_legs_and_the_lengths_of_its_paths(ground):
-    tree = spanning_tree(ground, (20.0, 20.0), iterations=1500, seed=3, growth=Growth(rewire_scale_m=400.0))
+    tree = exploration_tree(ground, (20.0, 20.0), iterations=1500, seed=3, growth=GrowthSettings(rewire_scale_m=400.0))
     assert len(tree.nodes_m) > 1000
     assert tree.nodes_m[0].tolist() == [20.0, 20.0]
     assert np.flatnonzero(tree.parents < 0).tolist() == [0]
@@ -90,7 +92,7 @@ def test_a_spanning_tree_has_one_root_free_legs_and_the_lengths_of_its_paths(gro
 
 
 def test_places_on_all_paths_at_once_are_those_on_each_path_alone(ground):
-    tree = spanning_tree(ground, (20.0, 20.0), iterations=600, seed=3, growth=Growth())
+    tree = exploration_tree(ground, (20.0, 20.0), iterations=600, seed=3, growth=GrowthSettings())
     nodes = np.arange(1, len(tree.nodes_m))
     for count in (1, 5):
         batch = places_on_paths(tree, nodes, count)
@@ -100,7 +102,7 @@ def test_places_on_all_paths_at_once_are_those_on_each_path_alone(ground):
 
 def test_a_tree_is_renumbered_so_that_its_root_comes_first():
     nodes = np.array([[2.0, 0.0], [1.0, 0.0], [0.0, 0.0], [2.0, 1.0]])
-    tree = arranged(nodes, np.array([1, 2, -1, 0]), 2)
+    tree = tree_from_parents(nodes, np.array([1, 2, -1, 0]), 2)
     assert isinstance(tree, Tree)
     assert tree.path_to(3).tolist() == [[0, 0], [1, 0], [2, 0], [2, 1]]
     assert tree.cost_m[3] == 3.0
@@ -129,18 +131,18 @@ def test_a_process_grows_the_tree_that_another_one_grew(ground):
         "import numpy as np, sys\n"
         "from he3.frames import SiteGrid\n"
         "from services.ground.planners.traversability import OpenGround\n"
-        "from services.ground.planners.trees import Growth, tree_path\n"
+        "from services.ground.planners.trees import GrowthSettings, tree_path\n"
         "ground = OpenGround(SiteGrid(80, 80), np.ones((80, 80), bool))\n"
-        "more = dict(optimal=True, iterations=5000, refine=0, seed=5, growth=Growth())\n"
+        "more = dict(optimal=True, iterations=5000, refine=0, seed=5, growth=GrowthSettings())\n"
         "path, _ = tree_path(ground, (5., 5.), (70., 60.), **more)\n"
         "sys.stdout.write(path.tobytes().hex())\n"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
     other = np.frombuffer(bytes.fromhex(run.stdout)).reshape(-1, 2)
     empty = OpenGround(SiteGrid(80, 80), np.ones((80, 80), dtype=bool))
-    tree_path(empty, (1.0, 1.0), (70.0, 60.0), optimal=False, iterations=50, refine=0, seed=1, growth=Growth())
+    tree_path(empty, (1.0, 1.0), (70.0, 60.0), optimal=False, iterations=50, refine=0, seed=1, growth=GrowthSettings())
     path, _ = tree_path(
-        empty, (5.0, 5.0), (70.0, 60.0), optimal=True, iterations=5000, refine=0, seed=5, growth=Growth()
+        empty, (5.0, 5.0), (70.0, 60.0), optimal=True, iterations=5000, refine=0, seed=5, growth=GrowthSettings()
     )
     np.testing.assert_array_equal(path, other)
     assert "leaked" not in run.stderr
@@ -155,7 +157,7 @@ def test_trees_leave_nothing_behind(ground):
     before = count()
     for seed in range(20):
         grown(ground, optimal=True, seed=seed)
-        spanning_tree(ground, (20.0, 20.0), iterations=50, seed=seed, growth=Growth())
+        exploration_tree(ground, (20.0, 20.0), iterations=50, seed=seed, growth=GrowthSettings())
     assert count() <= before
 
 
@@ -166,7 +168,7 @@ def test_a_far_sighted_kernel_keeps_half_its_correlation_at_the_distance_asked_f
         k: 2.0 if k in ("length_scale_m", "rough_length_scale_m") else v for k, v in kernel.parameters().items()
     }
     parameters |= {"smooth_variance": 1e-12} if name == "smooth+rough" else {}
-    far = farsighted(Hyperparameters(kernel_from(name, parameters)), 40.0).kernel
+    far = with_least_length_scale(Hyperparameters(kernel_from(name, parameters)), 40.0).kernel
     correlation = far.of_squared_distance(np.array([0.0, 40.0**2]))
     assert correlation[1] / correlation[0] == pytest.approx(0.5, abs=1e-3)
-    assert farsighted(Hyperparameters(far), 30.0).kernel is far
+    assert with_least_length_scale(Hyperparameters(far), 30.0).kernel is far

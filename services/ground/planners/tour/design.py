@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from he3.frames import FloatArray, path_length
 from he3.i_optimal_design import AverageVariance
 from he3.tsp import short_tour
+from services.ground.planners.rounds import places_along
 from services.ground.planners.tour.site import Site
 
 LLOYD_ITERATIONS = 12
@@ -29,16 +30,16 @@ MAX_STEP_M = 8.0
 """No place moves farther at a time [m]."""
 FIRST_STEP_M = 3.0
 LAST_STEP_M = 0.4
-OVERDRAFT = 2.0
+OVERBUDGET_WEIGHT = 2.0
 """Per cent of variance by which a tour has to be better for each per cent that it is over the budget."""
 """Root mean square step [m] at the beginning and at the end, where the budget does not ask for more."""
 
 
-def first_design(site: Site, taken_m: FloatArray, samples: int, budget_m: float, first_node: int) -> FloatArray:
+def initial_design(site: Site, sampled_m: FloatArray, samples: int, budget_m: float, first_node: int) -> FloatArray:
     """Places (samples, 2) [m] in the order of a tour of about the budget at most, not yet drawn taut."""
     shares = samples
     for attempt in range(4):
-        places = site.settle(spread(site, taken_m, shares, first_node))
+        places = site.snap_to_reachable(centroidal_places(site, sampled_m, shares, first_node))
         stops = np.vstack((site.start_m, places))
         legs = site.legs(stops)
         order = short_tour(legs.lengths_m)
@@ -47,23 +48,23 @@ def first_design(site: Site, taken_m: FloatArray, samples: int, budget_m: float,
             break
         shares = max(1, min(shares - 1, int(shares * (budget_m / length) ** 2)))
     route = stops[order]
-    return route[1:] if shares == samples else site.settle(along(route, samples))
+    return route[1:] if shares == samples else site.snap_to_reachable(places_along(route, samples))
 
 
-def fitted(site: Site, taken_m: FloatArray, outlook_m: FloatArray, samples: int) -> FloatArray:
+def design_from_outlook(site: Site, sampled_m: FloatArray, outlook_m: FloatArray, samples: int) -> FloatArray:
     """The outlook's places (k, 2) [m], as many as there are samples: the most crowded left out, or gaps filled up."""
-    places = site.settle(outlook_m)
+    places = site.snap_to_reachable(outlook_m)
     while len(places) > samples:
-        around = np.vstack((places, taken_m))
+        around = np.vstack((places, sampled_m))
         apart = cKDTree(around).query(places, k=2)[0][:, 1]
         places = np.delete(places, int(np.argmin(apart)), axis=0)
     if len(places) < samples:
-        more = spread(site, np.vstack((taken_m, places)), samples - len(places), 0)
+        more = centroidal_places(site, np.vstack((sampled_m, places)), samples - len(places), 0)
         places = np.vstack((places, more))
     return places
 
 
-def spread(site: Site, taken_m: FloatArray, count: int, first_node: int) -> FloatArray:
+def centroidal_places(site: Site, sampled_m: FloatArray, count: int, first_node: int) -> FloatArray:
     """Places (count, 2) [m], each the centre of the cells that are nearer to it than to any other or any taken.
 
     They begin as far as possible from those taken and from each other (Gonzalez 1985), where distances count for more
@@ -72,7 +73,7 @@ def spread(site: Site, taken_m: FloatArray, count: int, first_node: int) -> Floa
     nodes = site.nodes.places_m
     # Mean squared distances are least where the density goes with the root of the weight.
     stretch = (site.nodes.weights / site.nodes.weights.max()) ** 0.25
-    taken = taken_m if len(taken_m) else np.zeros((0, 2))
+    taken = sampled_m if len(sampled_m) else np.zeros((0, 2))
     places = np.empty((count, 2))
     farthest = first_node
     apart = np.full(len(nodes), np.inf)
@@ -89,20 +90,11 @@ def spread(site: Site, taken_m: FloatArray, count: int, first_node: int) -> Floa
         moment = [np.bincount(owner, site.nodes.weights * nodes[:, k], count + len(taken))[:count] for k in (0, 1)]
         owns = weight > 0
         places[owns] = np.column_stack(moment)[owns] / weight[owns, None]
-        places = site.settle(places)
+        places = site.snap_to_reachable(places)
     return places
 
 
-def along(route_m: FloatArray, count: int) -> FloatArray:
-    """Places (count, 2) [m] at equal distances along the polyline, the last at its end."""
-    steps = np.hypot(*np.diff(route_m, axis=0).T)
-    at = np.concatenate(([0.0], np.cumsum(steps)))
-    wanted = at[-1] * np.arange(1, count + 1) / count
-    places: FloatArray = np.column_stack([np.interp(wanted, at, route_m[:, k]) for k in (0, 1)])
-    return places
-
-
-def drawn_taut(
+def optimise_places(
     site: Site,
     variance: AverageVariance,
     places_m: FloatArray,
@@ -120,7 +112,7 @@ def drawn_taut(
     corners = np.full(places.shape, np.nan)
     for step in range(steps):
         if step % REORDER_EVERY == 0:
-            order, corners = _reordered(site, places)
+            order, corners = _shorter_order(site, places)
             places, momentum = places[order], momentum[order]
         _, gradient = variance.with_gradient(places)
         momentum = gradient if step == 0 else 0.6 * momentum + 0.4 * gradient
@@ -139,12 +131,12 @@ def drawn_taut(
                 lam = max(price, (excess / (3.0 * rate) - float((momentum * pull).sum())) / squared)
         move = -rate * (momentum + lam * pull)
         move *= np.minimum(1.0, MAX_STEP_M / np.maximum(np.hypot(*move.T), 1e-9))[:, None]
-        places = site.settle(places + move)
-    order, _ = _reordered(site, places)
+        places = site.snap_to_reachable(places + move)
+    order, _ = _shorter_order(site, places)
     return places[order]
 
 
-def tour_of(site: Site, places_m: FloatArray) -> tuple[float, float]:
+def tour_lengths(site: Site, places_m: FloatArray) -> tuple[float, float]:
     """Length [m] of the tour through the places (n, 2) [m] in their order, round obstacles and as the crow flies."""
     stops = np.vstack((site.start_m, places_m))
     legs = np.arange(len(stops))
@@ -152,11 +144,11 @@ def tour_of(site: Site, places_m: FloatArray) -> tuple[float, float]:
     return float(lengths.sum()), path_length(stops)
 
 
-def worth(site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float) -> float:
+def objective(site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float) -> float:
     """What the design costs, to compare it with others: V + lambda L, and dearly for metres beyond the budget."""
-    length, _ = tour_of(site, places_m)
+    length, _ = tour_lengths(site, places_m)
     value = variance(places_m)
-    return value * (1.0 + OVERDRAFT * max(0.0, length / budget_m - 1.0)) + price * length
+    return value * (1.0 + OVERBUDGET_WEIGHT * max(0.0, length / budget_m - 1.0)) + price * length
 
 
 def length_gradient(start_m: FloatArray, places_m: FloatArray, corners_m: FloatArray) -> tuple[FloatArray, float]:
@@ -175,7 +167,7 @@ def length_gradient(start_m: FloatArray, places_m: FloatArray, corners_m: FloatA
     return gradient, length
 
 
-def _reordered(site: Site, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+def _shorter_order(site: Site, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
     """A shorter order (n,) of the places than that they come in, if there is one, and the corners (n, 2) of its
     legs."""
     stops = np.vstack((site.start_m, places))

@@ -20,16 +20,16 @@ from services.ground.planners.traversability import OpenGround
 
 NEIGHBOURS = 10
 """Places to which each place's legs are looked at; a short tour seldom goes to a farther one."""
-ASIDE = np.array([0.08, 0.16, 0.28, 0.45, 0.7])
+CORNER_OFFSETS = np.array([0.08, 0.16, 0.28, 0.45, 0.7])
 """How far beside its middle a leg is bent, in shares of its length, on either side."""
-DETOUR = 2.0
+BLOCKED_LEG_FACTOR = 2.0
 """Length of a leg that one corner does not free, in multiples of the straight one, until somebody finds the way."""
-FAR = 1.1
+DISTANT_LEG_FACTOR = 1.1
 """The same for legs to places that are no neighbours."""
-MANY = 0.05
+LABYRINTH_SHARE = 0.05
 """Share of neighbours' legs that no corner frees above which the site is a labyrinth, and straight lines mislead."""
 
-Bound = Callable[[FloatArray], FloatArray]
+LengthBound = Callable[[FloatArray], FloatArray]
 """Places (n, 2) [m] -> lengths (n, n) [m] that no way between them can fall below."""
 
 
@@ -45,11 +45,11 @@ class LegTable:
     """(n, n): whether the leg, with its corner if it has one, is known to be free."""
 
 
-def leg_table(ground: OpenGround, places_m: FloatArray, bound: Bound | None = None) -> LegTable:
+def leg_table(ground: OpenGround, places_m: FloatArray, bound: LengthBound | None = None) -> LegTable:
     """Legs between the places (n, 2) [m], each of them on open ground; the bound is asked for in labyrinths only."""
     n = len(places_m)
     apart = np.hypot(*(places_m[:, None] - places_m[None]).transpose(2, 0, 1))
-    lengths = apart * FAR
+    lengths = apart * DISTANT_LEG_FACTOR
     corners = np.full((n, n, 2), np.nan)
     free = np.eye(n, dtype=bool)
     if n > 1:
@@ -58,16 +58,18 @@ def leg_table(ground: OpenGround, places_m: FloatArray, bound: Bound | None = No
         pairs = np.unique(np.sort(np.column_stack((first, near.ravel())), axis=1), axis=0)
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
         i, j = pairs[:, 0], pairs[:, 1]
-        length, corner, is_free = bent_legs(ground, places_m[i], places_m[j])
+        length, corner, is_free = legs_with_one_corner(ground, places_m[i], places_m[j])
         lengths[i, j] = lengths[j, i] = length
         corners[i, j] = corners[j, i] = corner
         free[i, j] = free[j, i] = is_free
-        if bound is not None and np.count_nonzero(~is_free) > MANY * len(pairs):
+        if bound is not None and np.count_nonzero(~is_free) > LABYRINTH_SHARE * len(pairs):
             lengths = np.where(free, lengths, np.maximum(lengths, bound(places_m)))
     return LegTable(lengths, corners, free)
 
 
-def bent_legs(ground: OpenGround, a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def legs_with_one_corner(
+    ground: OpenGround, a_m: FloatArray, b_m: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Lengths (k,), corners (k, 2) or NaN, and whether they are free, of legs from a (k, 2) to b (k, 2) [m]."""
     apart = np.hypot(*(b_m - a_m).T)
     lengths = apart.copy()
@@ -75,10 +77,10 @@ def bent_legs(ground: OpenGround, a_m: FloatArray, b_m: FloatArray) -> tuple[Flo
     free = ground.segments_free(a_m, b_m)
     blocked = np.flatnonzero(~free)
     if blocked.size:
-        lengths[blocked] *= DETOUR
+        lengths[blocked] *= BLOCKED_LEG_FACTOR
         a, b = a_m[blocked], b_m[blocked]
         across = np.column_stack((a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]))
-        shares = np.concatenate((ASIDE, -ASIDE))
+        shares = np.concatenate((CORNER_OFFSETS, -CORNER_OFFSETS))
         bends = 0.5 * (a + b)[:, None] + shares[None, :, None] * across[:, None]
         count = len(shares)
         flat = bends.reshape(-1, 2)
@@ -104,6 +106,6 @@ def leg_path(table: LegTable, places_m: FloatArray, i: int, j: int) -> FloatArra
     return np.array(ends if np.isnan(corner[0]) else (ends[0], corner, ends[1]))
 
 
-def joined(pieces: list[FloatArray]) -> FloatArray:
+def joined_path(pieces: list[FloatArray]) -> FloatArray:
     """One polyline out of consecutive ones, each beginning where the last one ends."""
     return np.vstack([pieces[0], *(piece[1:] for piece in pieces[1:])])

@@ -6,15 +6,15 @@ import numpy as np
 
 from he3.errors import NoRoute
 from he3.frames import FloatArray, SiteGrid
-from services.ground.planners.routes import Routes
+from services.ground.planners.routes import RouteFinder
 from services.ground.planners.traversability import OpenGround
 
-MARGINS = (0.75, 3.0)
+WINDOW_MARGINS = (0.75, 3.0)
 """How far round two places the search looks, in multiples of their distance, before it looks everywhere."""
-MIN_MARGIN_CELLS = 20.0
+MIN_WINDOW_MARGIN_CELLS = 20.0
 
 
-def shortest_way(ground: OpenGround, begin_m: FloatArray, end_m: FloatArray) -> FloatArray:
+def shortest_path(ground: OpenGround, begin_m: FloatArray, end_m: FloatArray) -> FloatArray:
     """A taut free polyline (K, 2) [m] from one place (2,) to the other. Raises NoRoute if there is none.
 
     A way found in a window is the shortest one there is if it is shorter than any that leaves the window; longer ones
@@ -22,18 +22,18 @@ def shortest_way(ground: OpenGround, begin_m: FloatArray, end_m: FloatArray) -> 
     """
     apart = float(np.hypot(*(end_m - begin_m)))
     ends = np.array([begin_m, end_m])
-    for share in MARGINS:
-        margin_m = max(share * apart, MIN_MARGIN_CELLS * ground.grid.resolution_m)
+    for share in WINDOW_MARGINS:
+        margin_m = max(share * apart, MIN_WINDOW_MARGIN_CELLS * ground.grid.resolution_m)
         try:
-            way = _within(ground, ends, margin_m)
+            way = _path_in_window(ground, ends, margin_m)
         except NoRoute:
             continue
         if float(np.hypot(*np.diff(way, axis=0).T).sum()) <= apart + 2.0 * margin_m:
             return way
-    return Routes(ground).route((begin_m[0], begin_m[1]), (end_m[0], end_m[1]))
+    return RouteFinder(ground).route((begin_m[0], begin_m[1]), (end_m[0], end_m[1]))
 
 
-def _within(ground: OpenGround, ends_m: FloatArray, margin_m: float) -> FloatArray:
+def _path_in_window(ground: OpenGround, ends_m: FloatArray, margin_m: float) -> FloatArray:
     grid, size = ground.grid, ground.grid.resolution_m
     low = np.maximum(np.floor((ends_m.min(axis=0) - margin_m) / size), 0).astype(int)
     high = np.minimum(np.ceil((ends_m.max(axis=0) + margin_m) / size), (grid.columns, grid.rows)).astype(int)
@@ -41,7 +41,7 @@ def _within(ground: OpenGround, ends_m: FloatArray, margin_m: float) -> FloatArr
     corner = low * size
     begin, end = ends_m - corner
     inner = OpenGround(SiteGrid(window.shape[0], window.shape[1], size), window)
-    way = Routes(inner).route((begin[0], begin[1]), (end[0], end[1]))
+    way = RouteFinder(inner).route((begin[0], begin[1]), (end[0], end[1]))
     way += corner
     way[[0, -1]] = ends_m
     return way

@@ -1,7 +1,7 @@
 """The whole rest of the mission as one design and one tour; the round is its first piece.
 
 All samples and metres that are left are planned together: places that make the average of the field as certain as
-possible (``he3.i_optimal_design``), on a tour that is short and within the budget (``tour_design``). The first plan
+possible (``he3.i_optimal_design``), on a tour that is short and within the budget (``tour.design``). The first plan
 begins several designs and draws the best on for long, which is worth 1 % of RMSE where the budget binds; later ones
 begin from what the last one expected to do and let it move with what the hyperparameters have become, so that rounds
 agree with one another and no holes are left to come back for. A request without that outlook is planned afresh.
@@ -22,36 +22,42 @@ from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.i_optimal_design import AverageVariance, field_nodes
 from he3.kernels import Kernel, kernel_from
-from services.ground.planners.interface import PlannedRound, PlanningRequest, checked
-from services.ground.planners.rounds import cut, planned
-from services.ground.planners.tour.design import drawn_taut, first_design, fitted, tour_of, worth
+from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
+from services.ground.planners.rounds import path_prefix, planned_round
+from services.ground.planners.tour.design import (
+    design_from_outlook,
+    initial_design,
+    objective,
+    optimise_places,
+    tour_lengths,
+)
 from services.ground.planners.tour.route import route_through
-from services.ground.planners.tour.site import Site, site_about
+from services.ground.planners.tour.site import Site, reachable_site
 
-THRIFT = 0.03
+LENGTH_PRICE = 0.03
 """Per cent of variance that one per cent of the tour has to be worth, whatever the budget."""
 LEG_CONSTANT = 1.02
 """Metres a sample that a mission without a budget may drive, as the crow flies, in units of sqrt(reachable area /
 samples), the spacing of a square lattice. The shortest tour through places at random takes 0.7124 (Beardwood, Halton &
 Hammersley 1959), one through a lattice 1; near it, the variance hardly depends on the metres."""
-DESIGNS = 8
+INITIAL_DESIGNS = 8
 """Designs that a plan without an outlook begins with."""
 FINALISTS = 2
 """Designs that are drawn on for long; the best of them is taken."""
-FIRST_STEPS = 40
+INITIAL_STEPS = 40
 FINAL_STEPS = 300
-STEPS = 10
+OUTLOOK_STEPS = 10
 """Steps of the places: of every design, of a finalist, and of an outlook."""
-STEP_ON_M = 1.5
+OUTLOOK_STEP_M = 1.5
 """Root mean square step [m] with which the places of an outlook begin to move on."""
 KICKS = 20
-MAX_REFITTED = 0.34
+MAX_OUTLOOK_MISMATCH = 0.34
 """An outlook over more or fewer samples is used as long as the difference is at most this share of them."""
-ROUNDING = 1e-9
+BUDGET_ROUNDING = 1e-9
 """Share of the budget that is left alone, so that sums of legs in another order do not exceed it."""
-SETTINGS = ("thrift", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks")
-MIN_IN_SPACINGS = 0.5
-MAX_IN_SPACINGS = 6.0
+SETTINGS = ("length_price", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks")
+MIN_LENGTH_SCALE_SPACINGS = 0.5
+MAX_LENGTH_SCALE_SPACINGS = 6.0
 """Length scales that a design uses, in spacings of an even lattice of all samples over the site."""
 
 
@@ -60,22 +66,22 @@ def tour(request: PlanningRequest) -> PlannedRound:
 
     Raises NoRoute where nothing can be reached or no metre is left, InvalidInput for a request that makes no sense.
     """
-    extra = checked(request).options.extra
+    extra = validated(request).options.extra
     if unknown := set(extra) - set(SETTINGS):
         raise InvalidInput(f"tour knows the settings {', '.join(SETTINGS)}; got {', '.join(sorted(unknown))}")
     nodes = field_nodes(request.grid, request.interest)
-    site = site_about(request.grid, request.traversable, request.start_m, nodes)
+    site = reachable_site(request.grid, request.traversable, request.start_m, nodes)
     budget_m = request.budget_m - path_length(np.array([request.start_m, site.start_m]))
     if not budget_m > 0:
         raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m are left for {request.samples_left} samples")
-    places = site.settle_in_cells(_design(request, site, budget_m, extra))
-    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed).within(
-        budget_m * (1.0 - ROUNDING)
+    places = site.snap_to_cell_centres(_design(request, site, budget_m, extra))
+    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed).truncated(
+        budget_m * (1.0 - BUDGET_ROUNDING)
     )
     now, later = route.places_m[: request.samples], route.places_m[request.samples :]
-    path = cut(route.path_m, float(route.at_m[request.samples - 1]))
+    path = path_prefix(route.path_m, float(route.at_m[request.samples - 1]))
     path[-1] = now[-1]
-    return replace(planned(request, path, now), outlook_m=later)
+    return replace(planned_round(request, path, now), outlook_m=later)
 
 
 def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[str, float]) -> FloatArray:
@@ -83,25 +89,27 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     left, samples = request.samples_left, request.samples_left + len(request.observed_m)
     variance = _average_variance(request, site)
     leg_m = LEG_CONSTANT * sqrt(site.area_m2 / samples)
-    thrift = float(extra.get("thrift", THRIFT)) / (samples * leg_m)
-    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MAX_REFITTED * left:
-        places = fitted(site, request.observed_m, request.outlook_m, left)
-        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
-        price = thrift * variance(places)
-        return drawn_taut(site, variance, places, price, metres, int(extra.get("steps", STEPS)), STEP_ON_M)
+    length_price = float(extra.get("length_price", LENGTH_PRICE)) / (samples * leg_m)
+    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MAX_OUTLOOK_MISMATCH * left:
+        places = design_from_outlook(site, request.observed_m, request.outlook_m, left)
+        metres = budget_m if isfinite(budget_m) else _default_budget_m(site, places, leg_m)
+        price = length_price * variance(places)
+        return optimise_places(
+            site, variance, places, price, metres, int(extra.get("steps", OUTLOOK_STEPS)), OUTLOOK_STEP_M
+        )
     rng = np.random.default_rng(request.seed)
 
     def drawn(places: FloatArray, steps: int) -> tuple[float, FloatArray]:
-        metres = budget_m if isfinite(budget_m) else _metres_without_budget(site, places, leg_m)
-        price = thrift * variance(places)
-        places = drawn_taut(site, variance, places, price, metres, steps)
-        return worth(site, variance, places, price, metres), places
+        metres = budget_m if isfinite(budget_m) else _default_budget_m(site, places, leg_m)
+        price = length_price * variance(places)
+        places = optimise_places(site, variance, places, price, metres, steps)
+        return objective(site, variance, places, price, metres), places
 
     designs = []
-    for _ in range(max(1, int(extra.get("designs", DESIGNS)))):
+    for _ in range(max(1, int(extra.get("designs", INITIAL_DESIGNS)))):
         first_node = int(rng.integers(len(site.nodes.weights)))
-        places = first_design(site, request.observed_m, left, budget_m, first_node)
-        designs.append(drawn(places, int(extra.get("first_steps", FIRST_STEPS))))
+        places = initial_design(site, request.observed_m, left, budget_m, first_node)
+        designs.append(drawn(places, int(extra.get("first_steps", INITIAL_STEPS))))
     designs.sort(key=lambda design: design[0])
     if (final_steps := int(extra.get("final_steps", FINAL_STEPS))) > 0:
         finalists = designs[: max(1, int(extra.get("finalists", FINALISTS)))]
@@ -109,21 +117,23 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     return designs[0][1]
 
 
-def _metres_without_budget(site: Site, places: FloatArray, leg_m: float) -> float:
+def _default_budget_m(site: Site, places: FloatArray, leg_m: float) -> float:
     """What the tour through the places (n, 2) [m] may grow or has to shrink to, if nobody says: so many usual legs,
     and the ways round obstacles."""
-    round_obstacles, as_the_crow_flies = tour_of(site, places)
+    round_obstacles, as_the_crow_flies = tour_lengths(site, places)
     return len(places) * leg_m * max(round_obstacles, leg_m) / max(as_the_crow_flies, leg_m)
 
 
 def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:
     hyperparameters, grid = request.hyperparameters, request.grid
     spacing_m = sqrt(grid.width_m * grid.height_m / (request.samples_left + len(request.observed_m)))
-    kernel = telling(hyperparameters.kernel, MIN_IN_SPACINGS * spacing_m, MAX_IN_SPACINGS * spacing_m)
+    kernel = clamp_length_scales(
+        hyperparameters.kernel, MIN_LENGTH_SCALE_SPACINGS * spacing_m, MAX_LENGTH_SCALE_SPACINGS * spacing_m
+    )
     return AverageVariance(kernel.of_squared_distance, hyperparameters.noise_variance, site.nodes, request.observed_m)
 
 
-def telling(kernel: Kernel, shortest_m: float, longest_m: float) -> Kernel:
+def clamp_length_scales(kernel: Kernel, shortest_m: float, longest_m: float) -> Kernel:
     """The kernel with its length scales within these bounds [m]: itself, where they are."""
     parameters = {
         name: min(max(value, shortest_m), longest_m) if name.endswith("length_scale_m") else value

@@ -9,12 +9,12 @@ import numpy as np
 
 from he3.frames import FloatArray, path_length
 from he3.tsp import short_tour
-from services.ground.planners.rounds import arc_lengths, cut
-from services.ground.planners.tour.legs import joined, leg_path
-from services.ground.planners.tour.paths import shortest_way
+from services.ground.planners.rounds import arc_lengths, path_prefix
+from services.ground.planners.tour.legs import joined_path, leg_path
+from services.ground.planners.tour.paths import shortest_path
 from services.ground.planners.tour.site import Site
 
-LOOKS = 4
+MAX_REORDERINGS = 4
 """How often legs whose way had to be found change the order of the tour."""
 
 
@@ -29,7 +29,7 @@ class Route:
     at_m: FloatArray
     """(n,) how far along the path each of the places is [m]."""
 
-    def within(self, budget_m: float) -> Route:
+    def truncated(self, budget_m: float) -> Route:
         """The route as far as the budget goes. Places beyond its end go amid the longest gaps before it."""
         if self.at_m[-1] <= budget_m:
             return self
@@ -38,7 +38,7 @@ class Route:
         while len(at) < len(self.at_m) + 1:
             gap = int(np.argmax(np.diff(at)))
             at.insert(gap + 1, 0.5 * (at[gap] + at[gap + 1]))
-        path, at_m = cut(self.path_m, end_m), np.array(at[1:])
+        path, at_m = path_prefix(self.path_m, end_m), np.array(at[1:])
         along = arc_lengths(self.path_m)
         places = np.column_stack([np.interp(at_m, along, self.path_m[:, k]) for k in (0, 1)])
         places[-1] = path[-1]
@@ -55,13 +55,13 @@ def route_through(site: Site, places_m: FloatArray, kicks: int, seed: int) -> Ro
     lengths = legs.lengths_m.copy()
     found: dict[tuple[int, int], FloatArray] = {}
     order = short_tour(lengths, np.arange(len(stops)), kicks, seed)
-    for look in range(LOOKS):
+    for look in range(MAX_REORDERINGS):
         for i, j in pairwise(order.tolist()):
             pair = min(i, j), max(i, j)
             if not legs.free[pair] and pair not in found:
-                found[pair] = shortest_way(site.ground, stops[pair[0]], stops[pair[1]])
+                found[pair] = shortest_path(site.ground, stops[pair[0]], stops[pair[1]])
                 lengths[i, j] = lengths[j, i] = path_length(found[pair])
-        if look == LOOKS - 1:
+        if look == MAX_REORDERINGS - 1:
             break
         shorter = short_tour(lengths, order)
         if np.array_equal(shorter, order):
@@ -73,4 +73,4 @@ def route_through(site: Site, places_m: FloatArray, kicks: int, seed: int) -> Ro
             ways.append(leg_path(legs, stops, i, j))
         else:
             ways.append(found[i, j] if i < j else found[j, i][::-1])
-    return Route(joined(ways), stops[order[1:]], np.cumsum([path_length(way) for way in ways]))
+    return Route(joined_path(ways), stops[order[1:]], np.cumsum([path_length(way) for way in ways]))

@@ -12,7 +12,7 @@ from scipy import ndimage
 from he3.errors import NoRoute
 from he3.frames import FloatArray, SiteGrid
 from he3.i_optimal_design import FieldNodes
-from services.ground.planners.routes import Routes
+from services.ground.planners.routes import RouteFinder
 from services.ground.planners.tour.legs import LegTable, leg_table
 from services.ground.planners.traversability import OpenGround
 
@@ -28,38 +28,38 @@ class Site:
     nodes: FieldNodes
     start_m: FloatArray
     """(2,) [m], a place from which legs can be checked."""
-    nearest: NDArray[np.int32]
+    nearest_reachable: NDArray[np.int32]
     """(2, rows, columns): row and column of the reachable cell that is nearest to each cell."""
-    part: int
+    component: int
     """Number of the connected part of the ground that can be reached."""
 
-    def settle(self, places_m: FloatArray) -> FloatArray:
+    def snap_to_reachable(self, places_m: FloatArray) -> FloatArray:
         """The places (n, 2) [m] where they can be reached, the centre of the nearest cell that can be where not."""
         grid = self.ground.grid
         size = grid.resolution_m
         columns = np.clip((places_m[:, 0] / size).astype(np.intp), 0, grid.columns - 1)
         rows = np.clip((places_m[:, 1] / size).astype(np.intp), 0, grid.rows - 1)
-        to_row, to_column = self.nearest[0, rows, columns], self.nearest[1, rows, columns]
+        to_row, to_column = self.nearest_reachable[0, rows, columns], self.nearest_reachable[1, rows, columns]
         stays = (to_row == rows) & (to_column == columns) & grid.contains(places_m)
         centres = (np.column_stack((to_column, to_row)) + 0.5) * size
         return np.where(stays[:, None], places_m, centres)
 
-    def settle_in_cells(self, places_m: FloatArray) -> FloatArray:
+    def snap_to_cell_centres(self, places_m: FloatArray) -> FloatArray:
         """The same, every place at the centre of its cell: clear of edges that other cells share."""
-        rows, columns = self.ground.grid.cells_of(self.settle(places_m))
+        rows, columns = self.ground.grid.cells_of(self.snap_to_reachable(places_m))
         cells = np.column_stack((columns, rows)).astype(np.float64)
         centres: FloatArray = (cells + 0.5) * self.ground.grid.resolution_m
         return centres
 
     def legs(self, places_m: FloatArray) -> LegTable:
         """The legs between the places (n, 2) [m], each of them reachable."""
-        return leg_table(self.ground, places_m, self._least_lengths)
+        return leg_table(self.ground, places_m, self._length_bounds)
 
-    def _least_lengths(self, places_m: FloatArray) -> FloatArray:
+    def _length_bounds(self, places_m: FloatArray) -> FloatArray:
         """(n, n) [m]: no way is shorter than the difference of its ends' distances from any landmark."""
         grid = self.ground.grid
         rows, columns = grid.cells_of(places_m)
-        fields = _landmarks(grid, self.ground.open.tobytes(), self.part)
+        fields = _landmark_distances(grid, self.ground.open.tobytes(), self.component)
         at = np.stack([field[rows, columns] for field in fields])
         bounds: FloatArray = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0)
         return bounds
@@ -69,38 +69,42 @@ class Site:
         """Area that is both reachable and of interest [m^2]; of less interest counts as less area."""
         grid = self.ground.grid
         rows, columns = np.arange(grid.rows)[:, None], np.arange(grid.columns)[None, :]
-        reachable = float(np.count_nonzero((self.nearest[0] == rows) & (self.nearest[1] == columns)))
+        reachable = float(
+            np.count_nonzero((self.nearest_reachable[0] == rows) & (self.nearest_reachable[1] == columns))
+        )
         # Cells that would weigh as much if all weighed the same: (sum w)^2 / sum w^2.
         weights = self.nodes.weights
         of_interest = float(weights.sum() ** 2 / (weights * weights).sum()) * self.nodes.spacing_m**2
         return min(reachable * grid.resolution_m**2, of_interest)
 
 
-def site_about(grid: SiteGrid, traversable: NDArray[np.bool_], start_m: tuple[float, float], nodes: FieldNodes) -> Site:
+def reachable_site(
+    grid: SiteGrid, traversable: NDArray[np.bool_], start_m: tuple[float, float], nodes: FieldNodes
+) -> Site:
     """The site around a rover that stands at the start. Raises NoRoute if it is walled in or on closed ground."""
     cells = traversable.astype(np.bool_).tobytes()
-    ground, labels = _parts(grid, cells)
+    ground, labels = _connected_components(grid, cells)
     start = np.array(ground.footing(start_m))
     row, column = grid.cells_of(start[None])
-    part = int(labels[row[0], column[0]])
-    return Site(ground, nodes, start, _nearest(grid, cells, part), part)
+    component = int(labels[row[0], column[0]])
+    return Site(ground, nodes, start, _nearest_reachable(grid, cells, component), component)
 
 
 @lru_cache(maxsize=4)
-def _parts(grid: SiteGrid, traversable: bytes) -> tuple[OpenGround, NDArray[np.int32]]:
+def _connected_components(grid: SiteGrid, traversable: bytes) -> tuple[OpenGround, NDArray[np.int32]]:
     """Open ground, and the number of the connected part (rows, columns) that each open cell is in. Remembered."""
     ground = OpenGround(grid, np.frombuffer(traversable, dtype=np.bool_).reshape(grid.shape))
     return ground, ndimage.label(ground.open)[0]
 
 
 @lru_cache(maxsize=4)
-def _nearest(grid: SiteGrid, traversable: bytes, part: int) -> NDArray[np.int32]:
+def _nearest_reachable(grid: SiteGrid, traversable: bytes, component: int) -> NDArray[np.int32]:
     """Row and column (2, rows, columns) of the cell of that part that is nearest to each cell. Remembered.
 
     Raises NoRoute if the part is a single cell: whoever stands there is walled in.
     """
-    _, labels = _parts(grid, traversable)
-    within = labels == part
+    _, labels = _connected_components(grid, traversable)
+    within = labels == component
     if np.count_nonzero(within) < 2:
         row, column = np.argwhere(within)[0]
         x, y = (column + 0.5) * grid.resolution_m, (row + 0.5) * grid.resolution_m
@@ -109,15 +113,15 @@ def _nearest(grid: SiteGrid, traversable: bytes, part: int) -> NDArray[np.int32]
 
 
 @lru_cache(maxsize=2)
-def _landmarks(grid: SiteGrid, traversable: bytes, part: int) -> tuple[FloatArray, ...]:
+def _landmark_distances(grid: SiteGrid, traversable: bytes, component: int) -> tuple[FloatArray, ...]:
     """Lengths (rows, columns) [m] of the ways from each landmark to each cell of that part: ends of the longest ways.
 
     Remembered. From them follow bounds for all pairs of places (Goldberg & Harrelson 2005). Along a corridor, they are
     exact but for the eight directions of the ways.
     """
-    ground, labels = _parts(grid, traversable)
-    within = labels == part
-    routes = Routes(ground)
+    ground, labels = _connected_components(grid, traversable)
+    within = labels == component
+    routes = RouteFinder(ground)
     row, column = np.argwhere(within)[0]
     nearest = np.full(grid.shape, np.inf)
     fields = []
