@@ -22,6 +22,7 @@ from services.runtime.node import (
     Interface,
     MissionTime,
     QueryFailed,
+    QueueDepthChanged,
     Received,
     ReplyReceived,
     Send,
@@ -46,8 +47,7 @@ class RoverNode:
         keep_outs: Mapping[str, Sequence[Place]] | None = None,
     ) -> None:
         """keep_outs: corners [m] of the areas closed from the beginning, by their ids."""
-        self.queue_depth = 0
-        """Messages that wait for the ground's acknowledgement: whoever keeps them says how many."""
+        self._queue_depth = 0
         self._config = config
         self._executive = Executive(config, site, start_m, start)
         self._executive.areas = {area_id: Area.within(polygon) for area_id, polygon in (keep_outs or {}).items()}
@@ -57,7 +57,7 @@ class RoverNode:
 
     @property
     def interface(self) -> Interface:
-        return Interface(name="rover", sides=(Side.MOON,), subscribes=(PLAN, COMMAND))
+        return Interface(name="rover", sides=(Side.MOON,), subscribes=(PLAN, COMMAND), reports_queue_depth=True)
 
     def handle(self, event: Event, now: MissionTime) -> list[Effect]:
         """What the rover does upon the event; its state follows whenever its mode has changed."""
@@ -75,6 +75,8 @@ class RoverNode:
                 executive.unanswered(event.topic, event.query, event.why, event.detail, now)
             case TimerFired():
                 self._wake(event.timer, now)
+            case QueueDepthChanged(depth):
+                self._queue_depth = depth
             case Started():
                 self._start(now)
         if self._told is not executive.mode:
@@ -111,7 +113,7 @@ class RoverNode:
 
     def _tell_state(self, now: MissionTime) -> None:
         self._told = self._executive.mode
-        self._executive.out.append(Send(STATE, self._executive.state(now, self.queue_depth)))
+        self._executive.out.append(Send(STATE, self._executive.state(now, self._queue_depth)))
 
 
 def build_node(scenario: Scenario, site: SiteGrid | None = None) -> RoverNode:

@@ -39,6 +39,7 @@ from services.runtime.node import (
     NoReply,
     QueryFailed,
     QueryReceived,
+    QueueDepthChanged,
     Received,
     ReceivedRaw,
     RefuseQuery,
@@ -61,7 +62,7 @@ def origin(topic: Topic) -> Side:
 EventSink = Callable[[MissionTime, str, str], None]
 """Called with mission time, node and a line for each event handled: the event log."""
 
-_OF_THE_PROCESS = frozenset({"_trace", "_queue_depth"})
+_OF_THE_PROCESS = frozenset({"_trace"})
 
 
 class Host:
@@ -84,7 +85,7 @@ class Host:
         self._custody: CustodyEndpoint | None = None
         if interface.custody and any(under_custody(topic) for topic in interface.subscribes):
             self._custody = CustodyEndpoint(interface.name, interface.sides[0], custody)
-        self._queue_depth: Callable[[int], None] | None = getattr(node, "queue_depth_is", None)
+        self._reported_depth = 0
 
     @property
     def interface(self) -> Interface:
@@ -152,7 +153,6 @@ class Host:
     def restore(self, state: dict[str, Any]) -> None:
         """Become the host that had this state."""
         vars(self).update(state)
-        self._queue_depth = getattr(self._node, "queue_depth_is", None)
 
     # --- what a driver reports ----------------------------------------------------------------------------------
 
@@ -177,6 +177,7 @@ class Host:
                 what = f"computed {job}{' failed' if error else ''}"
                 actions = self._handle(Computed(job, result, error), now, what)
         if self._custody is not None:
+            actions += self._report_queue_depth(self._custody.depth, now)
             actions += self._custody.timer()
         return actions
 
@@ -252,10 +253,14 @@ class Host:
         self._events += 1
         if self._trace is not None:
             self._trace(now, self._interface.name, what)
-        actions = list(self._actions(self._node.handle(event, now), now))
-        if self._custody is not None and self._queue_depth is not None:
-            self._queue_depth(self._custody.depth)
-        return actions
+        return list(self._actions(self._node.handle(event, now), now))
+
+    def _report_queue_depth(self, depth: int, now: MissionTime) -> list[Action]:
+        """At most one event an input; a replay of the same inputs yields the same events, so none is journalled."""
+        if not self._interface.reports_queue_depth or depth == self._reported_depth:
+            return []
+        self._reported_depth = depth
+        return list(self._actions(self._node.handle(QueueDepthChanged(depth), now), now))
 
     def _actions(self, effects: Iterable[Effect], now: MissionTime) -> Iterable[Action]:
         for effect in effects:

@@ -105,7 +105,27 @@ class Computed:
     error: Exception | None = None
 
 
-Event = Started | Received | ReceivedRaw | QueryReceived | ReplyReceived | QueryFailed | TimerFired | Computed
+@dataclass(frozen=True, slots=True)
+class QueueDepthChanged:
+    """`depth` messages of this node now wait for the other side's acknowledgement.
+
+    It follows from the events before it, so it is neither counted nor written to the event log.
+    """
+
+    depth: int
+
+
+Event = (
+    Started
+    | Received
+    | ReceivedRaw
+    | QueryReceived
+    | ReplyReceived
+    | QueryFailed
+    | TimerFired
+    | Computed
+    | QueueDepthChanged
+)
 
 # --- effects: what a node wants done ----------------------------------------------------------------------------
 
@@ -235,3 +255,5 @@ class Interface:
     serves: tuple[Topic, ...] = ()
     custody: bool = True
     """Whether topics of custody service are acknowledged by this node when it subscribes to them."""
+    reports_queue_depth: bool = False
+    """Whether this node sees `QueueDepthChanged`."""

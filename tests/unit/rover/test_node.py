@@ -33,6 +33,7 @@ from services.runtime.node import (
     NoReply,
     QueryFailed,
     QueryReceived,
+    QueueDepthChanged,
     Received,
     RefuseQuery,
     ReplyReceived,
@@ -284,10 +285,10 @@ def test_a_state_is_told_each_period_and_at_each_change_of_mode():
     assert at_one_minute.heading_deg == pytest.approx(90.0)
 
 
-def test_the_depth_of_the_queue_is_told_as_whoever_keeps_it_says():
-    moon = Moon()
-    moon.rover.queue_depth = 7
-    assert moon.run(0).state.queue_depth == 7
+def test_the_state_tells_the_last_known_depth_of_the_queue():
+    moon = Moon(state_period_s=60.0)
+    moon.put(1.0, QueueDepthChanged(7))
+    assert moon.run(60).state.queue_depth == 7
 
 
 def test_a_restart_in_the_middle_goes_on_as_if_there_had_been_none():

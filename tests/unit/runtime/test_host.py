@@ -9,11 +9,12 @@ import pytest
 from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.link import LinkChange
 from schemas.measurement import MeasurementReply, MeasurementRequest
-from schemas.telemetry import RoverMode, RoverState
+from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
 from schemas.topics import (
     ACK_DOWN,
     ACK_UP,
     COMMAND,
+    EVENT,
     LINK_SET,
     LIST_COMMANDS,
     MEASURE,
@@ -44,6 +45,7 @@ from services.runtime.node import (
     NoReply,
     QueryFailed,
     QueryReceived,
+    QueueDepthChanged,
     Received,
     ReceivedRaw,
     RefuseQuery,
@@ -243,6 +245,23 @@ def test_who_takes_custody_hears_the_acknowledgements_of_the_other_side_too():
     _, ground = hosted(name="ground", sides=(Side.EARTH,), subscribes=(SAMPLE,), custody=True)
     assert ground.hears(ACK_DOWN, Side.EARTH)
     assert not ground.hears(ACK_UP, Side.EARTH)
+
+
+def test_the_depth_of_the_queue_is_told_once_an_input_to_a_node_that_asks_for_it():
+    report = RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=0)
+    for asked, expected in ((True, [QueueDepthChanged(2), QueueDepthChanged(3)]), (False, [])):
+        lines: list[str] = []
+        node = Scripted(subscribes=(COMMAND,), custody=True, reports_queue_depth=asked)
+        host = Host(node, "short", lambda _now, _name, what, lines=lines: lines.append(what))
+        host.handle(ProcessStarted(1), 10)
+        node.next = [Send(EVENT, report), Send(EVENT, report)]
+        host.handle(TimerElapsed("a"), 20)
+        host.handle(TimerElapsed("b"), 30)
+        node.next = [Send(EVENT, report)]
+        host.handle(TimerElapsed("c"), 40)
+        assert [event for event in node.seen if isinstance(event, QueueDepthChanged)] == expected
+        assert lines == ["started 1", "due a", "due b", "due c"]
+        assert host.events == 4
 
 
 def test_every_event_leaves_a_line_in_the_trace():
