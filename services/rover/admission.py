@@ -1,10 +1,9 @@
-"""Whether a plan may be executed: a pure question about the plan and where the rover will be when its turn comes."""
+"""Plan admission: whether a plan can be executed, given where the rover will be when the plan's turn comes. Pure."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,67 +12,66 @@ import numpy as np
 from he3.frames import Place, SiteGrid
 from schemas.plans import MissionPlan, RoundPlan
 from services.rover.activities import Activity, Leg, legs_of
-from services.rover.geometry import Area
+from services.rover.keep_outs import KeepOuts
 
 JOIN_TOLERANCE_M: Final = 2.0  # m between where a round begins and where the rover will be
-MAX_ROUND_M: Final = 50_000.0  # m of way in a round: more is a mistake, the whole mission drives 20 km
+MAX_ROUND_M: Final = 50_000.0  # m of path in one round; more is an error: a whole mission drives 20 km
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
-    """What a plan has to fit."""
+class Admission:
+    """What a plan must fit."""
 
     accepted: MissionPlan | None
-    """The last plan that was."""
-    begun: int
+    """The last plan accepted."""
+    last_begun: int
     """The last round that has begun; 0 before the first."""
     replannable: bool
-    """That round was aborted, so it may be planned again."""
-    place_m: Place
-    """Where the rover will be when the next round begins."""
-    measured: frozenset[str] | set[str]
-    """Samples that must not be taken again: done, or part of the round under way."""
+    """Whether that round was aborted, so that it may be planned again."""
+    start_m: Place
+    """Where the rover will be when the next round begins [m]."""
+    measured: AbstractSet[str]
+    """Samples that must not be taken again: measured, or part of the current activity."""
     site: SiteGrid
-    areas: Mapping[str, Area]
-    margin_m: float
-    """Distance to keep from those areas [m]."""
+    keep_outs: KeepOuts
 
 
-def admitted(plan: MissionPlan, situation: Situation) -> tuple[Activity, ...] | str:
-    """The plan's rounds that have not begun, laid out; or one line that says why the plan is rejected."""
-    newest = situation.accepted
+def admit(plan: MissionPlan, admission: Admission) -> tuple[Activity, ...] | str:
+    """The plan's rounds that have not begun, as activities; or one line that says why the plan is rejected."""
+    newest = admission.accepted
     if newest is not None and plan.revision <= newest.revision:
         return f"expected a revision newer than {newest.revision}, got {plan.revision}"
-    first = situation.begun if situation.replannable else situation.begun + 1
+    next_round = admission.last_begun + 1
+    first = admission.last_begun if admission.replannable else next_round
     rounds = [planned for planned in plan.rounds if planned.round >= first]
     if not rounds:
         return f"expected rounds from {first} on, got {plan.rounds[-1].round} as the last: all have begun"
-    if rounds[0].round > situation.begun + 1:
-        return f"expected round {situation.begun + 1} next, got {rounds[0].round}"
-    jobs: list[Activity] = []
-    place = situation.place_m
+    if rounds[0].round > next_round:
+        return f"expected round {next_round} next, got {rounds[0].round}"
+    activities: list[Activity] = []
+    start = admission.start_m
     for planned in rounds:
-        laid_out = _laid_out(planned, place, situation)
-        if isinstance(laid_out, str):
-            return laid_out
-        job = Activity(laid_out, round=planned.round, revision=plan.revision)
-        place = job.ends_m or place
-        jobs.append(job)
-    return tuple(jobs)
+        legs = _admit_round(planned, start, admission)
+        if isinstance(legs, str):
+            return legs
+        activity = Activity(legs, round=planned.round, revision=plan.revision)
+        start = activity.end_m or start
+        activities.append(activity)
+    return tuple(activities)
 
 
-def _laid_out(planned: RoundPlan, place: Place, situation: Situation) -> tuple[Leg, ...] | str:
+def _admit_round(planned: RoundPlan, start: Place, admission: Admission) -> tuple[Leg, ...] | str:
     begins = planned.path_m[0]
-    gap = math.dist(begins, place)
+    gap = math.dist(begins, start)
     if gap > JOIN_TOLERANCE_M:
         return (
-            f"expected round {planned.round} to begin within {JOIN_TOLERANCE_M:g} m of ({place[0]:.2f}, "
-            f"{place[1]:.2f}), where the rover will be, got ({begins[0]:.2f}, {begins[1]:.2f}), {gap:.1f} m away"
+            f"expected round {planned.round} to begin within {JOIN_TOLERANCE_M:g} m of ({start[0]:.2f}, "
+            f"{start[1]:.2f}), where the rover will be, got ({begins[0]:.2f}, {begins[1]:.2f}), {gap:.1f} m away"
         )
     for sample in planned.samples:
-        if sample.sample_id in situation.measured:
+        if sample.sample_id in admission.measured:
             return f"round {planned.round}: expected new samples, got {sample.sample_id}, which is measured already"
-    stray = outside(situation.site, (*planned.path_m, *((s.x_m, s.y_m) for s in planned.samples)))
+    stray = outside(admission.site, (*planned.path_m, *((s.x_m, s.y_m) for s in planned.samples)))
     if stray is not None:
         return f"round {planned.round}: {stray}"
     length = sum(math.dist(a, b) for a, b in zip(planned.path_m, planned.path_m[1:], strict=False))
@@ -82,31 +80,14 @@ def _laid_out(planned: RoundPlan, place: Place, situation: Situation) -> tuple[L
     legs = legs_of(planned)
     if isinstance(legs, str):
         return legs
-    closed = closed_off((place, *(vertex for leg in legs for vertex in leg.way_m)), situation.areas, situation.margin_m)
+    closed = admission.keep_outs.objection((start, *(vertex for leg in legs for vertex in leg.path_m)))
     return legs if closed is None else f"round {planned.round}: {closed}"
 
 
 def outside(site: SiteGrid, places_m: tuple[Place, ...]) -> str | None:
-    """One line on the first of the places that lies outside the site; None if all are in it."""
+    """One line on the first of the places that lies outside the site; None if all lie in it."""
     within = site.contains(np.array(places_m))
     if within.all():
         return None
     x, y = places_m[int(np.argmin(within))]
     return f"expected places within 0..{site.width_m:g} m east and 0..{site.height_m:g} m north, got ({x:g}, {y:g})"
-
-
-def closed_off(way_m: tuple[Place, ...], areas: Mapping[str, Area], margin_m: float) -> str | None:
-    """One line on the first closed area that the way comes near; None if it keeps clear of all.
-
-    An area that the way begins in does not count until the way has left it: that is how the rover gets out.
-    """
-    for name, area in areas.items():
-        leaving = area.is_near(way_m[0], way_m[0], margin_m)
-        for a, b in itertools.pairwise(way_m):
-            near = area.is_near(a, b, margin_m)
-            if near and not leaving:
-                return f"the way from ({a[0]:.2f}, {a[1]:.2f}) to ({b[0]:.2f}, {b[1]:.2f}) enters keep-out {name}"
-            leaving = leaving and area.is_near(b, b, margin_m)
-        if leaving and len(way_m) > 1:
-            return f"the way ends within keep-out {name}"
-    return None

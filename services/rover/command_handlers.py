@@ -1,190 +1,217 @@
-"""Telecommands, judged when they come and carried out at the next safe point: one row a kind."""
+"""Telecommands: judged when they come, executed at the next safe point. One row of the table below for each kind."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
-from he3.frames import Place
+from he3.frames import Place, SiteGrid
 from schemas.commands import CommandKind, CommandStage, Telecommand
 from schemas.wire import Header
 from services.rover.activities import Activity, Leg
-from services.rover.admission import closed_off, outside
-from services.rover.command_registry import MAX_WAITING, is_past
-from services.rover.executive import Executive
-from services.rover.geometry import Area
+from services.rover.admission import outside
+from services.rover.command_registry import MAX_WAITING, CommandRegistry, is_past
+from services.rover.keep_outs import KeepOuts
+from services.rover.operating_state import OperatingState
+from services.rover.reporter import Reporter
+from services.rover.schedule import Schedule
 from services.rover.states import Hold
-from services.rover.track import way_home
-from services.runtime.node import Level, LogRecord, MissionTime
+from services.rover.track import return_path
+from services.rover.vehicle import Vehicle
+from services.runtime.node import Effect, Level, LogRecord, MissionTime
 
-MAX_AREAS: Final = 100
-
-Objection = Callable[[Executive, Telecommand], str | None]
-Action = Callable[[Executive, Telecommand, MissionTime], bool]
-"""Whether the command is completed with that; an errand completes when it is done."""
+MAX_KEEP_OUTS: Final = 100
 
 
-def take(executive: Executive, command: Telecommand, header: Header, now: MissionTime) -> None:
-    """Receives a telecommand and reports what becomes of it; the same id again is reported on, never executed again."""
-    table = executive.commands
-    earlier = table.reported(command)
-    if earlier is not None:
-        if table.differs(command):
-            executive.out.append(
-                LogRecord(
-                    Level.WARNING, "another command under a known id is ignored", {"command_id": command.command_id}
-                )
-            )
-        else:
-            executive.reporter.report(earlier)
-        return
-    _pass(executive, command, CommandStage.RECEIVED, now)
-    if is_past(command, now):
-        _pass(executive, command, CommandStage.EXPIRED, now, "it came after its time")
-        return
-    why = table.overtaken(command, header) or _refusal(executive, command)
-    if why is not None:
-        _pass(executive, command, CommandStage.REJECTED, now, why)
-        return
-    _pass(executive, command, CommandStage.ACCEPTED, now)
-    if command.kind is CommandKind.SET_KEEP_OUT:  # the rover need not stand still for it
-        _start(executive, command, now)
-        return
-    table.waiting.append(command)
-    if executive.interruptible:
-        executive.proceed(now)
+@dataclass(frozen=True, slots=True)
+class Controls:
+    """What a telecommand can ask of the rover."""
+
+    site: SiteGrid
+    vehicle: Vehicle
+    keep_outs: KeepOuts
+    operating: OperatingState
+    schedule: Schedule
 
 
-def carry_out_waiting(executive: Executive, now: MissionTime) -> None:
-    """Carries out what was accepted, oldest first; the rover is at a safe point."""
-    waiting = executive.commands.waiting
-    while waiting:
-        command = waiting.popleft()
+Objection = Callable[[Controls, Telecommand], str | None]
+"""One line on why the command cannot be executed as things are; None if it can."""
+Action = Callable[[Controls, Telecommand, MissionTime], bool]
+"""Executes the command; returns whether it is completed with that. A drive is completed on arrival."""
+
+
+class CommandHandlers:
+    """Takes telecommands through their stages."""
+
+    def __init__(
+        self, controls: Controls, registry: CommandRegistry, reporter: Reporter, effects: list[Effect]
+    ) -> None:
+        self._controls = controls
+        self._registry = registry
+        self._reporter = reporter
+        self._effects = effects
+
+    @property
+    def waiting(self) -> bool:
+        """Whether accepted commands wait for a safe point."""
+        return bool(self._registry.waiting)
+
+    def receive(self, command: Telecommand, header: Header, now: MissionTime) -> None:
+        """Accepts the command or rejects it. The same id again is reported on, and never executed again."""
+        registry = self._registry
+        last_report = registry.reported(command)
+        if last_report is not None:
+            if registry.differs(command):
+                fields = {"command_id": command.command_id}
+                self._effects.append(LogRecord(Level.WARNING, "another command under a known id is ignored", fields))
+            else:
+                self._reporter.report_command(last_report)
+            return
+        self._advance(command, CommandStage.RECEIVED, now)
         if is_past(command, now):
-            _pass(executive, command, CommandStage.EXPIRED, now, "no safe point came in time")
-            continue
-        why = OBJECTIONS[command.kind](executive, command)
+            self._advance(command, CommandStage.EXPIRED, now, "it came after its time")
+            return
+        why = registry.overtaken(command, header) or self._refusal(command)
         if why is not None:
-            _pass(executive, command, CommandStage.FAILED, now, why)
+            self._advance(command, CommandStage.REJECTED, now, why)
+            return
+        self._advance(command, CommandStage.ACCEPTED, now)
+        if command.kind is CommandKind.SET_KEEP_OUT:  # needs no safe point
+            self._execute(command, now)
         else:
-            _start(executive, command, now)
+            registry.waiting.append(command)
+
+    def execute_waiting(self, now: MissionTime) -> None:
+        """Executes the accepted commands, oldest first. The rover is at a safe point."""
+        waiting = self._registry.waiting
+        while waiting:
+            command = waiting.popleft()
+            if is_past(command, now):
+                self._advance(command, CommandStage.EXPIRED, now, "no safe point came in time")
+                continue
+            why = OBJECTIONS[command.kind](self._controls, command)
+            if why is not None:
+                self._advance(command, CommandStage.FAILED, now, why)
+            else:
+                self._execute(command, now)
+
+    def _execute(self, command: Telecommand, now: MissionTime) -> None:
+        self._advance(command, CommandStage.STARTED, now)
+        if ACTIONS[command.kind](self._controls, command, now):
+            self._advance(command, CommandStage.COMPLETED, now)
+
+    def _advance(self, command: Telecommand, stage: CommandStage, now: MissionTime, why: str = "") -> None:
+        self._reporter.report_command(self._registry.advance(command, stage, now, why))
+
+    def _refusal(self, command: Telecommand) -> str | None:
+        waiting = self._registry.waiting
+        if len(waiting) >= MAX_WAITING:
+            return f"expected at most {MAX_WAITING} commands waiting, got one more"
+        # The commands that wait may change what is true now, so the objection is raised when this one's turn comes.
+        if waiting and command.kind not in (CommandKind.SET_KEEP_OUT, CommandKind.GO_TO):
+            return None
+        return OBJECTIONS[command.kind](self._controls, command)
 
 
-def _start(executive: Executive, command: Telecommand, now: MissionTime) -> None:
-    _pass(executive, command, CommandStage.STARTED, now)
-    if ACTIONS[command.kind](executive, command, now):
-        _pass(executive, command, CommandStage.COMPLETED, now)
+# --- objections ---------------------------------------------------------------------------------------------------
 
 
-def _pass(executive: Executive, command: Telecommand, stage: CommandStage, now: MissionTime, why: str = "") -> None:
-    executive.reporter.report(executive.commands.passed(command, stage, now, why))
-
-
-def _refusal(executive: Executive, command: Telecommand) -> str | None:
-    waiting = executive.commands.waiting
-    if len(waiting) >= MAX_WAITING:
-        return f"expected at most {MAX_WAITING} commands waiting, got one more"
-    # What is true now may change with those that wait; then the question is asked when its turn comes.
-    if waiting and command.kind not in (CommandKind.SET_KEEP_OUT, CommandKind.GO_TO):
-        return None
-    return OBJECTIONS[command.kind](executive, command)
-
-
-# --- what speaks against each -------------------------------------------------------------------------------------
-
-
-def _never(executive: Executive, command: Telecommand) -> str | None:
+def _no_objection(controls: Controls, command: Telecommand) -> str | None:
     return None
 
 
-def _safe_already(executive: Executive, command: Telecommand) -> str | None:
-    if executive.hold in (None, Hold.PAUSE, Hold.ENERGY):
+def _in_safe_mode(controls: Controls, command: Telecommand) -> str | None:
+    hold = controls.operating.hold
+    if hold in (None, Hold.PAUSE, Hold.ENERGY):
         return None
-    return f"the rover is in safe mode already ({executive.hold.value})" if executive.hold else None
+    return f"the rover is in safe mode already ({hold.value})" if hold else None
 
 
-def _nothing_held(executive: Executive, command: Telecommand) -> str | None:
-    if executive.hold is None:
+def _not_held(controls: Controls, command: Telecommand) -> str | None:
+    if controls.operating.hold is None:
         return "expected a rover that is paused or in safe mode, got one that is neither"
-    if executive.hold is Hold.ENERGY:
+    if controls.operating.hold is Hold.ENERGY:
         return "the rover charges, and goes on by itself"
     return None
 
 
-def _no_round(executive: Executive, command: Telecommand) -> str | None:
-    return None if executive.job is not None and executive.job.round else "no round is under way"
+def _no_round(controls: Controls, command: Telecommand) -> str | None:
+    current = controls.schedule.current
+    return None if current is not None and current.round else "no round is under way"
 
 
-def _cannot_drive(executive: Executive, command: Telecommand) -> str | None:
-    return "the rover charges, its energy is too low to drive" if executive.hold is Hold.ENERGY else None
+def _charging(controls: Controls, command: Telecommand) -> str | None:
+    return "the rover charges, its energy is too low to drive" if controls.operating.hold is Hold.ENERGY else None
 
 
-def _target_closed(executive: Executive, command: Telecommand) -> str | None:
+def _target_closed(controls: Controls, command: Telecommand) -> str | None:
     target = _target(command)
-    stray = outside(executive.site, (target,))
+    stray = outside(controls.site, (target,))
     if stray is not None:
         return stray
-    way = (executive.vehicle.standing_m, target) if executive.interruptible else (target,)
-    margin = executive.config.footprint_radius_m
-    if any(area.is_near(target, target, margin) for area in executive.areas.values()):
+    if controls.keep_outs.around(target):
         return f"({target[0]:g}, {target[1]:g}) lies within a keep-out"
-    return closed_off(way, executive.areas, margin) or _cannot_drive(executive, command)
+    # While a step is under way it is not known yet where the drive will begin.
+    path = (controls.vehicle.standing_m, target) if controls.operating.interruptible else (target,)
+    return controls.keep_outs.objection(path) or _charging(controls, command)
 
 
-def _no_such_area(executive: Executive, command: Telecommand) -> str | None:
-    known = command.area_id in executive.areas
+def _no_such_keep_out(controls: Controls, command: Telecommand) -> str | None:
+    known = command.area_id in controls.keep_outs
     if command.polygon_m is None and not known:
         return f"there is no keep-out {command.area_id} to remove"
-    if command.polygon_m is not None and not known and len(executive.areas) >= MAX_AREAS:
-        return f"expected at most {MAX_AREAS} keep-outs, got one more"
+    if command.polygon_m is not None and not known and len(controls.keep_outs) >= MAX_KEEP_OUTS:
+        return f"expected at most {MAX_KEEP_OUTS} keep-outs, got one more"
     return None
 
 
-# --- what each does -----------------------------------------------------------------------------------------------
+# --- actions ------------------------------------------------------------------------------------------------------
 
 
-def _pause(executive: Executive, command: Telecommand, now: MissionTime) -> bool:
-    if executive.hold is not Hold.PAUSE:
-        executive.hold_for(Hold.PAUSE, now, _by(command))
+def _pause(controls: Controls, command: Telecommand, now: MissionTime) -> bool:
+    if controls.operating.hold is not Hold.PAUSE:
+        controls.operating.hold_for(Hold.PAUSE, now, _by(command))
     return True
 
 
-def _resume(executive: Executive, command: Telecommand, now: MissionTime) -> bool:
-    executive.release(now, _by(command))
+def _resume(controls: Controls, command: Telecommand, now: MissionTime) -> bool:
+    controls.operating.release(now, _by(command))
     return True
 
 
-def _abort_round(executive: Executive, command: Telecommand, now: MissionTime) -> bool:
-    executive.abandon(now, _by(command))
+def _abort_round(controls: Controls, command: Telecommand, now: MissionTime) -> bool:
+    controls.schedule.abandon(now, _by(command))
     return True
 
 
-def _safe(executive: Executive, command: Telecommand, now: MissionTime) -> bool:
-    if executive.hold is not Hold.COMMAND:
-        executive.hold_for(Hold.COMMAND, now, _by(command))
+def _safe(controls: Controls, command: Telecommand, now: MissionTime) -> bool:
+    if controls.operating.hold is not Hold.COMMAND:
+        controls.operating.hold_for(Hold.COMMAND, now, _by(command))
     return True
 
 
-def _go_to(executive: Executive, command: Telecommand, now: MissionTime) -> bool:
-    return _errand(executive, command, (_target(command),), now)
+def _go_to(controls: Controls, command: Telecommand, now: MissionTime) -> bool:
+    return _drive(controls, command, (_target(command),), now)
 
 
-def _return_to_start(executive: Executive, command: Telecommand, now: MissionTime) -> bool:
-    return _errand(executive, command, way_home(executive.vehicle.track_m), now)
+def _return_to_start(controls: Controls, command: Telecommand, now: MissionTime) -> bool:
+    return _drive(controls, command, return_path(controls.vehicle.track_m), now)
 
 
-def _errand(executive: Executive, command: Telecommand, way: tuple[Place, ...], now: MissionTime) -> bool:
-    executive.abandon(now, _by(command))
-    executive.release(now, _by(command))
-    executive.start(Activity((Leg(way, None),), command_id=command.command_id))
+def _drive(controls: Controls, command: Telecommand, path_m: tuple[Place, ...], now: MissionTime) -> bool:
+    controls.schedule.abandon(now, _by(command))
+    controls.operating.release(now, _by(command))
+    controls.schedule.begin(Activity((Leg(path_m, None),), command=command))
     return False
 
 
-def _set_keep_out(executive: Executive, command: Telecommand, now: MissionTime) -> bool:
+def _set_keep_out(controls: Controls, command: Telecommand, now: MissionTime) -> bool:
     name = str(command.area_id)
-    executive.areas.pop(name, None)
-    if command.polygon_m is not None:
-        executive.areas[name] = Area.within(command.polygon_m)
+    if command.polygon_m is None:
+        controls.keep_outs.open(name)
+    else:
+        controls.keep_outs.close(name, command.polygon_m)
     return True
 
 
@@ -193,18 +220,18 @@ def _by(command: Telecommand) -> str:
 
 
 def _target(command: Telecommand) -> Place:
-    assert command.target_m is not None  # a go_to without one is refused at the edge
+    assert command.target_m is not None  # the schema refuses a go_to without a target
     return command.target_m
 
 
 OBJECTIONS: Final[dict[CommandKind, Objection]] = {
-    CommandKind.PAUSE: _safe_already,
-    CommandKind.RESUME: _nothing_held,
+    CommandKind.PAUSE: _in_safe_mode,
+    CommandKind.RESUME: _not_held,
     CommandKind.ABORT_ROUND: _no_round,
     CommandKind.GO_TO: _target_closed,
-    CommandKind.SET_KEEP_OUT: _no_such_area,
-    CommandKind.RETURN_TO_START: _cannot_drive,
-    CommandKind.SAFE: _never,
+    CommandKind.SET_KEEP_OUT: _no_such_keep_out,
+    CommandKind.RETURN_TO_START: _charging,
+    CommandKind.SAFE: _no_objection,
 }
 
 ACTIONS: Final[dict[CommandKind, Action]] = {

@@ -1,4 +1,4 @@
-"""The telecommands that the rover has received: each is executed at most once, in the order in which it was made."""
+"""The telecommands that the rover has received. Each is executed at most once, in the order in which it was made."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from schemas.wire import Header
 from services.runtime.node import MissionTime
 
 MAX_WAITING: Final = 32
-MAX_REMEMBERED: Final = 10_000  # commands whose ids are known; a mission sees hundreds
-MAX_WHY: Final = 500  # characters of a reason, as the message admits
+MAX_REMEMBERED: Final = 10_000  # commands whose ids are kept; a mission sends hundreds
+MAX_WHY: Final = 500  # characters of a reason; the limit of the message's field
 
 STAGES: Final[dict[CommandStage | None, frozenset[CommandStage]]] = {
     None: frozenset({CommandStage.RECEIVED}),
@@ -20,16 +20,16 @@ STAGES: Final[dict[CommandStage | None, frozenset[CommandStage]]] = {
     CommandStage.ACCEPTED: frozenset({CommandStage.STARTED, CommandStage.FAILED, CommandStage.EXPIRED}),
     CommandStage.STARTED: frozenset({CommandStage.COMPLETED, CommandStage.FAILED}),
 }
-"""The stages on the rover, and which may follow which; those that are no key end a command."""
+"""Which stage may follow which on the rover; a stage that is not a key here ends the command."""
 
 
 class IllegalStage(Exception):
-    """The program moved a command to a stage that cannot follow: a mistake in it, not a reaction to input."""
+    """The program moved a command to a stage that cannot follow: an error in the program, not in its input."""
 
 
 @dataclass(slots=True)
 class CommandRegistry:
-    """Every command received, its last report, and those accepted that wait for the next safe point."""
+    """Every command received with its last report, and the accepted ones that wait for the next safe point."""
 
     waiting: deque[Telecommand] = field(default_factory=deque)
     _known: OrderedDict[str, tuple[Telecommand, CommandReport]] = field(default_factory=OrderedDict)
@@ -41,12 +41,12 @@ class CommandRegistry:
         return known and known[1]
 
     def differs(self, command: Telecommand) -> bool:
-        """Whether the id is known for another command than this one."""
+        """Whether another command is known under the same id."""
         known = self._known.get(command.command_id)
         return known is not None and known[0] != command
 
-    def passed(self, command: Telecommand, stage: CommandStage, now: MissionTime, why: str = "") -> CommandReport:
-        """The report that the command has passed that stage; raises IllegalStage, naming both, for any other order."""
+    def advance(self, command: Telecommand, stage: CommandStage, now: MissionTime, why: str = "") -> CommandReport:
+        """The report that the command has reached that stage; raises IllegalStage, naming both, if it cannot follow."""
         known = self._known.get(command.command_id)
         before = known[1].stage if known else None
         if stage not in STAGES.get(before, frozenset()):
@@ -58,27 +58,23 @@ class CommandRegistry:
             self._known.pop(next(ended, command.command_id))
         return report
 
-    def find(self, command_id: str) -> Telecommand:
-        """The command of that id; it must be known."""
-        return self._known[command_id][0]
-
     def overtaken(self, command: Telecommand, header: Header) -> str | None:
-        """One line naming the command that was made later but came earlier; None if there is none.
+        """One line on the command that was made later but came earlier; None if there is none.
 
-        The operator's newest word counts: a pause that arrives after the resume that was meant to end it would hold
-        the rover for good. Each keep-out area is a matter of its own; going safe is never out of date.
+        The newest command counts: a pause that arrives after the resume that was meant to end it would hold the rover
+        for good. Commands on motion are ordered among themselves, and those on each keep-out; `safe` is never outdated.
         """
         if command.kind is CommandKind.SAFE:
             return None
-        matter = f"area {command.area_id}" if command.kind is CommandKind.SET_KEEP_OUT else "motion"
+        subject = f"area {command.area_id}" if command.kind is CommandKind.SET_KEEP_OUT else "motion"
         made = (header.made_at, header.incarnation, header.sequence)
-        newest = self._newest.get(matter)
+        newest = self._newest.get(subject)
         if newest is not None and newest[0] > made:
             return f"{newest[1]} was made later and came first"
-        self._newest[matter] = (made, f"{command.kind} {command.command_id}")
+        self._newest[subject] = (made, f"{command.kind} {command.command_id}")
         return None
 
 
 def is_past(command: Telecommand, now: MissionTime) -> bool:
-    """Whether the command has expired: it may still be started at the very instant at which it expires."""
+    """Whether the command has expired; at the very instant of its expiry it may still start."""
     return command.expires_at is not None and now > command.expires_at

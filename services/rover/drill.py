@@ -1,4 +1,4 @@
-"""One hole: drilled in bites, its cuttings analysed, its number asked for until it comes."""
+"""The drill: a borehole is drilled bite by bite, its cuttings are analysed, and then the instrument is asked."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Final
 
 from schemas.plans import PlannedSample
 
-_ROUNDING_M: Final = 1e-9  # a last bite shallower than this is rounding, not drilling
+_ROUNDING_M: Final = 1e-9  # m; a last bite shallower than this is rounding, not drilling
 
 
 def bites_m(depth_m: float, bite_m: float) -> tuple[float, ...]:
-    """Depth [m] of each bite that a hole takes: full ones, and what is left."""
+    """Depth [m] of each bite of a hole: full bites, then the remainder."""
     count = max(1, math.ceil((depth_m - _ROUNDING_M) / bite_m))
     return (*(bite_m,) * (count - 1), depth_m - bite_m * (count - 1))
 
 
 @dataclass(slots=True)
-class Hole:
+class Borehole:
     """How far the work at one planned sample has come."""
 
     sample: PlannedSample
@@ -26,6 +26,6 @@ class Hole:
     analysed: bool = False
 
     @classmethod
-    def begun(cls, sample: PlannedSample, bite_m: float) -> Hole:
-        """A hole of the sample's depth with nothing drilled yet."""
+    def begun(cls, sample: PlannedSample, bite_m: float) -> Borehole:
+        """A borehole of the sample's depth with nothing drilled yet."""
         return cls(sample, list(bites_m(sample.depth_m, bite_m)))

@@ -1,4 +1,4 @@
-"""Plane geometry of ways and areas: segments, polygons, and how near they come to one another."""
+"""Plane geometry: segments, polygons, and the distances between them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 
 from he3.frames import Place
 
-_NEARNESS_M: Final = 0.01
+_ENTRY_TOLERANCE_M: Final = 0.01  # m; how exactly the place is found where a path comes too near to an area
 
 
 def inside(polygon_m: Sequence[Place], place_m: Place) -> bool:
@@ -27,20 +27,20 @@ def inside(polygon_m: Sequence[Place], place_m: Place) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """A closed polygon and the box around it."""
+    """A polygon and its bounding box."""
 
     polygon_m: tuple[Place, ...]
     south_west_m: Place
     north_east_m: Place
 
     @classmethod
-    def within(cls, polygon_m: Sequence[Place]) -> Area:
+    def of(cls, polygon_m: Sequence[Place]) -> Area:
         """The area of a polygon of at least three corners."""
         xs, ys = [x for x, _ in polygon_m], [y for _, y in polygon_m]
         return cls(tuple(polygon_m), (min(xs), min(ys)), (max(xs), max(ys)))
 
     def is_near(self, a: Place, b: Place, margin_m: float) -> bool:
-        """Whether the segment from a to b touches the area, or comes nearer to it than the margin [m]."""
+        """Whether the segment from a to b touches the area or comes nearer to it than the margin [m]."""
         (west, south), (east, north) = self.south_west_m, self.north_east_m
         if (
             max(a[0], b[0]) < west - margin_m
@@ -58,23 +58,26 @@ class Area:
             c = d
         return False
 
-    def first_near(self, way_m: Sequence[Place], margin_m: float) -> Place | None:
-        """Where a way first comes nearer to the area than the margin [m], to a centimetre; None if it keeps clear."""
-        for a, b in pairwise(way_m):
+    def first_near(self, path_m: Sequence[Place], margin_m: float) -> Place | None:
+        """Where a path first comes nearer to the area than the margin [m], to a centimetre; None if it keeps clear."""
+        for a, b in pairwise(path_m):
             if self.is_near(a, b, margin_m):
-                clear, near = 0.0, 1.0  # of the segment: up to there it is clear, up to there it is not
-                while (near - clear) * math.dist(a, b) > _NEARNESS_M:
+                clear, near = (
+                    0.0,
+                    1.0,
+                )  # fractions of the segment: it is clear up to the first, and not up to the second
+                while (near - clear) * math.dist(a, b) > _ENTRY_TOLERANCE_M:
                     half = (clear + near) / 2
-                    if self.is_near(a, _part(a, b, half), margin_m):
+                    if self.is_near(a, _interpolate(a, b, half), margin_m):
                         near = half
                     else:
                         clear = half
-                return _part(a, b, near)
+                return _interpolate(a, b, near)
         return None
 
 
-def _part(a: Place, b: Place, share: float) -> Place:
-    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+def _interpolate(a: Place, b: Place, fraction: float) -> Place:
+    return a[0] + fraction * (b[0] - a[0]), a[1] + fraction * (b[1] - a[1])
 
 
 def _cross(a: Place, b: Place, c: Place, d: Place) -> bool:
@@ -87,20 +90,20 @@ def _side(a: Place, b: Place, p: Place) -> float:
 
 
 def _squared_gap(a: Place, b: Place, c: Place, d: Place) -> float:
-    """Squared distance [m^2] of two segments that do not cross: it is attained at one of the four ends."""
+    """Squared distance [m^2] of two segments that do not cross; it is attained at one of their four ends."""
     return min(
         squared_distance(a, c, d), squared_distance(b, c, d), squared_distance(c, a, b), squared_distance(d, a, b)
     )
 
 
 def squared_distance(p: Place, a: Place, b: Place) -> float:
-    """Squared distance [m^2] of a place from the segment from a to b."""
-    share = nearest_share(p, a, b)
-    return (a[0] + share * (b[0] - a[0]) - p[0]) ** 2 + (a[1] + share * (b[1] - a[1]) - p[1]) ** 2
+    """Squared distance [m^2] of a place from the segment ab."""
+    x, y = _interpolate(a, b, nearest_fraction(p, a, b))
+    return (x - p[0]) ** 2 + (y - p[1]) ** 2
 
 
-def nearest_share(p: Place, a: Place, b: Place) -> float:
-    """How far along the segment from a (0) to b (1) the point nearest to the place is."""
+def nearest_fraction(p: Place, a: Place, b: Place) -> float:
+    """Fraction of the segment from a (0) to b (1) at which it is nearest to the place."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     squared = dx * dx + dy * dy
     if squared == 0:

@@ -1,55 +1,60 @@
-"""Questions to the instruments: one at a time, asked again while there is no answer, outdated answers told apart."""
+"""Queries to the instruments: one at a time, repeated while there is no reply; replies to withdrawn queries are told
+apart by the query's name."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Final
 
+from schemas.telemetry import EventKind
 from schemas.topics import Topic
 from schemas.wire import Wire
+from services.rover.reporter import Reporter
 from services.runtime.node import Effect, MissionTime, SendQuery, SetTimer, seconds
 
 RETRY: Final = "retry"
+"""Timer: ask the silent instrument again."""
 
 
-@dataclass(slots=True)
 class Instruments:
-    """The question that stands, if any, and which instruments are known to be silent."""
+    """The pending query, if any, and the instruments that are known to be silent."""
 
-    retry_s: float
-    _asked: int = 0
-    _question: str | None = None
-    _silent: set[str] = field(default_factory=set)
+    def __init__(self, retry_s: float, reporter: Reporter, effects: list[Effect]) -> None:
+        self._retry_s = retry_s
+        self._reporter = reporter
+        self._effects = effects
+        self._sent = 0
+        self._pending: str | None = None
+        self._silent: set[str] = set()
 
     @property
     def waiting(self) -> bool:
-        """Whether a question stands."""
-        return self._question is not None
+        """Whether a query is pending."""
+        return self._pending is not None
 
-    def ask(self, topic: Topic, request: Wire) -> Effect:
-        """Asks; any answer to an earlier question is outdated with that."""
-        self._asked += 1
-        self._question = f"{topic.name.rsplit('/', 1)[-1]}-{self._asked}"
-        return SendQuery(topic, request, self._question)
+    def ask(self, topic: Topic, request: Wire) -> None:
+        """Sends the query. Replies to earlier queries no longer count."""
+        self._sent += 1
+        self._pending = f"{topic.name.rsplit('/', 1)[-1]}-{self._sent}"
+        self._effects.append(SendQuery(topic, request, self._pending))
 
     def expects(self, query: str) -> bool:
-        """Whether that is the question that stands."""
-        return query == self._question
+        """Whether that is the pending query."""
+        return query == self._pending
 
     def answered(self, topic: Topic) -> None:
-        """The question that stands is answered: the instrument is not silent."""
-        self._question = None
+        """Closes the pending query: the instrument has replied."""
+        self._pending = None
         self._silent.discard(topic.name)
 
-    def withdraw(self) -> list[Effect]:
-        """Takes the question back that stands, and any intention to repeat it."""
-        if self._question is None:
-            return []
-        self._question = None
-        return [SetTimer(RETRY, None)]
+    def withdraw(self) -> None:
+        """Drops the pending query, if any; it is not repeated."""
+        if self._pending is not None:
+            self._pending = None
+            self._effects.append(SetTimer(RETRY, None))
 
-    def failed(self, topic: Topic, now: MissionTime) -> tuple[bool, Effect]:
-        """Whether this instrument had answered until now, and the wait until it is asked again."""
-        first = topic.name not in self._silent
-        self._silent.add(topic.name)
-        return first, SetTimer(RETRY, now + seconds(self.retry_s))
+    def failed(self, topic: Topic, now: MissionTime, why: str) -> None:
+        """Schedules the query again; the first failure after a reply is reported."""
+        if topic.name not in self._silent:
+            self._silent.add(topic.name)
+            self._reporter.report_event(EventKind.INSTRUMENT_SILENT, now, f"{topic.name}: {why}")
+        self._effects.append(SetTimer(RETRY, now + seconds(self._retry_s)))

@@ -1,4 +1,4 @@
-"""What the rover tells the ground: events and telecommands' stages, with where and when it was."""
+"""What the rover reports to the ground: events and the stages of telecommands, with place, time and odometer."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from services.rover.plan_queue import PlanQueue
 from services.rover.vehicle import Vehicle
 from services.runtime.node import Effect, MissionTime, Send
 
-MAX_DETAIL: Final = 500  # characters, as the message admits
+MAX_DETAIL: Final = 500  # characters; the limit of the message's field
 
 
 class Reporter:
-    """Appends to the effects what is to be told."""
+    """Appends reports to the effects of the event being handled."""
 
-    def __init__(self, vehicle: Vehicle, plan_queue: PlanQueue, out: list[Effect]) -> None:
+    def __init__(self, vehicle: Vehicle, plan_queue: PlanQueue, effects: list[Effect]) -> None:
         self._vehicle = vehicle
         self._plan_queue = plan_queue
-        self._out = out
+        self._effects = effects
 
-    def report(self, report: CommandReport) -> None:
-        """Tells of a telecommand's stage."""
-        self._out.append(Send(COMMAND_REPORT, report))
+    def report_command(self, report: CommandReport) -> None:
+        """Reports a telecommand's stage."""
+        self._effects.append(Send(COMMAND_REPORT, report))
 
-    def tell_of_job(
-        self, kind: EventKind, job: Activity, now: MissionTime, detail: str = "", obstacle_m: Place | None = None
+    def report_activity(
+        self, kind: EventKind, activity: Activity, now: MissionTime, detail: str = "", obstacle_m: Place | None = None
     ) -> None:
-        """Tells of an event in a round, with the samples of it that are measured; in an errand, of round 0."""
-        self.tell(
+        """Reports an event of an activity, with the samples that it has measured. A commanded drive is round 0."""
+        self.report_event(
             kind,
             now,
             detail,
-            round_=job.round,
-            revision=job.revision,
+            round_=activity.round,
+            revision=activity.revision,
             obstacle_m=obstacle_m,
-            samples_done=tuple(job.measured),
+            samples_done=tuple(activity.measured),
         )
 
-    def tell(
+    def report_event(
         self,
         kind: EventKind,
         now: MissionTime,
@@ -54,7 +54,7 @@ class Reporter:
         obstacle_m: Place | None = None,
         samples_done: tuple[str, ...] = (),
     ) -> None:
-        """Tells of an event; where nothing else is said, in the last round begun, under the last plan accepted."""
+        """Reports an event. Round and revision default to the last round begun and the last plan accepted."""
         x, y = self._vehicle.place_m(now)
         event = RoverEvent(
             kind=kind,
@@ -69,4 +69,4 @@ class Reporter:
             samples_done=samples_done,
             detail=detail[:MAX_DETAIL],
         )
-        self._out.append(Send(EVENT, event))
+        self._effects.append(Send(EVENT, event))

@@ -1,7 +1,6 @@
-"""The executive's state machine, whole: what the rover may turn to from what it is doing.
+"""The rover's state machine, whole: a table of (state, trigger) -> state, and the reasons that hold the rover.
 
-Each row reads: in this phase, upon this, go to that phase. What is not in the table is a mistake of the program's and
-never a reaction to anything that came from outside.
+A transition that the table does not hold is an error in the program. No input from outside can ask for one.
 """
 
 from __future__ import annotations
@@ -12,92 +11,93 @@ from typing import Final
 from schemas.telemetry import RoverMode
 
 
-class Phase(StrEnum):
-    """What the rover is doing, finer than the mode that it reports."""
+class State(StrEnum):
+    """What the rover is doing, in more detail than the mode that it reports."""
 
     IDLE = "idle"
-    """Landed, and never given a plan."""
-    LOOKING = "looking"
+    """Landed, and no plan accepted yet."""
+    SCANNING = "scanning"
     """Standing, waiting for the terrain ahead."""
     DRIVING = "driving"
     DRILLING = "drilling"
     ANALYSING = "analysing"
-    """The oven is at work."""
+    """The oven heats the cuttings."""
     MEASURING = "measuring"
-    """Waiting for the instrument's number."""
+    """Waiting for the instrument's value."""
     PAUSED = "paused"
     CHARGING = "charging"
-    """Safe for want of energy; goes on by itself."""
+    """Safe because energy is low; continues by itself."""
     SAFE = "safe"
     PARKED = "parked"
 
 
 class Trigger(StrEnum):
-    """What makes the rover turn to something else."""
+    """What makes the rover change its state."""
 
-    LOOK = "look at the way ahead"
-    WAY_CLEAR = "the way ahead is clear"
+    SCAN = "scan the path ahead"
+    PATH_CLEAR = "the path ahead is clear"
     DRILL = "drill a bite"
-    HOLE_DONE = "the hole is deep enough"
-    ANALYSED = "the analysis is over"
+    DEPTH_REACHED = "the hole has reached its depth"
+    ANALYSIS_DONE = "the analysis is done"
     PAUSE = "pause"
-    RUN_LOW = "energy would run low"
-    DANGER = "go safe"
-    NOTHING_LEFT = "nothing is left to do"
+    LOW_ENERGY = "energy is low"
+    ENTER_SAFE_MODE = "enter safe mode"
+    QUEUE_EMPTY = "nothing is left to do"
 
 
-HELD: Final = frozenset({Phase.PAUSED, Phase.CHARGING, Phase.SAFE})
-"""Where something keeps the rover from going on with what it was about."""
+HELD: Final = frozenset({State.PAUSED, State.CHARGING, State.SAFE})
+"""States in which a hold keeps the rover from continuing its activity."""
 
-STANDING: Final = HELD | {Phase.IDLE, Phase.PARKED}
-"""Where it stands still until something new comes."""
+STANDING: Final = HELD | {State.IDLE, State.PARKED}
+"""States in which the rover stands until something new comes."""
 
-INTERRUPTIBLE: Final = STANDING | {Phase.LOOKING, Phase.MEASURING}
-"""Where it need not finish anything before it carries out a telecommand."""
+INTERRUPTIBLE: Final = STANDING | {State.SCANNING, State.MEASURING}
+"""States in which a telecommand is executed at once: no step has to be finished first."""
 
-SAFE_POINTS: Final = INTERRUPTIBLE | {Phase.DRIVING, Phase.DRILLING, Phase.ANALYSING}
-"""Where it may turn to something else: anywhere, since a piece, a bite and an analysis are left at their end only."""
+SAFE_POINTS: Final = INTERRUPTIBLE | {State.DRIVING, State.DRILLING, State.ANALYSING}
+"""States that can be left for another activity. That is every state: a drive, a bite and an analysis are left only at
+their end."""
 
-TABLE: Final[dict[tuple[Phase, Trigger], Phase]] = {
-    # A piece of way: after the last one, after a hole, out of a hold, and from any safe point when an errand comes.
-    **{(phase, Trigger.LOOK): Phase.LOOKING for phase in SAFE_POINTS},
-    (Phase.LOOKING, Trigger.WAY_CLEAR): Phase.DRIVING,
-    # A hole: on arrival, bite after bite, again after a hold, or right where the last one was.
-    **{(phase, Trigger.DRILL): Phase.DRILLING for phase in STANDING},
-    (Phase.DRIVING, Trigger.DRILL): Phase.DRILLING,
-    (Phase.DRILLING, Trigger.DRILL): Phase.DRILLING,
-    (Phase.MEASURING, Trigger.DRILL): Phase.DRILLING,
-    # Its analysis, and the number that comes of it; after a hold, where they were left.
-    (Phase.DRILLING, Trigger.HOLE_DONE): Phase.ANALYSING,
-    **{(phase, Trigger.HOLE_DONE): Phase.ANALYSING for phase in HELD},
-    (Phase.ANALYSING, Trigger.ANALYSED): Phase.MEASURING,
-    (Phase.MEASURING, Trigger.ANALYSED): Phase.MEASURING,
-    **{(phase, Trigger.ANALYSED): Phase.MEASURING for phase in HELD},
-    # Holds. Safe mode is stronger than a pause.
-    **{(phase, Trigger.PAUSE): Phase.PAUSED for phase in SAFE_POINTS - {Phase.SAFE}},
-    **{(phase, Trigger.RUN_LOW): Phase.CHARGING for phase in SAFE_POINTS - {Phase.CHARGING}},
-    **{(phase, Trigger.DANGER): Phase.SAFE for phase in SAFE_POINTS},
-    # The end of what there was to do.
-    **{(phase, Trigger.NOTHING_LEFT): Phase.PARKED for phase in SAFE_POINTS},
+TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
+    # A path section: after the last one, after a hole, after a hold, and from any safe point for a commanded drive.
+    **{(state, Trigger.SCAN): State.SCANNING for state in SAFE_POINTS},
+    (State.SCANNING, Trigger.PATH_CLEAR): State.DRIVING,
+    # A hole: on arrival, bite after bite, again after a hold, or at the place of the last hole.
+    **{(state, Trigger.DRILL): State.DRILLING for state in STANDING},
+    (State.DRIVING, Trigger.DRILL): State.DRILLING,
+    (State.DRILLING, Trigger.DRILL): State.DRILLING,
+    (State.MEASURING, Trigger.DRILL): State.DRILLING,
+    # The analysis and the measurement of its cuttings; after a hold they continue where they were left.
+    (State.DRILLING, Trigger.DEPTH_REACHED): State.ANALYSING,
+    **{(state, Trigger.DEPTH_REACHED): State.ANALYSING for state in HELD},
+    (State.ANALYSING, Trigger.ANALYSIS_DONE): State.MEASURING,
+    (State.MEASURING, Trigger.ANALYSIS_DONE): State.MEASURING,
+    **{(state, Trigger.ANALYSIS_DONE): State.MEASURING for state in HELD},
+    # Holds. Safe mode overrides a pause; a pause does not override safe mode.
+    **{(state, Trigger.PAUSE): State.PAUSED for state in SAFE_POINTS - {State.SAFE}},
+    **{(state, Trigger.LOW_ENERGY): State.CHARGING for state in SAFE_POINTS - {State.CHARGING}},
+    **{(state, Trigger.ENTER_SAFE_MODE): State.SAFE for state in SAFE_POINTS},
+    # Nothing is left to do.
+    **{(state, Trigger.QUEUE_EMPTY): State.PARKED for state in SAFE_POINTS},
 }
 
-MODES: Final[dict[Phase, RoverMode]] = {
-    Phase.IDLE: RoverMode.IDLE,
-    Phase.LOOKING: RoverMode.DRIVING,
-    Phase.DRIVING: RoverMode.DRIVING,
-    Phase.DRILLING: RoverMode.DRILLING,
-    Phase.ANALYSING: RoverMode.ANALYSING,
-    Phase.MEASURING: RoverMode.ANALYSING,
-    Phase.PAUSED: RoverMode.PAUSED,
-    Phase.CHARGING: RoverMode.CHARGING,
-    Phase.SAFE: RoverMode.SAFE,
-    Phase.PARKED: RoverMode.PARKED,
+MODES: Final[dict[State, RoverMode]] = {
+    State.IDLE: RoverMode.IDLE,
+    State.SCANNING: RoverMode.DRIVING,
+    State.DRIVING: RoverMode.DRIVING,
+    State.DRILLING: RoverMode.DRILLING,
+    State.ANALYSING: RoverMode.ANALYSING,
+    State.MEASURING: RoverMode.ANALYSING,
+    State.PAUSED: RoverMode.PAUSED,
+    State.CHARGING: RoverMode.CHARGING,
+    State.SAFE: RoverMode.SAFE,
+    State.PARKED: RoverMode.PARKED,
 }
-"""What the rover reports for each phase."""
+"""The mode that is reported for each state."""
 
 
 class Hold(Enum):
-    """Why the rover stands still although it may have something to do."""
+    """Why the rover stands although it may have something to do."""
 
     PAUSE = "pause"
     ENERGY = "low energy"
@@ -108,25 +108,25 @@ class Hold(Enum):
 
 
 ENDED_BY_PLAN: Final = frozenset({Hold.TERRAIN, Hold.SILENCE, Hold.SPENT})
-"""Safe modes that a newer plan ends; what an operator ordered, only an operator ends."""
+"""Safe modes that a newer plan ends. Only an operator ends a hold that an operator commanded."""
 
 HOLD_TRIGGERS: Final[dict[Hold, Trigger]] = {
     Hold.PAUSE: Trigger.PAUSE,
-    Hold.ENERGY: Trigger.RUN_LOW,
-    Hold.COMMAND: Trigger.DANGER,
-    Hold.TERRAIN: Trigger.DANGER,
-    Hold.SILENCE: Trigger.DANGER,
-    Hold.SPENT: Trigger.DANGER,
+    Hold.ENERGY: Trigger.LOW_ENERGY,
+    Hold.COMMAND: Trigger.ENTER_SAFE_MODE,
+    Hold.TERRAIN: Trigger.ENTER_SAFE_MODE,
+    Hold.SILENCE: Trigger.ENTER_SAFE_MODE,
+    Hold.SPENT: Trigger.ENTER_SAFE_MODE,
 }
 
 
 class IllegalTransition(Exception):
-    """The program asked for what the table does not hold: a mistake in it, not a reaction to input."""
+    """The program asked for a transition that the table does not hold: an error in the program, not in its input."""
 
 
-def after(phase: Phase, trigger: Trigger) -> Phase:
-    """The phase that follows; raises IllegalTransition, naming phase and trigger, when the table holds none."""
+def next_state(state: State, trigger: Trigger) -> State:
+    """The state that follows; raises IllegalTransition, naming state and trigger, if the table holds none."""
     try:
-        return TABLE[phase, trigger]
+        return TRANSITIONS[state, trigger]
     except KeyError:
-        raise IllegalTransition(f"rover: phase '{phase}' does not admit '{trigger}'") from None
+        raise IllegalTransition(f"rover: state '{state}' does not admit '{trigger}'") from None

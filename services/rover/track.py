@@ -1,4 +1,4 @@
-"""The rover's own wheel track, and the way home over it."""
+"""The rover's own track, and the return path over it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from he3.frames import FloatArray, Place
 _SAME_PLACE_M: Final = 1e-6
 
 
-def way_home(track_m: list[Place]) -> tuple[Place, ...]:
-    """Vertices of the way back from the track's end to its beginning, over ground already driven, without its loops.
+def return_path(track_m: list[Place]) -> tuple[Place, ...]:
+    """Vertices [m] of the path from the track's end back to its beginning, over ground already driven, without loops.
 
-    Wherever the track comes back to itself, what lies between is left out, so the way crosses itself nowhere.
+    Where the track meets itself, the loop between is left out, so the path crosses itself nowhere.
     """
     simple: FloatArray = np.empty((2 * len(track_m) + 1, 2))
     simple[0] = track_m[0]
@@ -22,7 +22,7 @@ def way_home(track_m: list[Place]) -> tuple[Place, ...]:
     for vertex in np.array(track_m[1:]).reshape(-1, 2):
         here = simple[count - 1]
         if count > 1:
-            met = _first_meeting(simple[:count], here, vertex)
+            met = _first_crossing(simple[:count], here, vertex)
             if met is not None:
                 index, place = met
                 simple[index + 1] = place
@@ -39,10 +39,10 @@ def way_home(track_m: list[Place]) -> tuple[Place, ...]:
     return tuple((float(x), float(y)) for x, y in home[moved][1:])
 
 
-def _first_meeting(line: FloatArray, a: FloatArray, b: FloatArray) -> tuple[int, FloatArray] | None:
-    """The first segment of the polyline that the segment from a to b meets, and where; None if it meets none.
+def _first_crossing(line: FloatArray, a: FloatArray, b: FloatArray) -> tuple[int, FloatArray] | None:
+    """The first segment of the polyline that the segment from a to b crosses, and where; None if it crosses none.
 
-    Stretches that run along one another do not count: they are met where one of them ends.
+    Parallel segments do not count: overlapping ones are found where one of them ends.
     """
     starts, steps = line[:-1], np.diff(line, axis=0)
     along = b - a

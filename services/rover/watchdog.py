@@ -1,0 +1,31 @@
+"""The command-loss watchdog: a rover with nothing to do that does not hear from the ground enters safe mode."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from services.rover.operating_state import OperatingState
+from services.rover.states import Hold
+from services.runtime.node import Effect, MissionTime, SetTimer, seconds
+
+WATCHDOG: Final = "watchdog"
+"""Timer: the ground has been silent for too long."""
+
+
+class Watchdog:
+    """Runs while the rover is unoccupied; `timeout_s` None switches it off."""
+
+    def __init__(self, timeout_s: float | None, operating: OperatingState, effects: list[Effect]) -> None:
+        self._timeout_s = timeout_s
+        self._operating = operating
+        self._effects = effects
+
+    def restart(self, now: MissionTime) -> None:
+        """Counts the silence from now on, if the rover has nothing to do."""
+        if self._timeout_s is not None and self._operating.unoccupied:
+            self._effects.append(SetTimer(WATCHDOG, now + seconds(self._timeout_s)))
+
+    def expired(self, now: MissionTime) -> None:
+        """Enters safe mode, if the rover still has nothing to do."""
+        if self._operating.unoccupied:
+            self._operating.hold_for(Hold.SILENCE, now, f"for {self._timeout_s:g} s")
