@@ -46,10 +46,11 @@ from he3.gp import Hyperparameters
 from he3.kernels import kernel_from
 from he3.posterior.grid import GridPosterior
 from he3.reference import Region
+from schemas.codec import decode
 from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.link import LinkChange, LinkConditions
 from schemas.topics import ISSUE_COMMAND, LINK_SET, SAMPLE, TRACK, Side, Topic
-from schemas.wire import Wire, decode
+from schemas.wire import Wire
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
 from services.ground.planner_process import PlannerProcess

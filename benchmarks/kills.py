@@ -25,11 +25,12 @@ from types import TracebackType
 from typing import Any, Self
 
 from he3.errors import He3Error, InvalidInput
+from schemas.codec import decode
 from schemas.commands import NoParameters
 from schemas.ground import MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapLayerQuery
 from schemas.topics import GROUND_STATUS, MAP_LAYER, SAMPLE, TRACK, Topic
-from schemas.wire import Wire, decode
+from schemas.wire import Wire
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.scenario import Scenario, load_scenario

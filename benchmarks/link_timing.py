@@ -31,11 +31,12 @@ import numpy as np
 
 from benchmarks.peer import SETTLING_S, Peer, answer_line
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.codec import decode, encode
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import ClockState, LinkChange, LinkStatus
 from schemas.telemetry import SampleReport
 from schemas.topics import COMMAND, EARTH_CLOCK, LINK_SET, MOON_CLOCK, SAMPLE, Side, Topic
-from schemas.wire import Header, Wire, decode, encode
+from schemas.wire import Header, Wire
 from services.console.client.session import join_when_up
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario

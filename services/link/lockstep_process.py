@@ -13,10 +13,10 @@ import time
 from functools import partial
 
 from he3.errors import He3Error, InvalidInput
+from schemas.codec import Refused, decode, encode
 from schemas.link import ClockMode, ClockState
 from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.topics import TIME_CONTROL, Side, Topic
-from schemas.wire import Refused, decode, encode
 from services.runtime.drivers.wall_clock import CLOCKS, ONLOOKERS, Service, Stop
 from services.runtime.lockstep.pace import Pace
 from services.runtime.lockstep.process import JOIN, MEMBERS, TO_KEEPER, LockstepProcess, grant_to

@@ -11,9 +11,10 @@ from functools import partial
 from pathlib import Path
 
 from he3.errors import He3Error
+from schemas.codec import Refused, decode, encode
 from schemas.link import ClockState
 from schemas.topics import CLOCK_SET, Side
-from schemas.wire import Header, Refused, decode, encode
+from schemas.wire import Header
 from services.runtime.clock import at_rate, started
 from services.runtime.drivers.wall_clock import CLOCKS, Process, Service, Stop
 from services.runtime.options import Options

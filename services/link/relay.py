@@ -8,6 +8,7 @@ from random import Random
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
+from schemas.codec import one_line
 from schemas.link import (
     AtEdge,
     Direction,
@@ -19,7 +20,6 @@ from schemas.link import (
     LinkStatus,
 )
 from schemas.topics import COMMAND, Topic
-from schemas.wire import one_line
 from services.link.channel import Channel, Drop, Flight, Limits
 from services.link.contact import Contact
 from services.link.packet import Packet, sealed

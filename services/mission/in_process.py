@@ -7,10 +7,11 @@ from typing import Any
 
 from he3.errors import He3Error
 from he3.reference import Region
+from schemas.codec import Refused, decode
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import LinkStatus
 from schemas.topics import GROUND_STATUS, LINK_STATUS, SAMPLE, Side, Topic
-from schemas.wire import Refused, Wire, decode
+from schemas.wire import Wire
 from services.mission.scenario import Scenario
 from services.recorder.node import Sink
 from services.runtime.drivers.simulation import Simulation

@@ -17,8 +17,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from he3.errors import InvalidInput
 from he3.frames import Place
+from schemas.codec import one_line
 from schemas.link import LinkConditions
-from schemas.wire import MissionName, one_line
+from schemas.wire import MissionName
 from services.runtime.node import MissionTime
 
 MAX_SCENARIO_BYTES = 1_000_000

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol
 
+from schemas.codec import encode
 from schemas.topics import TOPICS, Side, Topic
-from schemas.wire import encode
 from services.mission.scenario import Scenario
 from services.runtime.node import (
     Effect,

@@ -14,8 +14,9 @@ from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
 from he3.errors import InvalidInput
+from schemas.codec import Refused, decode
 from schemas.topics import BY_NAME, Topic
-from schemas.wire import Header, Refused, decode
+from schemas.wire import Header
 from services.runtime.node import MissionTime
 
 RECORD_LIMIT_BYTES = 64 * 1024 * 1024

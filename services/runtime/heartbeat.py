@@ -7,9 +7,10 @@ import platform
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 
+from schemas.codec import encode
 from schemas.ground import Presence
 from schemas.topics import EARTH_PRESENCE, MOON_PRESENCE, Side, Topic
-from schemas.wire import Header, encode
+from schemas.wire import Header
 from services.runtime.host import Host
 
 PERIOD_S = 2.0

@@ -10,8 +10,9 @@ import zlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.topics import Crosses, Side, Topic
-from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
+from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.protocol import CustodyConfig, under_custody

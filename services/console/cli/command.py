@@ -160,8 +160,8 @@ def _checked(document: dict[str, Any]) -> Any:
     from pydantic import ValidationError
 
     from he3.errors import InvalidInput
+    from schemas.codec import one_line
     from schemas.commands import Telecommand
-    from schemas.wire import one_line
 
     try:
         return Telecommand.model_validate_json(json_format.dumps(document))

@@ -112,8 +112,8 @@ def _checked(given: dict[str, Any], preset: str | None) -> Any:
     from pydantic import ValidationError
 
     from he3.errors import InvalidInput
+    from schemas.codec import one_line
     from schemas.link import LinkChange
-    from schemas.wire import one_line
 
     if preset is not None:
         from services.mission.link_presets import preset as conditions_of

@@ -81,7 +81,7 @@ def _checked(query: type[Wire], command: str, **values: Any) -> Any:
     from pydantic import ValidationError
 
     from he3.errors import InvalidInput
-    from schemas.wire import one_line
+    from schemas.codec import one_line
 
     try:
         return query(**values)

@@ -114,9 +114,9 @@ def _change(mission: str | None, earth: str | None, json: bool, clock_rate: floa
 def _in_lockstep(client: Client, start_ns: int, wanted: dict[str, Any]) -> TimeStatus:
     from pydantic import ValidationError
 
+    from schemas.codec import one_line
     from schemas.lockstep import TimeControl
     from schemas.topics import TIME_CONTROL
-    from schemas.wire import one_line
 
     if "until" in wanted:
         wanted = {"until": moment(wanted["until"], start_ns)}

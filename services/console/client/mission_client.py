@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from he3.errors import He3Error, InvalidInput
+from schemas.codec import one_line
 from schemas.commands import CommandKind, CommandList, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestArea, InterestChange, InterestList, MissionTrack
 from schemas.link import ClockMode, ClockState, LinkChange, LinkStatus
@@ -59,7 +60,7 @@ from schemas.topics import (
     TRACK,
     Topic,
 )
-from schemas.wire import Header, Wire, one_line
+from schemas.wire import Header, Wire
 from services.console.client.command_handle import CommandHandle
 from services.console.client.run_file import find
 from services.ground.map.feed import FeedMap, FeedReader

@@ -22,8 +22,8 @@ from pydantic import ValidationError
 
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, Float32Array
+from schemas.codec import one_line
 from schemas.maps import FrameKind, MapFrame
-from schemas.wire import one_line
 from services.runtime.node import MissionTime
 
 MAGIC: Final = b"HE3F"

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from schemas.codec import encode
 from schemas.link import Acknowledgement, Direction, LinkConditions
 from schemas.topics import ACK_DOWN, ACK_UP, Side, Topic
-from schemas.wire import Header, Wire, encode
+from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish
 from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, under_custody
 from services.runtime.custody.receiver import Ack, CustodyReceiver, Delivery

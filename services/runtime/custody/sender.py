@@ -20,9 +20,10 @@ from bisect import bisect_left, insort
 from dataclasses import dataclass
 
 from he3.errors import InvalidInput
+from schemas.codec import restamped
 from schemas.link import Acknowledgement
 from schemas.topics import Custody, Topic
-from schemas.wire import Header, restamped
+from schemas.wire import Header
 from services.runtime.custody.protocol import (
     CustodyConfig,
     CustodyQueueFull,

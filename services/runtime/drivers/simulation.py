@@ -14,9 +14,10 @@ from concurrent.futures import Future
 from typing import Any
 
 from he3.errors import He3Error
+from schemas.codec import decode_reply, encode
 from schemas.link import LinkConditions
 from schemas.topics import Side, Topic
-from schemas.wire import Header, Wire, decode_reply, encode
+from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.host import EventSink, Host

@@ -18,9 +18,10 @@ from functools import partial
 from typing import Any, Protocol
 
 from he3.errors import He3Error
+from schemas.codec import Refused, decode
 from schemas.link import ClockState
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
-from schemas.wire import Refused, Wire, decode
+from schemas.wire import Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.clock import mission_time, newer, wall_time
 from services.runtime.custody.endpoint import custody_config

@@ -11,9 +11,10 @@ from functools import partial
 
 from he3.errors import He3Error, PeerUnreachable
 from schemas import topics
+from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.lockstep import Poke, StepBusy, StepDone
 from schemas.topics import Side, Topic, addressed, counted
-from schemas.wire import Header, Refused, Wire, decode, decode_reply, encode
+from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.drivers.wall_clock import CLOCKS, IDLE_S, Process, Service, Stop
 from services.runtime.inputs import (

@@ -16,8 +16,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from he3.errors import He3Error, InvalidInput
+from schemas.codec import Refused, decode, encode, one_line
 from schemas.topics import Topic
-from schemas.wire import Header, Refused, Wire, decode, encode, one_line
+from schemas.wire import Header, Wire
 from services.runtime.node import MissionTime
 from services.runtime.transport.session import IncomingQuery, Session
 

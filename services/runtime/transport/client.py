@@ -12,8 +12,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.codec import decode, decode_reply, encode
 from schemas.topics import Side, Topic
-from schemas.wire import Header, Wire, decode, decode_reply, encode
+from schemas.wire import Header, Wire
 from services.runtime.node import NoReply
 from services.runtime.transport.session import Session, open_session
 

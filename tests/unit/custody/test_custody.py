@@ -13,11 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from he3.errors import He3Error, InvalidInput
+from schemas.codec import Refused, decode, encode
 from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
 from schemas.link import Acknowledgement, AtEdge, Direction, DirectionConditions, LinkChange, LinkConditions
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import COMMAND, COMMAND_REPORT, EVENT, MEASURE, PLAN, STATE, Topic
-from schemas.wire import Header, Refused, Wire, decode, encode
+from schemas.wire import Header, Wire
 from services.link.relay import Relay
 from services.mission.link_presets import PRESETS
 from services.runtime.custody.protocol import (

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from schemas.codec import decode
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import LinkConditions
 from schemas.telemetry import RoverMode, RoverState
 from schemas.topics import ACK_DOWN, ACK_UP, COMMAND, STATE, Side
-from schemas.wire import Header, decode
+from schemas.wire import Header
 from services.runtime.actions import Publish
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint, custody_config
 from services.runtime.node import SECOND, Interface, SetTimer

@@ -12,6 +12,7 @@ import pytest
 from he3.errors import He3Error, InvalidInput, NoRoute
 from he3.frames import SiteGrid
 from he3.reference import Region
+from schemas.codec import decode, encode
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestChange, MissionPhase
 from schemas.maps import MapPointQuery
@@ -35,7 +36,7 @@ from schemas.topics import (
     Side,
     Topic,
 )
-from schemas.wire import Header, Wire, decode, encode
+from schemas.wire import Header, Wire
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.node import GroundNode, build_node
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest

@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from schemas.codec import encode
 from schemas.link import AtEdge, DirectionConditions, DutyCycle, LinkChange, LinkConditions, Window
 from schemas.topics import COMMAND, EVENT, PLAN, SAMPLE, STATE, Latest, Topic
-from schemas.wire import Header, encode
+from schemas.wire import Header
 from services.link.channel import Channel, Limits, Reason, transmission_time
 from services.link.contact import Contact
 from services.link.packet import Packet, sealed

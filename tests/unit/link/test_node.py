@@ -271,7 +271,8 @@ def test_the_polar_preset_begins_one_day_before_contact_is_lost() -> None:
 
 
 def test_link_status_says_what_its_topic_admits() -> None:
-    from schemas.wire import Header, decode, encode
+    from schemas.codec import decode, encode
+    from schemas.wire import Header
 
     endpoint = Endpoint(PRESETS["polar-window"])
     for _ in range(500):

@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 
 from he3.errors import He3Error
+from schemas.codec import Damaged, Refused, decode, decode_reply, encode
 from schemas.topics import BY_NAME, MAP_FEED, MAP_POINT, TOPICS, Crosses, Side, Topic
-from schemas.wire import SCHEMA_VERSION, Damaged, Header, Refused, decode, decode_reply, encode
+from schemas.wire import SCHEMA_VERSION, Header
 from services.mission.deployment import find_scenario
 from services.mission.in_process import InProcessMission
 from services.mission.scenario import load_scenario

@@ -11,12 +11,13 @@ import pytest
 from he3.errors import He3Error
 from he3.frames import SiteGrid
 from he3.reference import Region
+from schemas.codec import decode, encode
 from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
 from schemas.ground import MissionPhase
 from schemas.link import AtEdge, LinkChange
 from schemas.telemetry import EventKind, RoverMode, RoverState
 from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, STATE, TRACK, Side, Topic
-from schemas.wire import Header, decode, encode
+from schemas.wire import Header
 from services.console.cli.command import command_lines
 from services.field.node import build_node as build_field
 from services.ground.map.snapshot import MapSnapshot

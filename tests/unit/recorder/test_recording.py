@@ -10,9 +10,10 @@ import pytest
 from mcap.reader import make_reader
 
 from he3.errors import InvalidInput
+from schemas.codec import encode
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
 from schemas.topics import EVENT, GROUND_STATUS, PLAN, SAMPLE, STATE, Topic
-from schemas.wire import Header, Wire, encode
+from schemas.wire import Header, Wire
 from services.recorder.node import RECORDED, RecorderNode
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter

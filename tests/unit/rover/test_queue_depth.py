@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 
 from he3.frames import SiteGrid
+from schemas.codec import decode, encode
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import Acknowledgement
 from schemas.telemetry import RoverState
 from schemas.topics import ACK_UP, COMMAND, STATE, Side, Topic
-from schemas.wire import Header, Wire, decode, encode
+from schemas.wire import Header, Wire
 from services.mission.scenario import RoverConfig
 from services.rover.node import RoverNode
 from services.runtime.custody.protocol import under_custody

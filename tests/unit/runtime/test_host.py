@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
+from schemas.codec import decode, encode
 from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.link import LinkChange
 from schemas.measurement import MeasurementReply, MeasurementRequest
@@ -25,7 +26,7 @@ from schemas.topics import (
     Crosses,
     Side,
 )
-from schemas.wire import Header, decode, encode
+from schemas.wire import Header
 from services.runtime.actions import Publish, PutQuery, Reply, ReplyError
 from services.runtime.host import Host, origin
 from services.runtime.inputs import (

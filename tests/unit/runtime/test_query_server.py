@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 from he3.errors import InvalidInput
+from schemas.codec import Refused, decode_reply, encode
 from schemas.commands import CommandKind
 from schemas.link import Direction
 from schemas.maps import MapPoint, MapPointQuery
 from schemas.topics import CLOCK_SET, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, MAP_LAYER, MAP_POINT, TIME_CONTROL
-from schemas.wire import Header, Refused, decode_reply, encode
+from schemas.wire import Header
 from services.runtime.queries.server import QueryServer, QueryService, request_from_selector
 
 WITHIN_S = 20.0

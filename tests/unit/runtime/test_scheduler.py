@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from random import Random
 
+from schemas.codec import encode
 from schemas.lockstep import Grant, Joined
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, MEASURE, Side
-from schemas.wire import Header, encode
+from schemas.wire import Header
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.host import Host
 from services.runtime.inputs import Input, MessageArrived, ProcessStarted, QueryUnanswered

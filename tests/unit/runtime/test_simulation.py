@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from schemas.codec import encode
 from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, MEASURE, STATE, Side
-from schemas.wire import Header, encode
+from schemas.wire import Header
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.node import (
     SECOND,

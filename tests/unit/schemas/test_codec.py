@@ -3,10 +3,11 @@ from random import Random
 
 import pytest
 
+from schemas.codec import Damaged, Refused, decode, encode, restamped
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, PLAN
-from schemas.wire import Damaged, Header, Refused, decode, encode, restamped
+from schemas.wire import Header
 from services.link.channel import damaged
 
 HEADER = Header(mission="m", source="rover", incarnation=2, sequence=5, made_at=10**18)

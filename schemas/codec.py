@@ -1,0 +1,135 @@
+"""Bytes from a message and a message from bytes: JSON in an envelope, sealed with a checksum, checked once at the edge.
+
+A payload that its topic does not admit (unknown field, NaN, other version, other mission, too long) is refused with
+`Refused`, whose text is one line that says where, what was expected and what came.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from schemas.topics import Topic
+from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire
+
+_OPENING = b'{"header":'
+_SEAL = re.compile(rb',"checksum":(\d{1,10})},"body":')
+_HEADER_LIMIT_BYTES = 2_000
+"""How far into a message the seal is looked for; a header is a fraction of that."""
+
+
+class Refused(ValueError):
+    """A payload that its topic does not admit; the text is one line."""
+
+
+class Damaged(Refused):
+    """A payload whose checksum does not fit: it was changed on the way."""
+
+
+def encode(header: Header, body: Wire) -> bytes:
+    """The message as JSON in UTF-8, sealed with its checksum."""
+    return _sealed(header, body.model_dump_json().encode())
+
+
+def restamped(payload: bytes, held_from: int | None, repetition: int) -> bytes:
+    """The message of `encode` with another `held_from` and repetition, for sending it again; its seal is made anew."""
+    seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
+    if seal is None or not payload.startswith(_OPENING):
+        raise Refused("expected a message that was sealed with a checksum, got one without")
+    header = Header.model_validate_json(payload[len(_OPENING) : seal.start()] + b"}")
+    return _sealed(
+        header.model_copy(update={"held_from": held_from, "repetition": repetition}), payload[seal.end() : -1]
+    )
+
+
+def _sealed(header: Header, body: bytes) -> bytes:
+    left_out = {"checksum"}
+    if header.held_from is None:
+        left_out.add("held_from")
+    if header.repetition == 0:
+        left_out.add("repetition")
+    head = header.model_dump_json(exclude=left_out).encode()
+    checksum = zlib.crc32(body, zlib.crc32(head))
+    return b'%b%b,"checksum":%d},"body":%b}' % (_OPENING, head[:-1], checksum, body)
+
+
+def _check_seal(payload: bytes, where: str) -> bool:
+    """Whether the message has a seal where `encode` puts it; raises Damaged when that is broken."""
+    seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
+    if seal is None or not payload.startswith(_OPENING):
+        return False
+    head = zlib.crc32(payload[len(_OPENING) : seal.start()] + b"}")
+    came = zlib.crc32(memoryview(payload)[seal.end() : -1], head)
+    if came != int(seal[1]):
+        raise Damaged(f"{where}: expected checksum {seal[1].decode()} as the header says, got {came}: damaged")
+    return True
+
+
+def decode(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
+    """Header and body of a message of that topic; raises Refused with one line for anything else."""
+    return _decode(topic.payload, payload, mission, topic.key(mission), topic.max_bytes)
+
+
+def decode_reply(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
+    """Header and body of the answer to a query of that topic; raises Refused with one line for anything else."""
+    if topic.reply is None:
+        raise Refused(f"{topic.key(mission)}: is not a query, so there is nothing to answer")
+    return _decode(topic.reply, payload, mission, f"{topic.key(mission)} (reply)", topic.max_reply_bytes)
+
+
+def _decode(body_type: type[Wire], payload: bytes, mission: str, where: str, limit: int) -> tuple[Header, Any]:
+    if len(payload) > limit:
+        raise Refused(f"{where}: expected at most {limit} bytes, got {len(payload)}")
+    sealed = _check_seal(payload, where)
+    try:
+        envelope = _adapter(body_type).validate_json(payload)
+    except ValidationError as error:
+        _refuse_other_version(payload, where)
+        raise Refused(f"{where}: {one_line(error)}") from None
+    header: Header = envelope.header
+    if header.checksum is not None and not sealed:
+        raise Refused(f"{where}: expected the checksum last in a header without spaces, or none, got another form")
+    if header.version != SCHEMA_VERSION:
+        raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {header.version}")
+    if header.mission != mission:
+        raise Refused(f"{where}: expected mission '{mission}', got '{header.mission}'")
+    return header, envelope.body
+
+
+_ADAPTERS: dict[type[Wire], TypeAdapter[Any]] = {}
+
+
+def _adapter(body_type: type[Wire]) -> TypeAdapter[Any]:
+    if body_type not in _ADAPTERS:
+        _ADAPTERS[body_type] = TypeAdapter(Envelope[body_type])  # type: ignore[valid-type]
+    return _ADAPTERS[body_type]
+
+
+def _refuse_other_version(payload: bytes, where: str) -> None:
+    """Raise Refused if the message is of another schema version: every other complaint follows from that."""
+    try:
+        version = json.loads(payload)["header"]["version"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return
+    if version != SCHEMA_VERSION:
+        raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {str(version)[:40]}")
+
+
+def one_line(error: ValidationError) -> str:
+    """The first complaint of a validation, as 'where: what was expected, got what came' on one line."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    place = ".".join(str(part) for part in first["loc"]) or "message"
+    came = first.get("input")
+    shown = "" if first["type"] in {"missing", "json_invalid"} else f", got {_short(came)}"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    message = first["msg"].splitlines()[0].removeprefix("Value error, ")
+    return f"{place}: {message[0].lower()}{message[1:]}{shown}{more}"
+
+
+def _short(value: object, limit: int = 60) -> str:
+    shown = repr(value).replace("\n", " ")
+    return shown if len(shown) <= limit else shown[: limit - 3] + "..."
