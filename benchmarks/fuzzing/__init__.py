@@ -1,4 +1,4 @@
-"""Fuzzing of everything that takes input from outside: command line, scenario and region files, messages, page requests.
+"""Fuzzing of everything that takes input from outside: command line, files, messages, page requests.
 
 Each module is one *surface*: it makes random examples, feeds them to the real code, and says what was wrong with the
 outcome. `benchmarks.fuzz` runs all surfaces; the test suite runs a part of it.

@@ -106,7 +106,7 @@ class CommandLine:
             )
         else:
             word = values.text(rng)
-        # An operating system hands over no NUL, and words as bytes: what is no text becomes surrogates, as Python has it.
+        # As an operating system hands words over: without NUL, bytes that are no text as surrogates.
         return os.fsdecode(
             os.fsencode(word.replace("\0", "").encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape"))
         )

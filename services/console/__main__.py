@@ -91,8 +91,10 @@ def _usage(error: Any) -> int:
 
 
 def _say(message: str, code: int) -> int:
+    from services.runtime.log import printable
+
     first, *rest = message.splitlines() or [""]
-    sys.stderr.write(f"he3: {first}{' ...' if rest else ''}\n")
+    sys.stderr.write(f"he3: {printable(first)}{' ...' if rest else ''}\n")
     return code
 
 

@@ -14,6 +14,13 @@ from services.runtime.node import SECOND, Level, LogRecord, MissionTime
 ORDER = {Level.DEBUG: 0, Level.INFO: 1, Level.WARNING: 2, Level.ERROR: 3}
 
 
+def printable(text: str) -> str:
+    """The text on one line, control characters and lone surrogates as escapes: safe for a terminal and for a log."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
 class Log:
     """Writes one line a note; `as_json` for machines. Safe to use from several threads."""
 
@@ -63,4 +70,4 @@ class Log:
         mission = "-" * 19 if mission_ns is None else datetime.fromtimestamp(mission_ns / SECOND, UTC).isoformat()[:19]
         fields = "".join(f" {name}={value}" for name, value in note.fields.items())
         head = f"{wall:%H:%M:%S.%f}"[:12]
-        return f"{head} {mission} {self._name:<8} {note.level.value:<7} {note.text}{fields}"
+        return f"{head} {mission} {self._name:<8} {note.level.value:<7} {printable(note.text + fields)}"
