@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.flights import Flight, fly, mean_and_std, region_named, written
 from benchmarks.missions import Row
+from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import InvalidInput
 from he3.gp import fit_hyperparameters
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
@@ -62,18 +61,18 @@ def run(
         region_named(name)
     flights = [Flight(name, planner, kernel, seed, variation=seed) for name in names
                for planner, kernel in DESIGNS.items() for seed in range(1, seeds + 1)]  # fmt: skip
-    rows: list[Row] = []
+    found: dict[Flight, list[Row]] = {}
     began = time.monotonic()
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting = [pool.submit(coverage, flight) for flight in flights]
-        for count, future in enumerate(as_completed(waiting), start=1):
-            rows += future.result()
-            say(f"  {count:>3}/{len(flights)} sets of samples   ({time.monotonic() - began:.0f} s)")
-    for name in names:
-        say("")
-        for line in table(rows, region_named(name).name):
-            say(line)
-    written(rows, json, say)
+    with WorkerPool(jobs) as pool:
+        for flight, of_flight in pool.results(coverage, flights):
+            found[flight] = of_flight
+            progress(f"  {len(found):>3}/{len(flights)} sets of samples   ({time.monotonic() - began:.0f} s)")
+        rows = [row for flight in flights for row in found.get(flight, ())]
+        for name in names:
+            say("")
+            for line in table(rows, region_named(name).name):
+                say(line)
+        written(rows, json, say, pool)
     return rows
 
 

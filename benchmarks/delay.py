@@ -12,17 +12,17 @@ time, with the real nodes, custody and link, so that light time is exact.
 
 from __future__ import annotations
 
-import json as json_format
 import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from hashlib import sha256
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from benchmarks.flights import written
+from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error, InvalidInput
 from schemas.ground import MissionPhase
 from services.ground.planner_process import PlannerProcess
@@ -86,37 +86,33 @@ def run(
         for light_time, share in conditions
         for depth in (0, pipeline)
     ]
-    say(
-        f"{'light time':>10} {'black-out':>9} {'pipeline':>8} {'mission time':>13} {'ratio':>8} "
-        f"{'RMSE':>8} {'samples':>7}"
-    )
-    rows: list[Row] = []
-    for row in _flown(sorted(cases, key=lambda case: case.pipeline), jobs):
-        rows.append(row)
-        base = next(each for each in rows if each["pipeline"] == row["pipeline"])
+    found: dict[Case, Row] = {}
+    with WorkerPool(jobs) as pool:
+        # Missions of one pipeline depth share their plans, so they are flown in one process.
+        groups = [[case for case in cases if case.pipeline == depth] for depth in (0, pipeline)]
+        for _, (case, row) in pool.items(fly_all, groups):
+            found[case] = row
+            progress(f"  {len(found):>3}/{len(cases)}  {_line(row)}")
+        rows = [found[case] for case in sorted(cases, key=lambda case: case.pipeline) if case in found]
         say(
-            f"{row['light_time_s']:>8g} s {row['blackout']:>9.0%} {row['pipeline']:>8} "
-            f"{row['mission_time_s'] / 3600:>11.3f} h {row['mission_time_s'] / base['mission_time_s']:>8.4f} "
-            f"{row['rmse_ppb']:>8.4f} {row['samples']:>7}"
+            f"{'light time':>10} {'black-out':>9} {'pipeline':>8} {'mission time':>13} {'RMSE':>8} {'samples':>7} "
+            f"{'ratio':>8}"
         )
-    if json is not None:
-        json.write_text(json_format.dumps({"rows": rows}, indent=2) + "\n", encoding="utf-8")
+        for row in rows:
+            base = next(each for each in rows if each["pipeline"] == row["pipeline"])
+            say(f"{_line(row)} {row['mission_time_s'] / base['mission_time_s']:>8.4f}")
+        written(rows, json, say, pool)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         say(str(_drawn(rows, out / "delay.png")))
     return rows
 
 
-def _flown(cases: Sequence[Case], jobs: int) -> Iterator[Row]:
-    """The rows in the order of the cases: those of one pipeline depth one after the other in one process."""
-    groups = [[case for case in cases if case.pipeline == depth] for depth in sorted({case.pipeline for case in cases})]
-    if jobs == 1:
-        for group in groups:
-            yield from fly_all(group)
-        return
-    with ProcessPoolExecutor(min(jobs, len(groups)), mp_context=get_context("spawn")) as pool:
-        for rows in pool.map(fly_all, groups):
-            yield from rows
+def _line(row: Row) -> str:
+    return (
+        f"{row['light_time_s']:>8g} s {row['blackout']:>9.0%} {row['pipeline']:>8} "
+        f"{row['mission_time_s'] / 3600:>11.3f} h {row['rmse_ppb']:>8.4f} {row['samples']:>7}"
+    )
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -157,11 +153,12 @@ class Remembering:
         return self._known[query]
 
 
-def fly_all(cases: Sequence[Case]) -> list[Row]:
-    """The rows of those cases."""
+def fly_all(cases: Sequence[Case]) -> Iterator[tuple[Case, Row]]:
+    """Each of those cases with its row, as soon as it was flown."""
     with PlannerProcess(parallel=1) as planners:
         remembering = Remembering(planners)
-        return [fly(case, remembering) for case in cases]
+        for case in cases:
+            yield case, fly(case, remembering)
 
 
 def fly(case: Case, executor: Executor) -> Row:

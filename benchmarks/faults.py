@@ -19,11 +19,10 @@ import json as json_format
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,7 @@ from benchmarks.fault_schedules import (
     shrunk,
     telecommand,
 )
+from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
 from he3.gp import Hyperparameters
@@ -85,6 +85,8 @@ class Outcome:
     stuck: bool = False
     unequal: bool = False
     why: list[str] = field(default_factory=list)
+    smallest: Schedule = ()
+    """The smallest schedule that still fails, if the mission failed."""
 
     @property
     def failed(self) -> bool:
@@ -104,42 +106,39 @@ def run(
         raise InvalidInput(f"expected one run and one job at least, got {runs} and {jobs}")
     began = time.monotonic()
     failures: list[Outcome] = []
-    seeds = range(seed, seed + runs)
-    for count, outcome in enumerate(_outcomes(seeds, jobs), start=1):
-        if outcome.failed:
-            failures.append(outcome)
-            say(_described(outcome))
-        if count % 50 == 0 or count == runs:
-            elapsed = time.monotonic() - began
-            say(f"{count}/{runs} missions, {len(failures)} failed, {elapsed:.0f} s, {elapsed / count:.2f} s each")
-    row = {
-        "runs": runs,
-        "lost": sum(outcome.lost for outcome in failures),
-        "doubled": sum(outcome.doubled for outcome in failures),
-        "stuck": sum(outcome.stuck for outcome in failures),
-        "unequal": sum(outcome.unequal for outcome in failures),
-        "failed_seeds": [outcome.seed for outcome in failures],
-        "wall_time_s": time.monotonic() - began,
-    }
-    say("  ".join(f"{name} {row[name]}" for name in ("runs", "lost", "doubled", "stuck", "unequal")))
-    if json is not None:
-        json.write_text(json_format.dumps(row, indent=2) + "\n")
+    count = 0
+    with WorkerPool(jobs) as pool:
+        for count, (_, outcome) in enumerate(pool.results(fly_and_shrink, range(seed, seed + runs)), start=1):
+            if outcome.failed:
+                failures.append(outcome)
+                say(_described(outcome))
+            if count % 50 == 0 or count == runs:
+                elapsed = time.monotonic() - began
+                progress(
+                    f"{count}/{runs} missions, {len(failures)} failed, {elapsed:.0f} s, {elapsed / count:.2f} s each"
+                )
+        row = {
+            "runs": count,
+            "lost": sum(outcome.lost for outcome in failures),
+            "doubled": sum(outcome.doubled for outcome in failures),
+            "stuck": sum(outcome.stuck for outcome in failures),
+            "unequal": sum(outcome.unequal for outcome in failures),
+            "failed_seeds": sorted(outcome.seed for outcome in failures),
+            "wall_time_s": time.monotonic() - began,
+        }
+        if pool.stopped is not None:
+            row["stopped_by"] = pool.stopped.name
+            say(f"stopped by {pool.stopped.name} after {count} of {runs} missions")
+        say("  ".join(f"{name} {row[name]}" for name in ("runs", "lost", "doubled", "stuck", "unequal")))
+        if json is not None:
+            json.write_text(json_format.dumps(row, indent=2) + "\n")
     if failures:
         raise He3Error(f"{len(failures)} of {runs} missions failed, seeds {row['failed_seeds']}")
     return row
 
 
-def _outcomes(seeds: Sequence[int], jobs: int) -> Any:
-    if jobs == 1:
-        yield from map(fly, seeds)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(fly, seeds, chunksize=max(1, min(10, len(seeds) // (4 * jobs))))
-
-
 def _described(outcome: Outcome) -> str:
-    smallest = shrunk(outcome.schedule, lambda schedule: fly_schedule(outcome.seed, schedule).failed)
-    faults = "".join(f"\n    {fault}" for fault in smallest)
+    faults = "".join(f"\n    {fault}" for fault in outcome.smallest)
     return f"seed {outcome.seed} FAILED: {'; '.join(outcome.why)}\n  smallest schedule that fails:{faults}"
 
 
@@ -150,6 +149,14 @@ def fly(seed: int) -> Outcome:
     """The outcome of the mission with that seed."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xFA17]))
     return fly_schedule(seed, random_schedule(rng, horizon_s=9 * 3600.0, extent_m=small_region().grid.width_m))
+
+
+def fly_and_shrink(seed: int) -> Outcome:
+    """The outcome of the mission with that seed; if it failed, with the smallest schedule that still fails."""
+    outcome = fly(seed)
+    if outcome.failed:
+        outcome.smallest = shrunk(outcome.schedule, lambda schedule: fly_schedule(seed, schedule).failed)
+    return outcome
 
 
 def fly_schedule(seed: int, schedule: Schedule) -> Outcome:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json as json_format
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from math import inf
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.missions import Mission, Row, run_mission
-from he3.errors import He3Error, InvalidInput
+from benchmarks.worker_pool import WorkerPool, progress
+from he3.errors import He3Error
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners.interface import PlannedRound, PlanningRequest
@@ -50,48 +49,34 @@ class Flight:
         return self.label or self.planner
 
 
-def flown(
-    flights: Sequence[Flight], jobs: int, say: Callable[[str], None], began: float | None = None
-) -> tuple[dict[Flight, Mission], list[str]]:
-    """The missions that landed, by flight and in the flights' order, and a line for each that failed.
+def flown(flights: Sequence[Flight], pool: WorkerPool) -> tuple[dict[Flight, Mission], list[str]]:
+    """The missions that were completed, in the order of the flights, and a line for each that failed.
 
-    A line is said for each as it ends: what one of them does wrong is no reason to lose the others.
+    A line of progress is printed for each. A mission that fails does not stop the others. After a signal, the missions
+    that were completed before it.
     """
-    landed: dict[Flight, Mission] = {}
+    completed: dict[Flight, Mission] = {}
     failures: list[str] = []
-    started = time.monotonic() if began is None else began
-    for count, (flight, outcome) in enumerate(_outcomes(flights, jobs), start=1):
+    began = time.monotonic()
+    for count, (flight, outcome) in enumerate(pool.results(_outcome, flights), start=1):
         head = f"  {count:>3}/{len(flights)}  {flight.region:<4} {flight.name:<22} seed {flight.seed:<3} "
         if isinstance(outcome, He3Error):
             failures.append(f"{flight.name} on {flight.region}, seed {flight.seed}: {outcome}")
-            say(f"{head} failed: {outcome}")
+            progress(f"{head} failed: {outcome}")
             continue
-        landed[flight] = outcome
+        completed[flight] = outcome
         row = outcome.row
-        say(
+        progress(
             f"{head} rmse {row['rmse_ppb']:.4f} ppb  {row['path_length_m']:7.0f} m  {row['samples']} samples  "
-            f"{row['wall_time_s']:.1f} s   ({time.monotonic() - started:.0f} s)"
+            f"{row['wall_time_s']:.1f} s   ({time.monotonic() - began:.0f} s)"
         )
-    return {flight: landed[flight] for flight in flights if flight in landed}, failures
+    return {flight: completed[flight] for flight in flights if flight in completed}, failures
 
 
 def expect_none(failures: Sequence[str]) -> None:
     """Raise He3Error if a flight failed: to be called when the others are printed and written."""
     if failures:
         raise He3Error(f"{len(failures)} of the missions failed, the first: {failures[0]}")
-
-
-def _outcomes(flights: Sequence[Flight], jobs: int) -> Iterator[tuple[Flight, Mission | He3Error]]:
-    if jobs < 1:
-        raise InvalidInput(f"expected one job at least, got {jobs}")
-    if jobs == 1 or len(flights) < 2:
-        for flight in flights:
-            yield flight, _outcome(flight)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting = {pool.submit(_outcome, flight): flight for flight in flights}
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
 
 
 def _outcome(flight: Flight) -> Mission | He3Error:
@@ -142,8 +127,14 @@ def mean_and_std(rows: Sequence[Row], key: str) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
 
 
-def written(rows: Sequence[Row], json: Path | None, say: Callable[[str], None], **more: Any) -> None:
-    """Write ``{"rows": [...]}`` if asked to."""
+def written(
+    rows: Sequence[Row], json: Path | None, say: Callable[[str], None], pool: WorkerPool | None = None, **more: Any
+) -> None:
+    """Write ``{"rows": [...]}`` to that file, if one is given; say so if a signal left some rows out."""
+    stopped = None if pool is None else pool.stopped
+    if stopped is not None:
+        say(f"stopped by {stopped.name}: {len(rows)} rows so far")
+        more["stopped_by"] = stopped.name
     if json is not None:
         json.parent.mkdir(parents=True, exist_ok=True)
         json.write_text(json_format.dumps({"rows": list(rows), **more}, indent=2) + "\n")

@@ -6,13 +6,12 @@ Gaussian process; where SGP-Tools is there, each is scored with the peers' own p
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from benchmarks.flights import Flight, expect_none, flown, mean_and_std, region_named, written
 from benchmarks.missions import Mission, Row
+from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import InvalidInput
 
 BUDGETS_M = (3500.0, 4500.0, 6000.0, 9000.0, 15000.0)
@@ -44,19 +43,18 @@ def run(
     names = [str(region)] if region is not None else list(regions)
     for name in names:
         region_named(name)
-    began = time.monotonic()
     flights = [Flight(name, "tour", kernel, seed, budget_m=budget) for name in names for budget in budgets
                for seed in range(1, seeds + 1)]  # fmt: skip
     flights += [Flight(name, "rrtstar", "matern52", seed) for name in names for seed in range(1, seeds + 1)]
-    missions, failures = flown(flights, jobs, say, began)
-    rows = [mission.row for mission in missions.values()]
-    if peers:
-        rows += _peer_rows(names, budgets, kernel, seeds, missions, jobs, say)
-    for name in names:
-        say("")
-        for line in table(rows, region_named(name).name):
-            say(line)
-    written(rows, json, say)
+    with WorkerPool(jobs) as pool:
+        missions, failures = flown(flights, pool)
+        peer_rows = _peer_rows(missions, pool, say) if peers else []
+        rows = [mission.row for mission in missions.values()] + peer_rows
+        for name in names:
+            say("")
+            for line in table(rows, region_named(name).name):
+                say(line)
+        written(rows, json, say, pool)
     if out is not None:
         from benchmarks.figures import frontier_figure
 
@@ -66,42 +64,35 @@ def run(
     return rows
 
 
-def _peer_rows(
-    names: Sequence[str],
-    budgets: Sequence[float],
-    kernel: str,
-    seeds: int,
-    missions: dict[Flight, Mission],
-    jobs: int,
-    say: Callable[[str], None],
-) -> list[Row]:
-    from benchmarks.sgptools_peer import fly_sgptools, own_gp_rmse, peer_python
+def _peer_rows(missions: dict[Flight, Mission], pool: WorkerPool, say: Callable[[str], None]) -> list[Row]:
+    """SGP-Tools' rows, one for each `tour` with one of its budgets, whose row gets `rmse_own_gp_ppb`."""
+    from benchmarks.sgptools_peer import peer_python
 
     try:
         peer_python()
     except InvalidInput as error:
         say(f"without SGP-Tools: {error}")
         return []
-
-    def fly(name: str, budget: float, seed: int) -> Row:
-        region = region_named(name)
-        ours = missions[Flight(name, "tour", kernel, seed, budget_m=budget)]
-        ours.row["rmse_own_gp_ppb"] = own_gp_rmse(region, ours)
-        row = fly_sgptools(region, ours, kernel, seed, budget).row
-        say(
-            f"  {name:<4} sgptools  budget {budget:.0f} m  seed {seed}  rmse {row['rmse_ppb']:.4f} ppb  "
-            f"{row['path_length_m']:.0f} m  {row['blocked_legs']} legs led round obstacles"
+    asked = [one for one in missions.items() if one[0].planner == "tour" and one[0].budget_m in PEER_BUDGETS_M]
+    rows = {}
+    for (flight, mission), (row, own_gp_ppb) in pool.results(_fly_peer, asked):
+        mission.row["rmse_own_gp_ppb"] = own_gp_ppb
+        rows[flight] = row
+        progress(
+            f"  {flight.region:<4} sgptools  budget {flight.budget_m:.0f} m  seed {flight.seed}  "
+            f"rmse {row['rmse_ppb']:.4f} ppb  {row['path_length_m']:.0f} m  "
+            f"{row['blocked_legs']} legs led round obstacles"
         )
-        return row
+    return [rows[flight] for flight, _ in asked if flight in rows]
 
-    wanted = [(name, budget, seed) for name in names for budget in budgets for seed in range(1, seeds + 1)]
-    asked = [
-        (name, budget, seed)
-        for name, budget, seed in wanted
-        if budget in PEER_BUDGETS_M and Flight(name, "tour", kernel, seed, budget_m=budget) in missions
-    ]
-    with ThreadPoolExecutor(jobs) as pool:  # the work is done in processes of the peer's
-        return list(pool.map(lambda one: fly(*one), asked))
+
+def _fly_peer(task: tuple[Flight, Mission]) -> tuple[Row, float]:
+    """SGP-Tools' row beside that mission, and the RMSE [ppb] of that mission under the peers' Gaussian process."""
+    from benchmarks.sgptools_peer import fly_sgptools, own_gp_rmse
+
+    flight, ours = task
+    region = region_named(flight.region)
+    return fly_sgptools(region, ours, flight.kernel, flight.seed, flight.budget_m).row, own_gp_rmse(region, ours)
 
 
 def _groups(rows: Sequence[Row], region: str) -> dict[tuple[str, float], list[Row]]:

@@ -19,7 +19,6 @@ Any other planner is named module:function, and flies beside them: --planners rr
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from math import inf
@@ -31,6 +30,7 @@ from benchmarks.flights import Flight, expect_none, flown, mean_and_std, region_
 from benchmarks.floor import Floor
 from benchmarks.floor import floor as floor_of
 from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Mission, Row
+from benchmarks.worker_pool import WorkerPool
 from he3.errors import InvalidInput
 from services.ground.planners import planner_named
 from services.mission.regions import EMBEDDED
@@ -85,29 +85,29 @@ def run(
     names = [str(region)] if region is not None else list(regions)
     for name in names:
         region_named(name)
-    began = time.monotonic()
-    first = [_flight(name, planner, seed, kernel, own_kernel) for name in names for planner in planners
-             for seed in range(1, seeds + 1) if planner != FIFTH]  # fmt: skip
     if FIFTH in planners and YARDSTICK not in planners:
         raise InvalidInput(f"expected {YARDSTICK} among the planners, as '{FIFTH}' is measured by it")
-    missions, failures = flown(first, jobs, say, began)
-    if FIFTH in planners:
-        fifths = []
+    first = [_flight(name, planner, seed, kernel, own_kernel) for name in names for planner in planners
+             for seed in range(1, seeds + 1) if planner != FIFTH]  # fmt: skip
+    with WorkerPool(jobs) as pool:
+        missions, failures = flown(first, pool)
+        if FIFTH in planners:
+            fifths = []
+            for name in names:
+                yardstick = _rows(missions, name, YARDSTICK)
+                metres = mean_and_std(yardstick, "path_length_m")[0] if yardstick else inf
+                fifths += [Flight(name, "tour", own_kernel, seed, budget_m=metres / 5, label=FIFTH)
+                           for seed in range(1, seeds + 1)]  # fmt: skip
+            of_fifths, failed = flown([flight for flight in fifths if flight.budget_m < inf], pool)
+            missions |= of_fifths
+            failures += failed
+        floors = _floors(missions, names, planners, pool) if floor else {}
         for name in names:
-            yardstick = _rows(missions, name, YARDSTICK)
-            metres = mean_and_std(yardstick, "path_length_m")[0] if yardstick else inf
-            fifths += [Flight(name, "tour", own_kernel, seed, budget_m=metres / 5, label=FIFTH)
-                       for seed in range(1, seeds + 1)]  # fmt: skip
-        of_fifths, failed = flown([flight for flight in fifths if flight.budget_m < inf], jobs, say, began)
-        missions |= of_fifths
-        failures += failed
-    floors = {name: _floors(missions, name, planners) if floor else [] for name in names}
-    for name in names:
-        say("")
-        for line in table(missions, name, planners, floors[name]):
-            say(line)
-    rows = [mission.row for mission in missions.values()]
-    written(rows, json, say, floors=[asdict(found) for name in names for found in floors[name]])
+            say("")
+            for line in table(missions, name, planners, floors.get(name, ())):
+                say(line)
+        rows = [mission.row for mission in missions.values()]
+        written(rows, json, say, pool, floors=[asdict(found) for name in names for found in floors.get(name, ())])
     if out is not None:
         from benchmarks.figures import paper_figures
 
@@ -132,13 +132,23 @@ def _flight(region: str, planner: str, seed: int, kernel: str, own_kernel: str) 
     return Flight(region, planner, own_kernel, seed)
 
 
-def _floors(missions: dict[Flight, Mission], region: str, planners: Sequence[str]) -> list[Floor]:
-    floors = [floor_of(region_named(region))]
-    yardstick = _rows(missions, region, YARDSTICK)
-    if FIFTH in planners and yardstick:
-        metres, _ = mean_and_std(yardstick, "path_length_m")
-        floors.append(floor_of(region_named(region), budget_m=metres / 5))
-    return floors
+def _floors(
+    missions: dict[Flight, Mission], names: Sequence[str], planners: Sequence[str], pool: WorkerPool
+) -> dict[str, list[Floor]]:
+    """The floors of each region, without a limit on metres first."""
+    wanted = [(name, inf) for name in names]
+    for name in names if FIFTH in planners else ():
+        yardstick = _rows(missions, name, YARDSTICK)
+        if yardstick:
+            wanted.append((name, mean_and_std(yardstick, "path_length_m")[0] / 5))
+    found = dict(pool.results(_floor, wanted))
+    return {name: [found[one] for one in wanted if one[0] == name and one in found] for name in names}
+
+
+def _floor(wanted: tuple[str, float]) -> Floor:
+    """The floor of the region of that name within that budget [m]."""
+    name, budget_m = wanted
+    return floor_of(region_named(name), budget_m=budget_m)
 
 
 def _rows(missions: dict[Flight, Mission], region: str, name: str) -> list[Row]:

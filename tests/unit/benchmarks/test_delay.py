@@ -17,12 +17,12 @@ FAR_S = 1200.0
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[delay.Row], Path]:
-    """A short study with all of its files."""
+def study(quarter_of_t1: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[delay.Row], Path]:
+    """A short study on a small region, with all of its files."""
     folder = tmp_path_factory.mktemp("delay")
     rows = delay.run(
-        json=folder / "delay.json", out=folder, light_times=(0.0, FAR_S), blackouts=(0.5,), rounds=ROUNDS, jobs=1,
-        say=lambda _: None,
+        json=folder / "delay.json", out=folder, light_times=(0.0, FAR_S), blackouts=(0.5,), rounds=ROUNDS, jobs=2,
+        region=str(quarter_of_t1), say=lambda _: None,
     )  # fmt: skip
     return rows, folder
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -128,7 +131,7 @@ def test_a_planted_bug_is_found_and_its_schedule_shrinks_to_what_provokes_it() -
     assert smallest[0].who == "ground"
 
 
-def test_a_run_writes_its_counts_and_every_failed_seed(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_run_writes_its_counts_and_every_failed_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said: list[str] = []
 
     row = faults.run(runs=2, seed=40, jobs=1, json=tmp_path / "faults.json", say=said.append)
@@ -136,8 +139,9 @@ def test_a_run_writes_its_counts_and_every_failed_seed(tmp_path) -> None:  # typ
     assert {name: row[name] for name in ("runs", "lost", "doubled", "stuck", "unequal", "failed_seeds")} == {
         "runs": 2, "lost": 0, "doubled": 0, "stuck": 0, "unequal": 0, "failed_seeds": [],
     }  # fmt: skip
-    assert (tmp_path / "faults.json").is_file()
-    assert "2/2 missions, 0 failed" in "\n".join(said)
+    assert json.loads((tmp_path / "faults.json").read_text()) == row
+    assert said == ["runs 2  lost 0  doubled 0  stuck 0  unequal 0"]
+    assert "2/2 missions, 0 failed" in capsys.readouterr().err
 
 
 def test_a_run_of_no_missions_is_refused() -> None:
