@@ -23,3 +23,15 @@ class NoRoute(He3Error):
 
 class PeerUnreachable(He3Error):
     """The other side of a conversation is not there, or did not answer in time."""
+
+
+class NotFound(He3Error):
+    """The request is well formed, but what it names does not exist."""
+
+
+class NotReady(He3Error):
+    """What was requested does not exist yet; the same request may succeed later."""
+
+
+class Busy(He3Error):
+    """Too much work is waiting; the same request may succeed later."""

@@ -12,6 +12,7 @@ from he3.errors import OutsideRegion
 from he3.measurement import sample_noise
 from he3.reference import Region
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
+from schemas.refusal import RefusalCode
 from schemas.topics import MEASURE, TERRAIN, Side
 from services.field.hazards import covered, hazard_places
 from services.mission.regions import load_region
@@ -52,7 +53,7 @@ class FieldNode:
         try:
             rows, columns = self._region.grid.cells_of(np.array([[request.x_m, request.y_m]]))
         except OutsideRegion as error:
-            return RefuseQuery(token, f"sample {request.sample_id}: {error}")
+            return RefuseQuery(token, f"sample {request.sample_id}: {error}", RefusalCode.OUTSIDE_REGION)
         noise = sample_noise(self._seed, request.sample_id, self._config.noise_std_ppb)
         return SendReply(
             token,

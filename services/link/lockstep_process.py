@@ -12,7 +12,7 @@ import queue
 import time
 from functools import partial
 
-from he3.errors import He3Error, InvalidInput
+from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, encode
 from schemas.link import ClockMode, ClockState
 from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
@@ -23,7 +23,8 @@ from services.runtime.lockstep.process import JOIN, MEMBERS, TO_KEEPER, Lockstep
 from services.runtime.lockstep.time_manager import TimeManager
 from services.runtime.node import MissionTime
 from services.runtime.options import Options
-from services.runtime.queries.server import request_from_selector
+from services.runtime.queries.request import encode_reply, read_request
+from services.runtime.refusals import refusal_of
 from services.runtime.transport.session import IncomingQuery, Session, open_session
 
 SHOW_TIME_EVERY_S = 0.1
@@ -197,10 +198,10 @@ class LockstepLinkProcess(LockstepProcess):
 
     def _take_join(self, side: Side, query: IncomingQuery) -> None:
         try:
-            _, joining = decode(JOIN[side], query.payload or b"", self.mission)
+            joining = read_request(JOIN[side], query, self.mission)
             obeys = self.keeper.join(joining)
-        except (Refused, InvalidInput) as refusal:
-            query.refuse(str(refusal))
+        except InvalidInput as error:
+            query.refuse(refusal_of(error))
             return
         if obeys:
             self._join_questions[joining.name] = (side, query)
@@ -265,22 +266,17 @@ class LockstepLinkProcess(LockstepProcess):
             self._computing_since = time.monotonic()
 
     def _control(self, query: IncomingQuery) -> None:
-        payload = query.payload
         try:
-            if payload is None:
-                control = request_from_selector(TIME_CONTROL, query.parameters)
-            else:
-                _, control = decode(TIME_CONTROL, payload, self.mission)
-        except (He3Error, Refused) as error:
-            query.refuse(str(error))
+            control = read_request(TIME_CONTROL, query, self.mission)
+        except InvalidInput as error:
+            query.refuse(refusal_of(error))
             return
         if control != TimeControl():
             self._ask_of_pace(control)
             if self.events is not None:
                 self.events.active = True
             self._show_time()
-        status = self._status()
-        query.reply(status.model_dump_json().encode() if payload is None else encode(self.header(), status))
+        query.reply(encode_reply(query, self.header(), self._status()))
 
     def _ask_of_pace(self, control: TimeControl) -> None:
         self.pace.control(control, self.keeper.now, time.monotonic())

@@ -10,15 +10,16 @@ import time
 from functools import partial
 from pathlib import Path
 
-from he3.errors import He3Error
-from schemas.codec import Refused, decode, encode
+from he3.errors import InvalidInput
+from schemas.codec import encode
 from schemas.link import ClockState
 from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
 from services.runtime.clock import at_rate, started
 from services.runtime.drivers.wall_clock import CLOCKS, Process, Service, Stop
 from services.runtime.options import Options
-from services.runtime.queries.server import request_from_selector
+from services.runtime.queries.request import read_request
+from services.runtime.refusals import refusal_of
 from services.runtime.transport.session import IncomingQuery, Session, open_session
 
 CLOCK_FILE = "clock.json"
@@ -64,14 +65,10 @@ class LinkProcess(Process):
                 self.log.info("mission time runs", rate=self.options.scenario.rate)
 
     def _set_rate(self, query: IncomingQuery) -> None:
-        payload = query.payload
         try:
-            if payload is None:
-                change = request_from_selector(CLOCK_SET, query.parameters)
-            else:
-                _, change = decode(CLOCK_SET, payload, self.mission)
-        except (He3Error, Refused) as error:
-            query.refuse(str(error))
+            change = read_request(CLOCK_SET, query, self.mission)
+        except InvalidInput as error:
+            query.refuse(refusal_of(error))
             self.refused(str(error))
             return
         self._missing.clear()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from schemas.refusal import RefusalCode
 from schemas.topics import Side, Topic
 from services.runtime.node import Compute, Finish, LogRecord, PublishSnapshot, SetTimer
 
@@ -44,6 +45,7 @@ class ReplyError:
     token: int
     topic: Topic
     why: str
+    code: RefusalCode = RefusalCode.INVALID_INPUT
 
 
 Action = Publish | PutQuery | Reply | ReplyError | SetTimer | Compute | PublishSnapshot | LogRecord | Finish

@@ -283,10 +283,10 @@ class Host:
                     asked = self._asked.pop(token, None)
                     if asked is not None:
                         yield Reply(token, asked, encode(self._header(asked, now), reply))
-                case RefuseQuery(token, why):
+                case RefuseQuery(token, why, code):
                     asked = self._asked.pop(token, None)
                     if asked is not None:
-                        yield ReplyError(token, asked, why)
+                        yield ReplyError(token, asked, why, code)
                 case _:
                     yield effect
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Protocol
 
+from schemas.refusal import RefusalCode
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
 
@@ -159,7 +160,7 @@ class SendQuery:
 
 @dataclass(frozen=True, slots=True)
 class SendReply:
-    """Answer an `QueryReceived`."""
+    """Reply to a `QueryReceived`."""
 
     token: int
     reply: Wire
@@ -167,10 +168,11 @@ class SendReply:
 
 @dataclass(frozen=True, slots=True)
 class RefuseQuery:
-    """Answer an `QueryReceived` with one line that says what was wrong."""
+    """Refuse a `QueryReceived`: in one line what was expected and what came, and a code for programs."""
 
     token: int
     why: str
+    code: RefusalCode = RefusalCode.INVALID_INPUT
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import threading
 import time
 from typing import Any, Final
 
+from schemas.refusal import Refusal, RefusalCode
 from schemas.topics import MAP_FEED
 from services.ground.map.feed import FeedMap, FeedWriter
 from services.ground.map.snapshot import MapSnapshot
@@ -64,7 +65,7 @@ class FeedPublisher:
         with self._lock:
             frame = self._writer.key()
         if frame is None:
-            query.refuse(f"{MAP_FEED.name}: there is no map yet; ask again in a moment")
+            query.refuse(Refusal(f"{MAP_FEED.name}: there is no map yet; ask again in a moment", RefusalCode.NOT_READY))
         else:
             query.reply(frame, media_type="application/octet-stream")
 

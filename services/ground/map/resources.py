@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from he3.constants import REGOLITH_BULK_DENSITY_KG_M3
-from he3.errors import InvalidInput, OutsideRegion
+from he3.errors import InvalidInput, NotReady, OutsideRegion
 from he3.frames import Place, SiteGrid
 from he3.resource import area_mean, share_above
 from schemas.maps import Interval, ResourceEstimate, ResourceQuery
@@ -56,7 +56,7 @@ def area_of(text: str | None, grid: SiteGrid) -> NDArray[np.bool_]:
 def estimate(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
     """Mean, mass a metre and area above the cut-off, each with its credible interval."""
     if snapshot.process is None:
-        raise InvalidInput("map resource: there is no belief yet to integrate; ask again in a moment")
+        raise NotReady("map resource: there is no belief yet to integrate; ask again in a moment")
     grid = snapshot.grid
     area = area_of(request.polygon, grid)
     over = area_mean(snapshot.process, grid, snapshot.mean_ppb, area)

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from he3.errors import InvalidInput, OutsideRegion
+from he3.errors import InvalidInput, NotFound, NotReady, OutsideRegion
 from schemas.ground import MissionTrack
 from schemas.maps import (
     MapBoxQuery,
@@ -38,10 +38,11 @@ MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX
 def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
     """The reply to a request of one of the topics in `MAP_TOPICS`.
 
-    Raises InvalidInput, or OutsideRegion for a place that the region does not contain, each with one line.
+    Raises InvalidInput, OutsideRegion for a place that the region does not contain, NotReady while there is no map, and
+    NotFound for a score without a reference field, each with one line.
     """
     if snapshot is None:
-        raise InvalidInput("map: there is none yet; ask again when the ground has begun")
+        raise NotReady("map: there is none yet; ask again when the ground has begun")
     how = _ANSWERS.get(topic)
     if how is None:
         raise InvalidInput(
@@ -113,7 +114,7 @@ def raster(cells: Cells, snapshot: MapSnapshot) -> MapRaster:
 def score(snapshot: MapSnapshot) -> MapScore:
     """How the map compares with the reference field."""
     if snapshot.score is None:
-        raise InvalidInput("map: there is no score: this mission has no reference field to compare with")
+        raise NotFound("map: there is no score: this mission has no reference field to compare with")
     return snapshot.score
 
 

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
-from he3.errors import He3Error
+from he3.errors import InvalidInput
 from schemas.codec import Refused, decode
 from schemas.link import ClockState
+from schemas.refusal import Refusal
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
-from schemas.wire import Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.clock import mission_time, newer, wall_time
 from services.runtime.custody.endpoint import custody_config
@@ -29,23 +29,21 @@ from services.runtime.event_log import EventLog
 from services.runtime.heartbeat import Heartbeat
 from services.runtime.host import Host
 from services.runtime.inputs import (
-    CheckedQueryArrived,
     Input,
     MessageArrived,
     ProcessStarted,
-    QueryArrived,
-    QueryUnanswered,
-    ReplyArrived,
 )
 from services.runtime.journal import JournalFolder, identity_of
 from services.runtime.lockstep.stamp import read_stamp
 from services.runtime.log import Log
-from services.runtime.node import Finish, LogRecord, MissionTime, Node, NoReply, PublishSnapshot
+from services.runtime.node import Finish, LogRecord, MissionTime, Node, PublishSnapshot
 from services.runtime.options import Options
+from services.runtime.queries.inputs import outcome_input, query_input
 from services.runtime.queries.process import QueryProcess
-from services.runtime.queries.server import QueryServer, QueryService, request_from_selector
+from services.runtime.queries.server import QueryServer, QueryService
+from services.runtime.refusals import refusal_of
 from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
-from services.runtime.transport.session import IncomingQuery, Session, close_all, connect_client
+from services.runtime.transport.session import IncomingQuery, Outcome, Replied, Session, close_all, connect_client
 
 CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
 ONLOOKERS = "onlooker"
@@ -211,7 +209,7 @@ class Process:
         session.subscribe(topic, lambda payload, _attachment: self.later(partial(self.set_clock, side, payload)))
         told = False
         while self.clock is None and not self.stop.event.is_set():
-            session.query(topic, b"", 2.0, lambda answer, *_: self.later(partial(self.set_clock, side, answer)))
+            session.query(topic, b"", 2.0, lambda outcome: self.later(partial(self._clock_replied, side, outcome)))
             try:
                 self.stop.inbox.get(timeout=IDLE_S)()
             except queue.Empty:
@@ -277,8 +275,8 @@ class Process:
                 self.sessions[side].query(topic, payload, timeout_s, on_end)
             case Reply(token, _, payload):
                 self._question_of(token, lambda query: query.reply(payload))
-            case ReplyError(token, _, why):
-                self._question_of(token, lambda query: query.refuse(why))
+            case ReplyError(token, _, why, code):
+                self._question_of(token, lambda query: query.refuse(Refusal(why, code)))
             case PublishSnapshot(snapshot, awaited):
                 if self._answers is not None:
                     self._answers.show(snapshot)
@@ -311,11 +309,8 @@ class Process:
     def _asked(self, topic: Topic, query: IncomingQuery) -> None:
         self.later(partial(self._take_question, topic, query))
 
-    def _answer_came(self, query: str, answer: bytes | NoReply, detail: str, _attachment: bytes) -> None:
-        if isinstance(answer, bytes):
-            self.later(partial(self._put, Kind.QUESTION, ReplyArrived(query, answer)))
-        else:
-            self.later(partial(self._put, Kind.QUESTION, QueryUnanswered(query, answer, detail)))
+    def _answer_came(self, query: str, outcome: Outcome) -> None:
+        self.later(partial(self._put, Kind.QUESTION, outcome_input(query, outcome)))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
 
@@ -327,21 +322,17 @@ class Process:
         self._counter += 1
         token = self._counter
         self._tokens[token] = query
-        payload = query.payload
-        if payload is not None:
-            self._put(Kind.QUESTION, QueryArrived(topic, payload, token))
-            return
         try:
-            request: Wire = request_from_selector(topic, query.parameters)
-        except He3Error as error:
-            self._tokens.pop(token).refuse(str(error))
+            self._put(Kind.QUESTION, query_input(topic, query, token))
+        except InvalidInput as error:
+            self._tokens.pop(token).refuse(refusal_of(error))
             self.refused(str(error))
-            return
-        self._put(Kind.QUESTION, CheckedQueryArrived(topic, request, token))
 
-    def set_clock(self, side: Side, payload: bytes | NoReply) -> None:
-        if isinstance(payload, NoReply):
-            return
+    def _clock_replied(self, side: Side, outcome: Outcome) -> None:
+        if isinstance(outcome, Replied):
+            self.set_clock(side, outcome.payload)
+
+    def set_clock(self, side: Side, payload: bytes) -> None:
         try:
             _, state = decode(CLOCKS[side], payload, self.mission)
         except Refused as refusal:

@@ -9,28 +9,26 @@ import secrets
 import time
 from functools import partial
 
-from he3.errors import He3Error, PeerUnreachable
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas import topics
 from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.lockstep import Poke, StepBusy, StepDone
+from schemas.refusal import Refusal
 from schemas.topics import Side, Topic, addressed, counted
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.drivers.wall_clock import CLOCKS, IDLE_S, Process, Service, Stop
 from services.runtime.inputs import (
-    CheckedQueryArrived,
     Input,
     MessageArrived,
-    QueryArrived,
-    QueryUnanswered,
-    ReplyArrived,
 )
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp, read_stamp
 from services.runtime.node import NoReply
 from services.runtime.options import Options
-from services.runtime.queries.server import request_from_selector
-from services.runtime.transport.session import IncomingQuery
+from services.runtime.queries.inputs import outcome_input, query_input
+from services.runtime.refusals import refusal_of
+from services.runtime.transport.session import IncomingQuery, NotReplied, Outcome
 
 JOIN = {Side.MOON: topics.MOON_JOIN, Side.EARTH: topics.EARTH_JOIN}
 GRANT = {Side.MOON: topics.MOON_GRANT, Side.EARTH: topics.EARTH_GRANT}
@@ -108,16 +106,16 @@ class LockstepProcess(Process):
             JOIN[self._home],
             encode(self.header(), self.part.join()),
             ASKS_AGAIN_S,
-            lambda answer, detail, _: self.later(partial(self._take_joined, answer, detail)),
+            lambda outcome: self.later(partial(self._take_joined, outcome)),
         )
 
-    def _take_joined(self, answer: bytes | NoReply, detail: str) -> None:
-        if answer is NoReply.REFUSED:
-            raise He3Error(detail)
-        if isinstance(answer, NoReply):
+    def _take_joined(self, outcome: Outcome) -> None:
+        if isinstance(outcome, NotReplied):
+            if outcome.why is NoReply.REFUSED:
+                raise He3Error(outcome.detail)
             return  # nobody there, or a step is under way; ask again
         try:
-            _, joined = decode_reply(JOIN[self._home], answer, self.mission)
+            _, joined = decode_reply(JOIN[self._home], outcome.payload, self.mission)
         except Refused as refusal:
             raise PeerUnreachable(f"the time keeper speaks another language: {refusal}") from None
         if not joined.admitted:
@@ -152,7 +150,7 @@ class LockstepProcess(Process):
             self._told_silent = True
             self.log.warning(f"nothing heard of the time keeper for {SILENT_AFTER_S:g} s; waiting for it")
 
-    def set_clock(self, side: Side, payload: bytes | NoReply) -> None:
+    def set_clock(self, side: Side, payload: bytes) -> None:
         super().set_clock(side, payload)
         self._clock_at = time.monotonic()
         if self._told_silent:
@@ -239,8 +237,9 @@ class LockstepProcess(Process):
         match action:
             case Reply(token, _, payload):
                 self._question_of(token, lambda query: query.reply(payload, stamp.encode()))
-            case ReplyError(token, _, why):
-                self._question_of(token, lambda query: query.refuse(why, stamp.encode()))
+            case ReplyError(token, _, why, code):
+                refusal = Refusal(why, code, stamp.encode().decode())
+                self._question_of(token, lambda query: query.refuse(refusal))
 
     def perform(self, action: Action) -> None:
         self._perform(action)
@@ -253,11 +252,8 @@ class LockstepProcess(Process):
     def _asked(self, topic: Topic, query: IncomingQuery) -> None:
         self.later(partial(self._take_question, topic, query))
 
-    def _answer_came_in(self, name: str, asked: Stamp, answer: bytes | NoReply, detail: str, attachment: bytes) -> None:
-        given: Input = (
-            QueryUnanswered(name, answer, detail) if isinstance(answer, NoReply) else ReplyArrived(name, answer)
-        )
-        self.later(partial(self._take_answer, given, asked, attachment))
+    def _answer_came_in(self, name: str, asked: Stamp, outcome: Outcome) -> None:
+        self.later(partial(self._take_answer, outcome_input(name, outcome), asked, outcome.attachment))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
 
@@ -277,15 +273,11 @@ class LockstepProcess(Process):
             return
         self._counter += 1
         token = self._counter
-        payload = query.payload
-        if payload is not None:
-            given: Input = QueryArrived(topic, payload, token)
-        else:
-            try:
-                given = CheckedQueryArrived(topic, request_from_selector(topic, query.parameters), token)
-            except He3Error as error:
-                query.refuse(str(error))
-                return
+        try:
+            given = query_input(topic, query, token)
+        except InvalidInput as error:
+            query.refuse(refusal_of(error))
+            return
         self._tokens[token] = query
         self._poke_if(self.part.take_question(given, token, stamp))
 

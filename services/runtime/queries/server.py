@@ -1,7 +1,7 @@
-"""Operators' questions: made from selector parameters where a stock client asks, answered from snapshots in threads.
+"""Operators' queries answered from an immutable snapshot, in threads of their own, never by the node.
 
-A question that carries a message is answered with a message; one that carries only parameters (``?x=120;y=340``) is
-answered with the plain body, as somebody who knows nothing of our envelopes would like it.
+The thread that has a new snapshot calls `QueryServer.show` and goes on; queries that are being answered finish with
+the snapshot that they began with. How a query is read is in `services.runtime.queries.request`.
 """
 
 from __future__ import annotations
@@ -13,64 +13,53 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from pydantic import ValidationError
-
-from he3.errors import He3Error, InvalidInput
-from schemas.codec import Refused, decode, encode, one_line
+from he3.errors import Busy, He3Error, NotReady
 from schemas.topics import Topic
 from schemas.wire import Header, Wire
 from services.runtime.node import MissionTime
-from services.runtime.transport.session import IncomingQuery, Session
+from services.runtime.queries.request import Query, encode_reply, read_request
+from services.runtime.refusals import refusal_of
+from services.runtime.transport.session import JSON, IncomingQuery, Session
 
-JSON = "application/json"
 MAX_WAITING = 10_000
-"""Questions that may wait; more are refused, so that a flood costs no memory."""
-
-
-def request_from_selector(topic: Topic, parameters: dict[str, str]) -> Any:
-    """The request that selector parameters make; raises InvalidInput with one line for unknown or bad ones."""
-    try:
-        # Parameters are text: numbers are read from them, everything else is checked as on the wire.
-        return topic.payload.model_validate_strings(parameters)
-    except ValidationError as error:
-        raise InvalidInput(f"{topic.name}: {one_line(error)}") from None
+"""Queries that may wait; more are refused, so that a flood costs no memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """An answer in a format of its own, with what it shows (JSON) as its attachment."""
+    """A reply in a format of its own, with what it shows (JSON) as its attachment."""
 
     payload: bytes
     media_type: str
     about: bytes
 
 
-def _nothing_else(_topic: Topic, _request: Any, _snapshot: Any) -> Encoded | None:
+def _no_rendering(_topic: Topic, _request: Any, _snapshot: Any) -> Encoded | None:
     return None
 
 
-def _as_it_is(shown: Any, _before: Any) -> Any:
-    return shown
+def _newest(snapshot: Any, _before: Any) -> Any:
+    return snapshot
 
 
 @dataclass(frozen=True, slots=True)
 class QueryService:
-    """Answers questions of some topics from the latest snapshot: a pure function, in threads of its own."""
+    """Which queries are answered from snapshots, and how: pure functions of request and snapshot."""
 
     topics: tuple[Topic, ...]
     answer: Callable[[Topic, Any, Any], Wire]
     """(topic, request, snapshot) -> reply; raises He3Error with one line."""
-    render: Callable[[Topic, Any, Any], Encoded | None] = _nothing_else
-    """(topic, request, snapshot) -> the answer where it is not to be JSON, else None; raises He3Error."""
-    keep: Callable[[Any, Any | None], Any] = _as_it_is
-    """(what is shown, what was answered from before) -> what is answered from now on."""
+    render: Callable[[Topic, Any, Any], Encoded | None] = _no_rendering
+    """(topic, request, snapshot) -> the reply if it is not JSON, else None; raises He3Error."""
+    keep: Callable[[Any, Any | None], Any] = _newest
+    """(new snapshot, what was kept before) -> what is kept, and answered from, from now on."""
     threads: int = 2
     module: str | None = None
     """Module to run as the query process (see `services.runtime.queries.process`); None: threads of this process."""
 
 
 class QueryServer:
-    """The threads of a snapshot service, for one process."""
+    """The threads that answer a service's queries, for one process."""
 
     def __init__(
         self,
@@ -86,10 +75,10 @@ class QueryServer:
         self._now = now
         self._waiting: queue.Queue[tuple[Topic, IncomingQuery]] = queue.Queue(MAX_WAITING)
         for number in range(service.threads):
-            threading.Thread(target=self._work, name=f"questions-{number}", daemon=True).start()
+            threading.Thread(target=self._work, name=f"queries-{number}", daemon=True).start()
 
     def show(self, snapshot: object) -> object:
-        """Answer from that snapshot from now on; returns what is kept of it and of those before."""
+        """Answer from that snapshot from now on; returns what is kept of it and of earlier ones."""
         self._snapshot = self._service.keep(snapshot, self._snapshot)
         return self._snapshot
 
@@ -97,40 +86,37 @@ class QueryServer:
         """Nothing to end: the threads end with the process."""
 
     def serve(self, topic: Topic, session: Session) -> None:
-        """Answer that topic's questions on that bus from now on."""
-        session.serve(topic, partial(self._take, topic))
+        """Answer that topic's queries on that session from now on."""
+        session.serve(topic, partial(self._enqueue, topic))
 
-    def _take(self, topic: Topic, query: IncomingQuery) -> None:
+    def _enqueue(self, topic: Topic, query: IncomingQuery) -> None:
         try:
             self._waiting.put_nowait((topic, query))
         except queue.Full:
-            query.refuse(f"{topic.name}: more than {MAX_WAITING} questions wait; ask later")
+            query.refuse(refusal_of(Busy(f"{topic.name}: more than {MAX_WAITING} queries wait; ask again later")))
 
     def _work(self) -> None:
         while True:
             topic, query = self._waiting.get()
             try:
-                answer = self.reply(topic, query.payload, query.parameters)
-                query.reply(answer.payload, answer.about or None, answer.media_type)
-            except (He3Error, Refused) as error:
-                query.refuse(str(error))
+                reply = self.reply(topic, query)
+                query.reply(reply.payload, reply.about or None, reply.media_type)
+            except He3Error as error:
+                query.refuse(refusal_of(error))
+            except Exception as error:  # noqa: BLE001 - a defect must not cost the thread; the client is told
+                query.refuse(refusal_of(He3Error(f"{topic.name}: defect: {type(error).__name__}: {error}")))
 
-    def reply(self, topic: Topic, payload: bytes | None, parameters: dict[str, str]) -> Encoded:
-        """The answer; raises He3Error or Refused with one line."""
-        if payload is None:
-            request = request_from_selector(topic, parameters)
-        else:
-            _, request = decode(topic, payload, self._mission)
+    def reply(self, topic: Topic, query: Query) -> Encoded:
+        """The reply to that query; raises He3Error with one line."""
+        request = read_request(topic, query, self._mission)
         snapshot = self._snapshot
         if snapshot is None:
-            raise InvalidInput(f"{topic.name}: there is no map yet; ask again in a moment")
+            raise NotReady(f"{topic.name}: there is no map yet; ask again in a moment")
         rendered = self._service.render(topic, request, snapshot)
         if rendered is not None:
             return rendered
         reply = self._service.answer(topic, request, snapshot)
-        if payload is None:
-            return Encoded(reply.model_dump_json().encode(), JSON, b"")
         now = self._now()
         made_at: MissionTime = getattr(snapshot, "mission_time_ns", 0) if now is None else now
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=made_at)
-        return Encoded(encode(header, reply), JSON, b"")
+        return Encoded(encode_reply(query, header, reply), JSON, b"")

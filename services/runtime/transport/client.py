@@ -5,18 +5,19 @@ It declares nothing that a service waits for, so it cannot hold a mission up.
 
 from __future__ import annotations
 
-import re
 import threading
 from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
-from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from he3.errors import InvalidInput, PeerUnreachable
 from schemas.codec import decode, decode_reply, encode
+from schemas.refusal import Refusal
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
 from services.runtime.node import NoReply
-from services.runtime.transport.session import Session, open_session
+from services.runtime.refusals import error_of
+from services.runtime.transport.session import NotReplied, Outcome, Replied, Session, open_session
 
 QUERY_TIMEOUT_S = 10.0
 
@@ -46,7 +47,7 @@ class Client:
     def query(self, topic: Topic, request: Wire, timeout_s: float = QUERY_TIMEOUT_S) -> Any:
         """The body of the reply to a query that carries a message.
 
-        Raises PeerUnreachable when there is no reply, or what `refusal` makes of the refusal.
+        Raises PeerUnreachable when there is no reply, else the exception of the refusal's code.
         """
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=0)
         payload, _ = self._reply(topic, encode(header, request), timeout_s)
@@ -57,8 +58,8 @@ class Client:
     ) -> tuple[bytes, bytes]:
         """The reply as it came, and its attachment, to a query by selector parameters, as a stock client sends it.
 
-        Raises PeerUnreachable when there is no reply, InvalidInput for parameters that no selector can hold, or what
-        `refusal` makes of the refusal.
+        Raises PeerUnreachable when there is no reply, InvalidInput for parameters that no selector can hold, else the
+        exception of the refusal's code.
         """
         return self._reply(topic, None, timeout_s, selector_text(parameters))
 
@@ -73,21 +74,23 @@ class Client:
         self, topic: Topic, payload: bytes | None, timeout_s: float, parameters: str = ""
     ) -> tuple[bytes, bytes]:
         ended = threading.Event()
-        outcome: list[tuple[bytes | NoReply, str, bytes]] = []
+        outcomes: list[Outcome] = []
 
-        def on_end(answer: bytes | NoReply, detail: str, attachment: bytes) -> None:
-            outcome.append((answer, detail, attachment))
+        def on_end(outcome: Outcome) -> None:
+            outcomes.append(outcome)
             ended.set()
 
         self._session.query(topic, payload, timeout_s, on_end, parameters=parameters)
+        key = topic.key(self._mission)
         if not ended.wait(timeout_s + 1.0):
-            raise PeerUnreachable(f"{topic.key(self._mission)}: no answer within {timeout_s:g} s")
-        answer, detail, attachment = outcome[0]
-        if isinstance(answer, bytes):
-            return answer, attachment
-        if answer is NoReply.REFUSED:
-            raise refusal(detail)
-        raise PeerUnreachable(f"{topic.key(self._mission)}: {answer.value}{' ' + detail if detail else ''}")
+            raise PeerUnreachable(f"{key}: no answer within {timeout_s:g} s")
+        match outcomes[0]:
+            case Replied(reply, attachment):
+                return reply, attachment
+            case NotReplied(NoReply.REFUSED, why, code):
+                raise error_of(Refusal(why, code))
+            case NotReplied(reason, detail):
+                raise PeerUnreachable(f"{key}: {reason.value}{' ' + detail if detail else ''}")
 
     # --- subscriptions ------------------------------------------------------------------------------------------
 
@@ -128,11 +131,3 @@ def selector_text(parameters: Mapping[str, object]) -> str:
         if not value.isprintable() or any(mark in value for mark in ";#?="):
             raise InvalidInput(f"{key}: expected a value without ';', '#', '?' or '=', got {value[:60]!r}")
     return ";".join(f"{key}={value}" for key, value in text.items())
-
-
-def refusal(why: str) -> He3Error:
-    """What a refused question raises: InvalidInput where the text says what was expected of the asker and what came."""
-    return InvalidInput(why) if _OF_WHAT_WAS_ASKED.search(why) else He3Error(why)
-
-
-_OF_WHAT_WAS_ASKED = re.compile(r"\bexpected .+[,;:] got ")

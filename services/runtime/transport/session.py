@@ -16,6 +16,7 @@ from typing import Any
 import zenoh
 
 from he3.errors import InvalidInput, PeerUnreachable
+from schemas.refusal import Refusal, RefusalCode, decode_refusal
 from schemas.topics import KEY_ROOT, Side, Topic
 from services.mission.deployment import deployment
 from services.runtime.node import NoReply
@@ -47,6 +48,29 @@ def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
 
 
 @dataclass(frozen=True, slots=True)
+class Replied:
+    """A query ended with a reply."""
+
+    payload: bytes
+    attachment: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class NotReplied:
+    """A query ended without a reply."""
+
+    why: NoReply
+    detail: str = ""
+    """Text of the refusal, or how long was waited."""
+    code: RefusalCode = RefusalCode.INTERNAL
+    """Of the refusal, when it was refused."""
+    attachment: bytes = b""
+
+
+Outcome = Replied | NotReplied
+
+
+@dataclass(frozen=True, slots=True)
 class IncomingQuery:
     """A query that arrived. Reply, refuse or drop it exactly once, from any thread."""
 
@@ -72,8 +96,8 @@ class IncomingQuery:
         self.query.reply(self.query.key_expr, payload, encoding=encoding, attachment=attachment)
         self.drop()
 
-    def refuse(self, why: str, attachment: bytes | None = None) -> None:
-        self.query.reply_err(error_body(why, attachment), encoding=zenoh.Encoding.APPLICATION_JSON)
+    def refuse(self, refusal: Refusal) -> None:
+        self.query.reply_err(refusal.encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
         self.drop()
 
     def drop(self) -> None:
@@ -163,34 +187,36 @@ class Session:
         topic: Topic,
         payload: bytes | None,
         timeout_s: float,
-        on_end: Callable[[bytes | NoReply, str, bytes], None],
+        on_end: Callable[[Outcome], None],
         attachment: bytes | None = None,
         parameters: str = "",
     ) -> None:
-        """Send a query. `on_end` is called exactly once: with the reply, or with why there is none and the detail.
+        """Send a query; `on_end` is called exactly once.
 
         parameters: the selector's, for a query that carries no message.
         """
         ended: list[bool] = []
 
-        def end(answer: bytes | NoReply, said: str, attachment: bytes) -> None:
+        def end(outcome: Outcome) -> None:
             if not ended:  # the first reply counts; a second server may take long to say that it has none
                 ended.append(True)
-                on_end(answer, said, attachment)
+                on_end(outcome)
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                end(reply.ok.payload.to_bytes(), "", _attachment(reply.ok))
+                end(Replied(reply.ok.payload.to_bytes(), _attachment(reply.ok)))
                 return
-            said = reply.err.payload.to_bytes() if reply.err is not None else b""
-            if said == b"Timeout":
-                end(NoReply.TIMEOUT, f"within {timeout_s:g} s", b"")
-            else:
-                end(NoReply.REFUSED, *_refusal(said))
+            error = reply.err.payload.to_bytes() if reply.err is not None else b""
+            if error == b"Timeout":
+                end(NotReplied(NoReply.TIMEOUT, f"within {timeout_s:g} s"))
+                return
+            refusal = decode_refusal(error)
+            stamp = b"" if refusal.stamp is None else refusal.stamp.encode()
+            end(NotReplied(NoReply.REFUSED, refusal.error, refusal.code, stamp))
 
         self._session.get(
             topic.key(self._mission) + (f"?{parameters}" if parameters else ""),
-            handler=zenoh.handlers.Callback(on_reply, lambda: end(NoReply.NO_ROUTE, "", b"")),
+            handler=zenoh.handlers.Callback(on_reply, lambda: end(NotReplied(NoReply.NO_ROUTE))),
             payload=payload,
             encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
             timeout=timeout_s,
@@ -277,12 +303,6 @@ def connect_client(
     return None
 
 
-def error_body(why: str, attachment: bytes | None = None) -> bytes:
-    """How a refusal looks on the wire; error replies have no attachment of their own, so it goes inside."""
-    stamp = {} if attachment is None else {"stamp": attachment.decode()}
-    return json.dumps({"error": why, **stamp}).encode()
-
-
 def _is_put(sample: Any) -> bool:
     return bool(sample.kind == zenoh.SampleKind.PUT)
 
@@ -290,15 +310,6 @@ def _is_put(sample: Any) -> bool:
 def _attachment(carrier: Any) -> bytes:
     attachment = carrier.attachment
     return b"" if attachment is None else bytes(attachment.to_bytes())
-
-
-def _refusal(said: bytes) -> tuple[str, bytes]:
-    """What a refusal says, and the stamp in it."""
-    try:
-        body = json.loads(said)
-        return str(body["error"]), str(body.get("stamp", "")).encode()
-    except (ValueError, TypeError, KeyError, AttributeError):
-        return said.decode(errors="replace")[:200], b""
 
 
 def _first_line(error: Exception) -> str:

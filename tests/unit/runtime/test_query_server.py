@@ -1,4 +1,4 @@
-"""Operators' questions: read from selectors or messages, answered from snapshots in threads."""
+"""Operators' queries: read from selectors or messages, answered from snapshots in threads."""
 
 from __future__ import annotations
 
@@ -8,21 +8,26 @@ from typing import Any
 
 import pytest
 
-from he3.errors import InvalidInput
-from schemas.codec import Refused, decode_reply, encode
+from he3.errors import InvalidInput, OutsideRegion
+from schemas.codec import decode_reply, encode
 from schemas.commands import CommandKind
 from schemas.link import Direction
 from schemas.maps import MapPoint, MapPointQuery
+from schemas.refusal import Refusal, RefusalCode
 from schemas.topics import CLOCK_SET, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, MAP_LAYER, MAP_POINT, TIME_CONTROL
 from schemas.wire import Header
-from services.runtime.queries.server import QueryServer, QueryService, request_from_selector
+from services.runtime.queries.request import request_from_selector
+from services.runtime.queries.server import QueryServer, QueryService
 
 WITHIN_S = 20.0
+INVALID, OUTSIDE, INTERNAL = RefusalCode.INVALID_INPUT, RefusalCode.OUTSIDE_REGION, RefusalCode.INTERNAL
 
 
 def point(request: MapPointQuery, revision: int) -> MapPoint:
     if request.x > 500:
-        raise InvalidInput("map: expected a place within 0..500 m")
+        raise OutsideRegion("map: expected a place within 0..500 m")
+    if request.y == 13:
+        raise ZeroDivisionError("of thirteen")
     return MapPoint(
         x_m=request.x, y_m=request.y, mean_ppb=8.0, std_ppb=1.0, traversable=True, revision=revision, samples=0,
         mission_time_ns=5,
@@ -40,8 +45,8 @@ class FakeQuery:
     def reply(self, payload: bytes, *_: Any) -> None:
         self.end.put(("answered", payload))
 
-    def refuse(self, why: str, *_: Any) -> None:
-        self.end.put(("refused", why))
+    def refuse(self, refusal: Refusal) -> None:
+        self.end.put(("refused", refusal))
 
 
 class OneTopicBus:
@@ -75,10 +80,8 @@ def message(**body: Any) -> bytes:
 
 
 def test_before_there_is_a_map_a_question_is_refused_and_not_kept_waiting(ask):
-    assert ask(FakeQuery(x="1", y="2")) == (
-        "refused",
-        "earth/map/point: there is no map yet; ask again in a moment",
-    )
+    refusal = Refusal("earth/map/point: there is no map yet; ask again in a moment", RefusalCode.NOT_READY)
+    assert ask(FakeQuery(x="1", y="2")) == ("refused", refusal)
 
 
 def test_parameters_are_answered_with_the_plain_body_and_a_message_with_a_message(server, ask):
@@ -101,24 +104,26 @@ def test_the_newest_snapshot_answers(server, ask):
 
 
 @pytest.mark.parametrize(
-    ("query", "expected"),
+    ("query", "code", "expected"),
     [
-        (FakeQuery(), "earth/map/point: x: field required"),
-        (FakeQuery(x="1", y="much"), "earth/map/point: y: input should be a valid number"),
-        (FakeQuery(x="1", y="nan"), "earth/map/point: y: input should be"),
-        (FakeQuery(x="1", y="2", z="3"), "earth/map/point: z: extra inputs are not permitted"),
-        (FakeQuery(x="900", y="2"), "map: expected a place within 0..500 m"),
-        (FakeQuery(b""), "he3/short/earth/map/point: message: invalid JSON"),
-        (FakeQuery(b"{}"), "he3/short/earth/map/point: header: field required"),
-        (FakeQuery(message(x=1.0, y=2.0).replace(b"short", b"other")), "damaged"),
+        (FakeQuery(), INVALID, "earth/map/point: x: field required"),
+        (FakeQuery(x="1", y="much"), INVALID, "earth/map/point: y: input should be a valid number"),
+        (FakeQuery(x="1", y="nan"), INVALID, "earth/map/point: y: input should be"),
+        (FakeQuery(x="1", y="2", z="3"), INVALID, "earth/map/point: z: extra inputs are not permitted"),
+        (FakeQuery(x="900", y="2"), OUTSIDE, "map: expected a place within 0..500 m"),
+        (FakeQuery(x="1", y="13"), INTERNAL, "earth/map/point: defect: ZeroDivisionError: of thirteen"),
+        (FakeQuery(b""), INVALID, "he3/short/earth/map/point: message: invalid JSON"),
+        (FakeQuery(b"{}"), INVALID, "he3/short/earth/map/point: header: field required"),
+        (FakeQuery(message(x=1.0, y=2.0).replace(b"short", b"other")), INVALID, "damaged"),
     ],
 )
-def test_bad_questions_are_refused_in_one_line_and_the_next_is_answered(server, ask, query, expected):
+def test_bad_questions_are_refused_in_one_line_and_the_next_is_answered(server, ask, query, code, expected):
     server.show(1)
-    how, line = ask(query)
+    how, refusal = ask(query)
     assert how == "refused"
-    assert expected in line
-    assert "\n" not in line
+    assert refusal.code is code
+    assert expected in refusal.error
+    assert "\n" not in refusal.error
     assert ask(FakeQuery(x="1", y="2"))[0] == "answered"
 
 
@@ -184,7 +189,7 @@ def test_selectors_that_say_nonsense_are_refused_in_one_line(topic, parameters):
     assert "\n" not in str(refused.value)
 
 
-def test_a_refused_message_is_a_refusal_and_no_crash_of_the_thread(server):
+def test_a_malformed_message_is_invalid_input(server):
     server.show(1)
-    with pytest.raises(Refused):
-        server.reply(MAP_POINT, b"\xff", {})
+    with pytest.raises(InvalidInput):
+        server.reply(MAP_POINT, FakeQuery(b"\xff"))

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from he3.errors import InvalidInput
 from services.console.__main__ import main
-from services.runtime.transport.client import refusal
 
 SCENARIO = """
 name = "mine"
@@ -135,21 +133,3 @@ def test_an_endpoint_without_a_mission_is_a_failure_that_names_it(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert main(["status", "--earth", "tcp/127.0.0.1:9"]) == 1
     assert capfd.readouterr().err.startswith("he3: nobody answers at tcp/127.0.0.1:9: ")
-
-
-@pytest.mark.parametrize(
-    ("why", "of_the_asker"),
-    [
-        ("map: expected a place within 0..500 m east and 0..500 m north, got (9999, 1)", True),
-        ("command op-1: expected a target within 0..500 m east and 0..500 m north, got (9999, 1)", True),
-        ("expected a planner among tour, rrtstar; got 'x'", True),
-        ("earth/map/point: there is no map yet; ask again in a moment", False),
-        ("earth/map/point: more than 10000 questions wait; ask later", False),
-    ],
-)
-def test_a_refusal_that_says_what_was_expected_and_what_came_is_of_the_asker_s_input(
-    why: str, of_the_asker: bool
-) -> None:
-    error = refusal(why)
-    assert str(error) == why
-    assert isinstance(error, InvalidInput) is of_the_asker

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from he3.errors import InvalidInput, OutsideRegion
+from he3.errors import InvalidInput, NotFound, NotReady, OutsideRegion
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import kernel_from
@@ -103,11 +103,11 @@ def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() ->
 
 
 def test_what_cannot_be_answered_is_refused_in_one_line() -> None:
-    with pytest.raises(InvalidInput, match="none yet"):
+    with pytest.raises(NotReady, match="none yet"):
         answer(MAP_POINT, MapPointQuery(x=1.0, y=1.0), None)
     with pytest.raises(InvalidInput, match="expected a query of earth/map/point"):
         answer(GROUND_STATUS, NoParameters(), snapshot())
-    with pytest.raises(InvalidInput, match="no reference field"):
+    with pytest.raises(NotFound, match="no reference field"):
         score(snapshot())
 
 

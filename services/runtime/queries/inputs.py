@@ -1,0 +1,23 @@
+"""Queries as inputs of a host: one that arrived, and how one of the node's own ended."""
+
+from __future__ import annotations
+
+from schemas.topics import Topic
+from services.runtime.inputs import CheckedQueryArrived, QueryArrived, QueryUnanswered, ReplyArrived
+from services.runtime.queries.request import Query, request_from_selector
+from services.runtime.transport.session import Outcome, Replied
+
+
+def query_input(topic: Topic, query: Query, token: int) -> QueryArrived | CheckedQueryArrived:
+    """The query as an input; the host itself reads a message. Raises InvalidInput with one line for bad parameters."""
+    payload = query.payload
+    if payload is None:
+        return CheckedQueryArrived(topic, request_from_selector(topic, query.parameters), token)
+    return QueryArrived(topic, payload, token)
+
+
+def outcome_input(query: str, outcome: Outcome) -> ReplyArrived | QueryUnanswered:
+    """The end of the node's query of that name as an input."""
+    if isinstance(outcome, Replied):
+        return ReplyArrived(query, outcome.payload)
+    return QueryUnanswered(query, outcome.why, outcome.detail)
