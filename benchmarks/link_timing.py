@@ -54,7 +54,7 @@ def run(
     messages: int = 250,
     interval_s: float = 0.02,
     changed_to_s: float = 3.0,
-    scenario: str = "t1-nominal",
+    scenario: str = "t1-paper",
     json: Path | str | None = None,
     *,
     say: Callable[[str], None] = print,

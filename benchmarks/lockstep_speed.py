@@ -42,7 +42,7 @@ LOOK_EVERY_S = 0.05
 
 
 def run(
-    scenario: str = "t1-nominal",
+    scenario: str = "t1-paper",
     seed: int | None = None,
     json: Path | str | None = None,
     *,

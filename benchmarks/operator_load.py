@@ -31,7 +31,7 @@ from services.mission.deployment import deployment
 from services.runtime.transport.client import selector_text
 from services.runtime.transport.session import open_session
 
-SCENARIO = "t1-nominal"
+SCENARIO = "t1-paper"
 POINT_SHARE, BOX_SHARE = 0.90, 0.08
 """The rest are whole layers, of 1 MB each."""
 BARE_SHARE = 0.2

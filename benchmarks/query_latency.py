@@ -48,7 +48,7 @@ Row = dict[str, Any]
 
 def run(
     queries: int = 1000,
-    scenario: str = "t1-nominal",
+    scenario: str = "t1-paper",
     planner: str = "rrtstar",
     rate: float = 3000.0,
     seed: int = 1,

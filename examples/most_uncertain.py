@@ -1,6 +1,6 @@
 """A planner of your own: always on to the most uncertain place, and from there to the next.
 
-    he3 run t1-nominal --in-process --planner examples.most_uncertain:most_uncertain
+    he3 run t1 --in-process --planner examples.most_uncertain:most_uncertain
     he3 bench paper --seeds 3 --regions t1 --planners rrtstar,tour,examples.most_uncertain:most_uncertain
 
 It needs no tree and asks for no utility, but it is greedy: what one sample will teach about the places around it is

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from he3.errors import InvalidInput
 
 _INSTALLED = Path(__file__).parent / "deploy"
 _CHECKOUT = Path(__file__).parents[2] / "deploy"
+
+
+RENAMED = {"t1-nominal": "t1-paper", "t2-nominal": "t2-paper"}
+"""Names that shipped scenarios had, and what they are called now."""
 
 
 def deployment(*parts: str) -> Path:
@@ -21,11 +26,18 @@ def shipped_scenarios() -> list[str]:
 
 
 def find_scenario(reference: str) -> Path:
-    """Path of the scenario that a user means: a file, or the name of a shipped one; raises InvalidInput."""
+    """Path of the scenario that a user means: a file, or the name of a shipped one; raises InvalidInput.
+
+    An earlier name still works, with one line on standard error that says the name of today.
+    """
     path = Path(reference)
     if path.suffix == ".toml" or path.exists():
         return path
-    shipped = deployment("scenarios", f"{reference}.toml")
+    name = RENAMED.get(reference, reference)
+    if name != reference:
+        better = name.removesuffix("-paper")
+        sys.stderr.write(f"he3: {reference} is {name} now, the published protocol; {better} flies the best planner\n")
+    shipped = deployment("scenarios", f"{name}.toml")
     if shipped.is_file():
         return shipped
     raise InvalidInput(

@@ -15,8 +15,8 @@ from services.mission.scenario import Scenario, load_scenario
 from services.runtime.node import Level
 
 EXAMPLES = """examples:
-  python -m services.{name} t1-nominal
-  python -m services.{name} deploy/scenarios/t1-nominal.toml --seed 7 --set ground.planner='"tour"'
+  python -m services.{name} t1
+  python -m services.{name} deploy/scenarios/t1.toml --seed 7 --set ground.planner='"tour"'
 """
 
 

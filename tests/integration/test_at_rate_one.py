@@ -40,9 +40,9 @@ _numbers = count(1)
 
 @pytest.fixture(scope="module")
 def mission(shared_missions, tmp_path_factory):
-    """t1-nominal at rate 1; its link is started last, and its mission time survives in a journal."""
+    """t1-paper at rate 1; its link is started last, and its mission time survives in a journal."""
     folder = tmp_path_factory.mktemp("rate-one")
-    mission = shared_missions("t1-nominal", "--journal", str(folder / "journal"))
+    mission = shared_missions("t1-paper", "--journal", str(folder / "journal"))
     mission.start(*SERVICES, flags=["--out", str(folder / "mission.mcap")])
     for name in SERVICES:
         mission[name].line("still trying")
@@ -112,7 +112,7 @@ def test_a_stock_client_that_knows_only_the_key_is_told_mean_deviation_revision_
     config.insert_json5("connect/endpoints", json.dumps([mission.earth]))
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
-        replies = list(session.get("he3/t1-nominal/earth/map/point?x=120;y=340"))
+        replies = list(session.get("he3/t1-paper/earth/map/point?x=120;y=340"))
         assert len(replies) == 1
         assert str(replies[0].ok.encoding) == "application/json"
         answer = json.loads(replies[0].ok.payload.to_bytes())
@@ -129,7 +129,7 @@ def test_a_stock_client_that_knows_only_the_key_is_told_mean_deviation_revision_
             ("point", "field required"),
             ("point?x=1e9;y=340", "x: input should be less than or equal to 100000"),
         ):
-            (reply,) = session.get(f"he3/t1-nominal/earth/map/{selector}")
+            (reply,) = session.get(f"he3/t1-paper/earth/map/{selector}")
             error = json.loads(reply.err.payload.to_bytes())["error"]
             assert expected in error, selector
             assert "\n" not in error
@@ -233,7 +233,7 @@ def test_strangers_who_send_rubbish_on_every_key_change_nothing_and_are_counted(
         b"[" * 100_000,
         b'{"header":{},"body":{}}',
         b'{"header":{"version":1,"mission":"other","source":"s","incarnation":1,"sequence":0,"made_at":1},"body":{}}',
-        b'{"header":{"version":2,"mission":"t1-nominal","source":"s","incarnation":1,"sequence":0,"made_at":1}}',
+        b'{"header":{"version":2,"mission":"t1-paper","source":"s","incarnation":1,"sequence":0,"made_at":1}}',
         b'{"x":NaN}',
         b"0" * 2_000_000,
     )

@@ -24,7 +24,7 @@ from services.console.client.session import join_when_up
 from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
 from services.runtime.transport.session import open_session
 
-MISSION, RATE = "t1-nominal", 120.0
+MISSION, RATE = "t1-paper", 120.0
 ROOT = Path(__file__).parents[2]
 WITHIN_S = 90.0
 

@@ -38,10 +38,10 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MissionClient]
     endpoints = free_endpoints()
     logs = tmp_path_factory.mktemp("logs")
     quick = ("--set", "rover.drill_s_per_m=600.0", "--set", "rover.analysis_s=30.0", "--set", "rover.speed_m_s=2.0")
-    scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "t1-nominal.toml"
+    scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "t1-paper.toml"
     with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
-        join_when_up(endpoints.earth, "t1-nominal", launcher.check).close()
-        with MissionClient(endpoints.earth, "t1-nominal") as client:
+        join_when_up(endpoints.earth, "t1-paper", launcher.check).close()
+        with MissionClient(endpoints.earth, "t1-paper") as client:
             yield client
 
 

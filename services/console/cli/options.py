@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 ScenarioRef = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a shipped one such as t1-nominal.")
+    str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a shipped one such as t1.")
 ]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed, instead of the scenario's.")]
 Planner = Annotated[

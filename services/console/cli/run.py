@@ -22,13 +22,14 @@ from services.console.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from schemas.report import MissionReport
     from services.console.launch.scenarios import Chosen
 
 EXAMPLES = """\b
 Examples:
-  he3 run t1-nominal --in-process --out runs/t1     here, in virtual time
-  he3 run t1-nominal --lockstep --out runs/t1       five processes, virtual time
-  he3 run t1-nominal --rate 2000 --out runs/t1      five processes, wall clock
+  he3 run t1 --in-process --out runs/t1             here, in virtual time
+  he3 run t1 --lockstep --out runs/t1               five processes, virtual time
+  he3 run t1 --rate 2000 --out runs/t1              five processes, wall clock
   he3 run my.toml --in-process --planner tour --seed 7 --report tour-7.json
   he3 run short --in-process --set link.down.loss=0.3 --json
 """
@@ -79,8 +80,8 @@ def run_and_report(
     json: bool,
     quiet: bool,
     events: Path | None = None,
-) -> None:
-    """Run the chosen scenario over that driver, show its progress, write its files, print what came of it.
+) -> MissionReport:
+    """Run the chosen scenario over that driver: show its progress, write its files, print and return its report.
 
     Raises He3Error, when all of that is done, for a mission that took no sample: it has nothing to tell of the site.
     """
@@ -108,3 +109,4 @@ def run_and_report(
     typer.echo(done.model_dump_json(indent=2) if json else "\n".join(summary_lines(done, files)))
     if done.samples == 0:
         raise He3Error(f"the mission took no sample: {done.detail or 'the ground gives no reason'}")
+    return done

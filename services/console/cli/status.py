@@ -17,7 +17,7 @@ EXAMPLES = """\b
 Examples:
   he3 status
   he3 status --json | jq .ground.score.rmse_ppb
-  he3 status --mission t1-nominal --earth tcp/10.0.0.2:7448
+  he3 status --mission t1 --earth tcp/10.0.0.2:7448
 """
 
 LIVELINESS_S = 0.3

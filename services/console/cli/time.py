@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from services.runtime.transport.client import Client
 
 EXAMPLES = """\b
-Examples, for a mission that runs in lockstep (he3 up t1-nominal --lockstep):
+Examples, for a mission that runs in lockstep (he3 up t1 --lockstep):
   he3 time show
   he3 time pause
   he3 time step               to the next instant at which something happens

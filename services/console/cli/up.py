@@ -11,10 +11,10 @@ from services.console.cli.options import Lockstep, OutFolder, Planner, Quiet, Ra
 
 EXAMPLES = """\b
 Examples:
-  he3 up t1-nominal                   at the pace of life, where t1-nominal says
-  he3 up t1-nominal --rate 100 &      then: he3 status; he3 map at 120 340
-  he3 up t1-nominal --lockstep &      in virtual time: he3 time pause; he3 time step; he3 time rate 100
-  he3 up t1-nominal --journal j/      stopped and started again, it goes on
+  he3 up t1                           at rate 1, on the endpoints that t1 names
+  he3 up t1 --rate 100 &              then: he3 status; he3 map at 120 340
+  he3 up t1 --lockstep &              in virtual time: he3 time pause; he3 time step; he3 time rate 100
+  he3 up t1 --journal j/              stopped and started again, it goes on
 """
 
 LOOK_EVERY_S = 0.2

@@ -97,7 +97,7 @@ def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str
     if not running:
         wanted = f"mission '{mission}'" if mission else "mission"
         raise PeerUnreachable(
-            f"no running {wanted} found on this machine: start one with 'he3 up t1-nominal', "
+            f"no running {wanted} found on this machine: start one with 'he3 up t1', "
             f"or name another machine's with --earth and --mission"
         )
     names = {each.mission for each in running}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
 import os
 import re
@@ -12,16 +11,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from he3.errors import He3Error
 from services.console.interruption import uninterrupted
+from services.console.launch.child_process import END_WITH_PARENT, environment
 
 SERVICES: tuple[str, ...] = ("link", "field", "rover", "ground", "recorder")
 """In the order in which they are started; the link first, as it owns both routers."""
@@ -143,8 +142,8 @@ class Launcher:
                 stderr=log,
                 stdout=log,
                 process_group=0,
-                env=_environment(),
-                preexec_fn=_END_WITH_PARENT,
+                env=environment(),
+                preexec_fn=END_WITH_PARENT,
             )
         except OSError as error:
             raise He3Error(f"cannot start the {name} service: {error.strerror}") from None
@@ -192,19 +191,8 @@ class Launcher:
         return f": {telling[-1]}" if telling else ""
 
 
-def _ending_with_parent() -> Callable[[], None] | None:
-    """What makes the kernel end a child when this process is killed; None where it cannot (elsewhere than Linux)."""
-    if sys.platform != "linux":
-        return None
-    prctl = ctypes.CDLL(None, use_errno=True).prctl
-    return partial(prctl, _PR_SET_PDEATHSIG, int(signal.SIGTERM))
-
-
 _TELLING = re.compile(r"he3 \w+: |[\w.]+(Error|Exception)\b")
 """A log line that says why a service ended: its own last line, or the last line of a traceback."""
-
-_PR_SET_PDEATHSIG = 1
-_END_WITH_PARENT = _ending_with_parent()
 
 
 def _in_words(code: int) -> str:
@@ -214,8 +202,3 @@ def _in_words(code: int) -> str:
         return f"killed by {signal.Signals(-code).name}"
     except ValueError:
         return f"killed by signal {-code}"
-
-
-def _environment() -> dict[str, str]:
-    # Five processes share the machine: threads of linear algebra in each would only get into each other's way.
-    return {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **os.environ}

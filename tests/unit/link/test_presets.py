@@ -8,7 +8,7 @@ from services.mission.scenario import load_scenario
 from services.runtime.node import Started
 
 SCENARIOS = Path(__file__).parents[3] / "deploy" / "scenarios"
-NAMES = {"nominal": "t1-nominal", "zero": "t1-zero-delay"}
+NAMES = {"nominal": "t1", "zero": "t1-zero-delay"}
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -89,7 +89,7 @@ def test_help_names_every_flag_and_shows_an_example(capsys):
     shown = capsys.readouterr().out
     for flag in ("--seed", "--rate", "--moon", "--earth", "--set", "--journal", "--out", "--lockstep", "--events"):
         assert flag in shown
-    assert "python -m services.rover t1-nominal" in shown
+    assert "python -m services.rover t1" in shown
 
 
 @pytest.mark.parametrize(

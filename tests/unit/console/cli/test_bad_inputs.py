@@ -22,7 +22,7 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "no such command": (SCENARIO, ["fly"], ("fly", "see he3 --help")),
     "no scenario": (SCENARIO, ["run"], ("SCENARIO", "see he3 run --help")),
     "no such flag": (SCENARIO, ["run", "mine.toml", "--fast"], ("--fast",)),
-    "no such shipped scenario": (SCENARIO, ["run", "t3-nominal"], ("t3-nominal", "t1-nominal")),
+    "no such shipped scenario": (SCENARIO, ["run", "t3-nominal"], ("t3-nominal", "t1-paper")),
     "no such file": (SCENARIO, ["run", "other.toml", "--in-process"], ("other.toml",)),
     "a folder for a scenario": (SCENARIO, ["run", ".", "--in-process"], (".",)),
     "two drivers": (SCENARIO, ["run", "mine.toml", "--in-process", "--rate", "10"], ("--in-process", "--rate")),

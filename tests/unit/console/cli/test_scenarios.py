@@ -14,7 +14,7 @@ from services.console.launch.scenarios import choose
 from services.mission.deployment import deployment, shipped_scenarios
 from services.mission.scenario import Scenario, load_scenario
 
-REFERENCE = deployment("scenarios", "t1-nominal.toml")
+REFERENCE = deployment("scenarios", "t1-paper.toml")
 DOCUMENTATION = Path(__file__).parents[4] / "docs" / "scenarios.md"
 
 
@@ -51,7 +51,7 @@ def test_every_shipped_scenario_loads_under_its_own_name_and_is_documented(name:
 
 def test_the_nominal_scenario_is_what_every_default_says() -> None:
     reference = load_scenario(REFERENCE)
-    assert reference == Scenario(name="t1-nominal", region="t1", description=reference.description)
+    assert reference == Scenario(name="t1-paper", region="t1", description=reference.description)
 
 
 def test_the_nominal_scenario_names_every_key_that_there_is() -> None:
@@ -80,3 +80,21 @@ def test_flags_change_the_scenario_and_are_handed_on_to_the_services() -> None:
     from services.runtime.options import parse_options
 
     assert parse_options("ground", [str(chosen.path), *chosen.flags]).scenario == scenario
+
+
+@pytest.mark.parametrize("region", ["t1", "t2"])
+def test_an_earlier_name_of_a_scenario_still_works_and_one_line_gives_the_name_of_today(
+    region: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert choose(f"{region}-nominal").scenario == choose(f"{region}-paper").scenario
+    assert capsys.readouterr().err == (
+        f"he3: {region}-nominal is {region}-paper now, the published protocol; {region} flies the best planner\n"
+    )
+
+
+@pytest.mark.parametrize("region", ["t1", "t2"])
+def test_the_scenario_of_a_region_differs_from_the_published_protocol_in_the_ground_alone(region: str) -> None:
+    best, paper = choose(region).scenario, choose(f"{region}-paper").scenario
+    assert (best.ground.planner, best.ground.kernel, best.ground.pipeline) == ("tour", "smooth+rough", 2)
+    same = {"name": paper.name, "description": paper.description}
+    assert best.changed(top=same, ground=paper.ground.model_dump(mode="json")) == paper

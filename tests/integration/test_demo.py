@@ -1,0 +1,86 @@
+"""`he3 demo`: a mission with the published protocol beside it; both end by themselves, and both end on Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from schemas.report import MissionReport
+
+DEMO = [sys.executable, "-m", "services.console", "demo", "--set", "rounds=2", "--set", "samples_per_round=3"]
+GONE_WITHIN_S = 8.0
+"""Two seconds are promised; a machine that is busy with other things gets more."""
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    runtime = tmp_path / "runtime"
+    runtime.mkdir()
+    return {**os.environ, "XDG_RUNTIME_DIR": str(runtime)}
+
+
+def children_of(pid: int) -> dict[int, str]:
+    """Command line by process id of each child."""
+    found = {}
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+                command = (folder / "cmdline").read_text().replace("\0", " ")
+            except OSError:
+                continue
+            if parent == pid:
+                found[int(folder.name)] = command
+    return found
+
+
+def wait_until(true: Callable[[], bool], within_s: float) -> None:
+    deadline = time.monotonic() + within_s
+    while not true():
+        assert time.monotonic() < deadline, f"expected it within {within_s} s"
+        time.sleep(0.02)
+
+
+def test_the_demo_ends_with_a_line_that_compares_it_with_the_published_protocol_on_the_same_seed(
+    tmp_path: Path, environment: dict[str, str]
+) -> None:
+    out = tmp_path / "demo"
+    ended = subprocess.run(
+        [*DEMO, "--seed", "5", "--out", str(out)], capture_output=True, text=True, env=environment, timeout=110
+    )
+    assert ended.returncode == 0, ended.stderr
+    report = MissionReport.model_validate_json((out / "report.json").read_text())
+    assert (report.scenario, report.planner, report.seed, report.samples) == ("t1", "tour", 5, 6)
+    figures = r"\d+\.\d\d ppb after \d+\.\d km"
+    line = ended.stdout.splitlines()[-1]
+    assert re.fullmatch(rf"tour: {figures}; published protocol \(t1-paper, same seed\): {figures}", line), line
+    assert f"tour: {report.rmse_ppb:.2f} ppb" in line
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_mission_and_the_published_protocol_beside_it(
+    tmp_path: Path, environment: dict[str, str], number: signal.Signals
+) -> None:
+    command = [sys.executable, "-m", "services.console", "demo", "--out", str(tmp_path / "demo")]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            wait_until(lambda: len(children_of(process.pid)) == 6, 60)  # five services and the mission beside them
+            children = children_of(process.pid)
+            (beside,) = (pid for pid, command in children.items() if " t1-paper " in command)
+            assert os.getpriority(os.PRIO_PROCESS, beside) == 19
+            process.send_signal(number)
+            process.communicate(timeout=GONE_WITHIN_S)
+            assert process.returncode == 128 + number
+            wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children), GONE_WITHIN_S)
+        finally:
+            process.kill()
