@@ -119,17 +119,32 @@ def _refuse_other_version(payload: bytes, where: str) -> None:
         raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {str(version)[:40]}")
 
 
+MAX_PLACE = 120
+MAX_SHOWN = 60
+"""Characters of a refusal that name the place in a document and show what came."""
+
+
 def one_line(error: ValidationError) -> str:
     """The first complaint of a validation, as 'where: what was expected, got what came' on one line."""
     first = error.errors(include_url=False, include_context=False)[0]
-    place = ".".join(str(part) for part in first["loc"]) or "message"
+    place = _clipped(printable(".".join(str(part) for part in first["loc"]) or "message"), MAX_PLACE)
     came = first.get("input")
     shown = "" if first["type"] in {"missing", "json_invalid"} else f", got {_short(came)}"
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     message = first["msg"].splitlines()[0].removeprefix("Value error, ")
-    return f"{place}: {message[0].lower()}{message[1:]}{shown}{more}"
+    return f"{place}: {printable(message[0].lower() + message[1:])}{shown}{more}"
 
 
-def _short(value: object, limit: int = 60) -> str:
-    shown = repr(value).replace("\n", " ")
-    return shown if len(shown) <= limit else shown[: limit - 3] + "..."
+def printable(text: str) -> str:
+    """The text on one line, control characters and lone surrogates as escapes: safe for a terminal and for a log."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
+def _short(value: object) -> str:
+    return _clipped(printable(repr(value)), MAX_SHOWN)
+
+
+def _clipped(text: str, limit: int) -> str:
+    return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -91,7 +91,7 @@ def _usage(error: Any) -> int:
 
 
 def _say(message: str, code: int) -> int:
-    from services.runtime.log import printable
+    from schemas.codec import printable
 
     first, *rest = message.splitlines() or [""]
     sys.stderr.write(f"he3: {printable(first)}{' ...' if rest else ''}\n")

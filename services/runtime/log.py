@@ -9,16 +9,10 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any, TextIO
 
+from schemas.codec import printable
 from services.runtime.node import SECOND, Level, LogRecord, MissionTime
 
 ORDER = {Level.DEBUG: 0, Level.INFO: 1, Level.WARNING: 2, Level.ERROR: 3}
-
-
-def printable(text: str) -> str:
-    """The text on one line, control characters and lone surrogates as escapes: safe for a terminal and for a log."""
-    if text.isprintable():
-        return text
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
 
 
 class Log:

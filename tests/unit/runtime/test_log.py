@@ -4,7 +4,8 @@ import io
 
 import pytest
 
-from services.runtime.log import Log, printable
+from schemas.codec import printable
+from services.runtime.log import Log
 
 
 @pytest.mark.parametrize("text", ["\x1b[31mred", "two\nlines", "a\tb", "\ufeffmark", "lone \udcff", "bell\x07"])
