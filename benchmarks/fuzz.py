@@ -28,10 +28,17 @@ def surfaces() -> dict[str, Callable[[Path], Surface]]:
     """How to make each surface in a folder of its own."""
     from benchmarks.fuzzing.command_line import CommandLine
     from benchmarks.fuzzing.messages import Messages
+    from benchmarks.fuzzing.page_requests import PageRequests
     from benchmarks.fuzzing.region_files import RegionFiles
     from benchmarks.fuzzing.scenario_files import ScenarioFiles
 
-    return {"cli": CommandLine, "scenario": ScenarioFiles, "region": RegionFiles, "messages": Messages}
+    return {
+        "cli": CommandLine,
+        "scenario": ScenarioFiles,
+        "region": RegionFiles,
+        "messages": Messages,
+        "page": PageRequests,
+    }
 
 
 def run(examples: int = 5_000, seed: int = 1, only: str = "", json: Path | None = None) -> None:

@@ -1,0 +1,193 @@
+"""Requests to the page of a real mission in processes of its own: never a status of 500 and above, never a hang.
+
+The mission runs at rate 1: on the clock of the requests it hardly moves.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from random import Random
+from typing import Any
+from urllib.parse import quote, urlencode
+
+import numpy as np
+
+from benchmarks.fuzzing import values
+from benchmarks.fuzzing.surface import one_line
+from he3.errors import He3Error
+from services.console.client.session import join_when_up
+from services.console.launch.launcher import Launcher, free_endpoints
+
+MISSION = "fuzzed"
+ANSWER_S = 60.0
+"""How long an answer may take on a busy machine."""
+
+QUERIES: dict[str, dict[str, str]] = {
+    "/api/map/point": {"x": "5", "y": "6", "threshold": "8"},
+    "/api/map/layer": {"layer": "mean", "format": "json", "step": "2", "threshold": "8"},
+    "/api/map/box": {"layer": "std", "x_min": "1", "x_max": "9", "y_min": "1", "y_max": "9", "resolution_m": "1"},
+    "/api/map/resource": {"polygon": "1,1 9,1 5,9", "cutoff_ppb": "8", "probability": "0.9"},
+    "/api/map/track": {"as_of": "1"},
+    "/api/map/history": {},
+    "/api/interest": {},
+    "/api/colours": {},
+}
+POSTS: dict[str, dict[str, Any]] = {
+    "/api/command": {"kind": "pause", "expires_in_s": 60, "target_m": [5.0, 5.0], "area_id": "area-1",
+                     "polygon_m": [[1, 1], [9, 1], [5, 9]]},
+    "/api/link": {"direction": "up", "one_way_light_time_s": 1.3, "loss": 0.1, "rate_bit_s": 2000.0, "contact": True},
+    "/api/interest": {"area_id": "area-1", "polygon_m": [[1, 1], [9, 1], [5, 9]], "weight": 2},
+    "/api/acknowledge": {"id": "none"},
+}  # fmt: skip
+
+
+PATHS = (
+    "/", "/static/main.js", "/static/../server.py", "/static/%2e%2e/server.py", "/api", "//", "/api/map/none",
+)  # fmt: skip
+BODIES = (b"", b"[" * 30_000, b"9" * 6_000, b"\xff\xfe")
+
+
+class PageRequests:
+    """A mission, the page's server, and requests that no browser would send."""
+
+    name = "page"
+
+    def __init__(self, folder: Path) -> None:
+        region = folder / "region.npz"
+        _, x = np.mgrid[0:20, 0:20].astype(float)
+        np.savez(region, he3_ppb=8 + np.sin(x / 5), traversable=np.ones((20, 20), bool), resolution_m=1.0)
+        scenario = folder / "fuzzed.toml"
+        scenario.write_text(
+            f'name = "{MISSION}"\nregion = "{region}"\nrounds = 3\nsamples_per_round = 2\nstart_m = [5.0, 5.0]\n'
+            "[ground]\nplanning_s = 1.0\nclearance_m = 1.0\n"
+        )
+        self._closing: list[Any] = []
+        endpoints = free_endpoints()
+        launcher = Launcher(scenario, endpoints, ("--rate", "1"), logs=folder)
+        launcher.__enter__()
+        self._closing.append(lambda: launcher.__exit__(None, None, None))
+        try:
+            join_when_up(endpoints.earth, MISSION, launcher.check).close()
+            self._serve(endpoints.earth)
+        except BaseException:
+            self.close()
+            raise
+
+    def _serve(self, earth: str) -> None:
+        command = [sys.executable, "-m", "services.console", "web", "--port", "0", "--authority",
+                   "--mission", MISSION, "--earth", earth]  # fmt: skip
+        self._server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        self._closing.append(self._end_server)
+        assert self._server.stderr is not None
+        line = self._server.stderr.readline()
+        found = re.search(r"http://([\w.]+):(\d+)/", line)
+        if found is None:
+            raise He3Error(f"fuzz: expected the page's address, got {line!r}")
+        self._host, self._port = found[1], int(found[2])
+
+    def _end_server(self) -> None:
+        self._server.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._server.wait(10)
+        self._server.kill()
+        self._server.wait()
+        if self._server.stderr is not None:
+            self._server.stderr.close()
+
+    def close(self) -> None:
+        """End the server, then the mission."""
+        while self._closing:
+            self._closing.pop()()
+
+    def example(self, rng: Random) -> tuple[str, str | None]:
+        """One request: its first line and body, and what was wrong."""
+        method, target, headers, body = self._request(rng)
+        what = f"{method} {target[:200]} {dict(headers)} {(body or b'')[:200]!r}"
+        connection = http.client.HTTPConnection(self._host, self._port, timeout=ANSWER_S)
+        try:
+            connection.putrequest(method, target, skip_host="host" in {name.lower() for name, _ in headers},
+                                  skip_accept_encoding=True)  # fmt: skip
+            for name, value in headers:
+                connection.putheader(name, value)
+            connection.endheaders(body)
+            response = connection.getresponse()
+            payload = response.read() if target.split("?")[0] != "/api/stream" else b""
+        except (ValueError, http.client.InvalidURL, UnicodeError):
+            return what, None  # the client itself does not send this
+        except TimeoutError:
+            return what, f"no answer within {ANSWER_S:g} s"
+        except (ConnectionError, http.client.HTTPException) as error:
+            return what, self._gone(error)
+        finally:
+            connection.close()
+        if response.status >= 500:
+            return what, f"status {response.status}: {payload[:300]!r}"
+        if (
+            response.status == 400
+            and method != "HEAD"
+            and response.getheader("content-type", "").startswith("application/json")
+        ):
+            return what, one_line(str(json.loads(payload)["error"]))
+        return what, None
+
+    def _gone(self, error: Exception) -> str | None:
+        """A server may close a connection that speaks no HTTP; it must live on."""
+        return None if self._server.poll() is None else f"the server has ended: {type(error).__name__}: {error}"
+
+    def _request(self, rng: Random) -> tuple[str, str, list[tuple[str, str]], bytes | None]:
+        headers = [("host", f"{self._host}:{self._port}")]
+        if rng.random() < 0.05:
+            headers[0] = ("host", quote(values.text(rng)[:200]))
+        if rng.random() < 0.5:
+            path = rng.choice(list(QUERIES))
+            parameters: list[tuple[str, str]] = [
+                (name, _word(rng) if rng.random() < 0.35 else value)
+                for name, value in QUERIES[path].items()
+                if rng.random() < 0.9
+            ]
+            if rng.random() < 0.2:
+                parameters.append((values.text(rng)[:200], _word(rng)))
+            return rng.choice(("GET", "GET", "GET", "HEAD", "POST")), f"{path}?{_encoded(parameters)}", headers, None
+        if rng.random() < 0.15:
+            path = rng.choice(
+                (
+                    "/",
+                    "/static/main.js",
+                    "/static/../server.py",
+                    "/static/%2e%2e/server.py",
+                    "/api",
+                    "//",
+                    "/api/map/none",
+                )
+            )
+            return rng.choice(("GET", "PUT", "DELETE", "OPTIONS", "BREW")), path, headers, None
+        path = rng.choice(list(POSTS))
+        document = POSTS[path]
+        for _ in range(rng.choice((0, 1, 1, 2, 3))):
+            document = values.mutated(rng, document)
+        body = json.dumps(document).encode("utf-8", "surrogatepass")
+        if rng.random() < 0.1:
+            body = rng.choice(
+                (b"", b"[" * 30_000, body[: len(body) // 2], rng.randbytes(100), b"9" * 6_000, b"\xff\xfe")
+            )
+        headers += [("content-type", "application/json"), ("x-he3-console", "1"), ("origin", f"http://{headers[0][1]}")]
+        if rng.random() < 0.9:
+            headers.append(("content-length", str(len(body) if rng.random() < 0.9 else rng.choice((0, len(body))))))
+        if rng.random() < 0.1:
+            headers = [header for header in headers if rng.random() < 0.7]
+        return "POST", path, headers, body
+
+
+def _word(rng: Random) -> str:
+    return rng.choice((values.text(rng)[:5_000], str(values.integer(rng)), repr(values.number(rng))))
+
+
+def _encoded(parameters: list[tuple[str, str]]) -> str:
+    as_bytes = [[word.encode("utf-8", "surrogateescape") for word in parameter] for parameter in parameters]
+    return urlencode([(name, value) for name, value in as_bytes])
