@@ -90,6 +90,20 @@ class PageRequests:
         if found is None:
             raise He3Error(f"fuzz: expected the page's address, got {line!r}")
         self._host, self._port = found[1], int(found[2])
+        while not self._has_a_map():
+            if self._server.poll() is not None:
+                raise He3Error("fuzz: the page's server has ended before the first request")
+
+    def _has_a_map(self) -> bool:
+        """Whether the page can answer queries of the map: the ground has a map soon after it has begun."""
+        connection = http.client.HTTPConnection(self._host, self._port, timeout=ANSWER_S)
+        try:
+            connection.request("GET", "/api/map/history")
+            return connection.getresponse().status == 200
+        except ConnectionError:
+            return False
+        finally:
+            connection.close()
 
     def _end_server(self) -> None:
         self._server.terminate()
