@@ -1,6 +1,6 @@
-"""When the two sides see each other: always, in listed windows, or during part of every period.
+"""The contact schedule: always, in listed windows, or during part of every period.
 
-All times are integer nanoseconds of mission time. A window holds from its opening until just before its closing.
+All times are integer nanoseconds of mission time. A window includes its opening and excludes its closing.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from services.runtime.node import MissionTime, seconds
 
 
 class Span(NamedTuple):
-    """A stretch of contact [opens, closes); `closes` None: it does not end."""
+    """An interval of contact [opens, closes); `closes` None: it does not end."""
 
     opens: MissionTime
     closes: MissionTime | None
 
     def fits(self, begins: MissionTime, duration: int) -> bool:
-        """Whether something that takes so long [ns] and begins then ends before contact does."""
+        """Whether a transmission of that duration [ns] that begins then ends before contact does."""
         return begins >= self.opens and (self.closes is None or begins + duration <= self.closes)
 
 
@@ -29,26 +29,26 @@ ALWAYS = Span(0, None)
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Contact over time. Without windows and period there always is; `forced` overrides the schedule either way."""
+    """Contact over time. Without windows and period there is always contact; `forced` overrides the schedule."""
 
     windows: tuple[Span, ...] = ()
-    """In order, not touching each other; empty: see `period`."""
+    """In order and separate; empty: see `period`."""
     period: int | None = None
-    """Length of a cycle [ns]; None: the windows are all there is, or there is always contact."""
-    share: int = 0
-    """Contact at the beginning of each cycle [ns]."""
+    """Length of a cycle [ns]; None: there are only the windows, or there is always contact."""
+    open_ns: int = 0
+    """Duration of contact at the beginning of each cycle [ns]."""
     phase: MissionTime = 0
-    """Some time at which a cycle begins."""
+    """A time at which a cycle begins."""
     forced: bool | None = None
 
     @classmethod
     def of(cls, conditions: LinkConditions, start: MissionTime, forced: bool | None = None) -> Contact:
-        """The contact that conditions state, for a mission that began at `start` [ns]."""
+        """The contact schedule of those conditions, for a mission that began at `start` [ns]."""
         if conditions.duty_cycle is not None:
             cycle = conditions.duty_cycle
             period = max(1, seconds(cycle.period_s))
-            share = min(period, max(1, seconds(cycle.contact_s)))
-            return cls(period=period, share=share, phase=start + seconds(cycle.offset_s), forced=forced)
+            open_ns = min(period, max(1, seconds(cycle.contact_s)))
+            return cls(period=period, open_ns=open_ns, phase=start + seconds(cycle.offset_s), forced=forced)
         spans: list[Span] = []
         for window in conditions.windows:
             opens, closes = start + seconds(window.opens_s), start + seconds(window.closes_s)
@@ -62,18 +62,18 @@ class Contact:
     def _always(self) -> bool:
         if self.forced is not None:
             return self.forced
-        return not self.windows and (self.period is None or self.share == self.period)
+        return not self.windows and (self.period is None or self.open_ns == self.period)
 
     def span_from(self, time: MissionTime) -> Span | None:
-        """The contact that holds at `time`, else the next one; None when there is none any more."""
+        """The contact at `time`, or else the next one; None if there is none any more."""
         if self._always:
             return ALWAYS
         if self.forced is False:
             return None
         if self.period is not None:
             opens = time - (time - self.phase) % self.period
-            opens = opens if time < opens + self.share else opens + self.period
-            return Span(opens, opens + self.share)
+            opens = opens if time < opens + self.open_ns else opens + self.period
+            return Span(opens, opens + self.open_ns)
         index = bisect_right(self.windows, time, key=lambda span: span.closes or 0)
         return self.windows[index] if index < len(self.windows) else None
 
@@ -83,27 +83,27 @@ class Contact:
         return span is not None and span.opens <= time
 
     def changes_at(self, time: MissionTime) -> MissionTime | None:
-        """When, after `time`, contact begins or ends next; None: it stays as it is."""
+        """When contact begins or ends next after `time`; None if it does not change."""
         span = self.span_from(time)
         if span is None:
             return None
         return span.opens if span.opens > time else span.closes
 
     def longest_from(self, time: MissionTime) -> int | None:
-        """The longest uninterrupted contact [ns] from `time` on; None: it never ends."""
+        """The longest uninterrupted contact [ns] from `time` on; None if it never ends."""
         span = self.span_from(time)
         if span is None:
             return 0
         if span.closes is None:
             return None
         if self.period is not None:
-            return self.share
+            return self.open_ns
         index = self.windows.index(span)
         left = span.closes - max(time, span.opens)
         return max([left, *((later.closes or 0) - later.opens for later in self.windows[index + 1 :])])
 
     def after(self, time: MissionTime, duration: int) -> MissionTime | None:
-        """When so much contact [ns] has passed since `time`, pauses left out; None: never."""
+        """When that duration [ns] of contact has passed since `time`, pauses not counted; None if it never does."""
         span = self.span_from(time)
         while span is not None:
             begins = max(time, span.opens)
@@ -111,7 +111,7 @@ class Contact:
                 return begins + duration
             duration -= span.closes - begins
             if self.period is not None:
-                cycles, rest = divmod(duration, self.share)
+                cycles, rest = divmod(duration, self.open_ns)
                 if rest == 0:
                     return span.closes + cycles * self.period
                 return span.opens + (cycles + 1) * self.period + rest

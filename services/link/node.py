@@ -1,4 +1,7 @@
-"""The link's node: the only path between Moon and Earth."""
+"""The link's node: the only path between Moon and Earth.
+
+It forwards raw payloads when they arrive, reports the link's status, and lets operators change the conditions.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ from collections.abc import Iterator
 from he3.errors import InvalidInput
 from schemas.link import Direction, LinkChange
 from schemas.topics import LINK_SET, LINK_STATUS, Side, crossing
-from services.link.channel import Drop, Reason
+from services.link.channel import Drop
+from services.link.counts import DropReason
 from services.link.relay import Relay
 from services.mission.scenario import Scenario
 from services.runtime.node import (
@@ -29,19 +33,19 @@ from services.runtime.node import (
     TimerFired,
 )
 
-STATUS_AT_MOST_EVERY: MissionTime = 1 * SECOND
-"""Between two reports when letters are offered [ns]."""
-STATUS_BUSY: MissionTime = 10 * SECOND
-"""Between two reports while something is under way [ns]."""
-STATUS_IDLE: MissionTime = 60 * SECOND
-"""Between two reports while nothing is [ns]."""
+STATUS_INTERVAL_MIN: MissionTime = 1 * SECOND
+"""Shortest interval between two reports while packets are offered [ns]."""
+STATUS_INTERVAL_BUSY: MissionTime = 10 * SECOND
+"""Interval between two reports while packets wait or are in flight [ns]."""
+STATUS_INTERVAL_IDLE: MissionTime = 60 * SECOND
+"""Interval between two reports while the link is idle [ns]."""
 
 _TRAFFIC, _CONTACT, _STATUS = "traffic", "contact", "status"
 _ARRIVES_ON = {Direction.UP: Side.MOON, Direction.DOWN: Side.EARTH}
 
 
 class LinkNode:
-    """Carries sealed letters between the sides, and tells operators how it is doing."""
+    """Carries packets between the sides, and reports its status to operators."""
 
     def __init__(self, relay: Relay) -> None:
         self._relay = relay
@@ -55,7 +59,7 @@ class LinkNode:
         self._incarnation = 0
         self._reported_at: MissionTime | None = None
         self._report_due: MissionTime | None = None
-        self._woken_at: dict[str, MissionTime | None] = {}
+        self._timers: dict[str, MissionTime | None] = {}
         self._in_contact: bool | None = None
 
     @property
@@ -67,7 +71,7 @@ class LinkNode:
         match event:
             case Started(incarnation=incarnation):
                 self._incarnation = incarnation
-                self._woken_at.clear()
+                self._timers.clear()
                 self._in_contact = self._relay.in_contact(now)
                 self._relay.restarted(incarnation)
                 yield LogRecord(Level.INFO, "link up", {"incarnation": incarnation, "contact": self._in_contact})
@@ -77,27 +81,27 @@ class LinkNode:
                     self._relay.offer(topic, payload, now)
                     self._report_soon(now)
             case QueryReceived(topic=topic, request=LinkChange() as change, token=token):
-                yield from self._changed(change, token, now)
+                yield from self._change(change, token, now)
             case QueryReceived(topic=topic, token=token):
                 yield RefuseQuery(token, f"expected a change of the link on {LINK_SET.name}, got {topic.name}")
             case TimerFired(timer=timer):
-                self._woken_at.pop(timer, None)
-        yield from self._carry_on(now)
+                self._timers.pop(timer, None)
+        yield from self._advance(now)
 
-    def _changed(self, change: LinkChange, token: int, now: MissionTime) -> Iterator[Effect]:
+    def _change(self, change: LinkChange, token: int, now: MissionTime) -> Iterator[Effect]:
         try:
             self._relay.change(change, now)
         except InvalidInput as error:
             yield RefuseQuery(token, str(error))
             return
-        what = change.model_dump(mode="json", exclude_defaults=True)
-        if what:
-            yield LogRecord(Level.INFO, "link changed", what)
+        changes = change.model_dump(mode="json", exclude_defaults=True)
+        if changes:
+            yield LogRecord(Level.INFO, "link changed", changes)
             self._report_due = now
         yield SendReply(token, self._relay.status(now, self._incarnation))
 
-    def _carry_on(self, now: MissionTime) -> Iterator[Effect]:
-        """What every event may have set in motion: arrivals, losses, contact, reports, timers."""
+    def _advance(self, now: MissionTime) -> Iterator[Effect]:
+        """Arrivals, drops, changes of contact, reports and timers that are due after any event."""
         for direction, flight in self._relay.arrived(now):
             yield Forward(flight.packet.topic, flight.payload, _ARRIVES_ON[direction])
         for direction, drop in self._relay.drops():
@@ -110,31 +114,31 @@ class LinkNode:
         if self._report_due is not None and self._report_due <= now:
             yield Send(LINK_STATUS, self._relay.status(now, self._incarnation))
             self._reported_at = now
-            self._report_due = now + (STATUS_BUSY if self._relay.busy else STATUS_IDLE)
-        yield from self._wake(_TRAFFIC, self._relay.next_event())
-        yield from self._wake(_CONTACT, self._relay.contact_changes_at(now))
-        yield from self._wake(_STATUS, self._report_due)
+            self._report_due = now + (STATUS_INTERVAL_BUSY if self._relay.busy else STATUS_INTERVAL_IDLE)
+        yield from self._set_timer(_TRAFFIC, self._relay.next_event())
+        yield from self._set_timer(_CONTACT, self._relay.contact_changes_at(now))
+        yield from self._set_timer(_STATUS, self._report_due)
 
     def _report_soon(self, now: MissionTime) -> None:
-        soon = now if self._reported_at is None else max(now, self._reported_at + STATUS_AT_MOST_EVERY)
+        soon = now if self._reported_at is None else max(now, self._reported_at + STATUS_INTERVAL_MIN)
         self._report_due = soon if self._report_due is None else min(soon, self._report_due)
 
     def _until(self, now: MissionTime) -> dict[str, MissionTime]:
         changes_at = self._relay.contact_changes_at(now)
         return {} if changes_at is None else {"until": changes_at}
 
-    def _wake(self, timer: str, at: MissionTime | None) -> Iterator[Effect]:
-        if self._woken_at.get(timer) != at:
-            self._woken_at[timer] = at
+    def _set_timer(self, timer: str, at: MissionTime | None) -> Iterator[Effect]:
+        if self._timers.get(timer) != at:
+            self._timers[timer] = at
             yield SetTimer(timer, at)
 
 
 def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
-    """A line for the log about a loss; that the newest replaced an older one is no loss."""
-    if drop.reason is Reason.SUPERSEDED:
+    """The log record of a drop; a packet that a newer one replaced is not a loss."""
+    if drop.reason is DropReason.SUPERSEDED:
         return
     packet = drop.packet
-    level = Level.DEBUG if drop.reason is Reason.LOST else Level.WARNING
+    level = Level.DEBUG if drop.reason is DropReason.LOST else Level.WARNING
     fields = {
         "why": drop.reason.value,
         "direction": direction.value,
@@ -143,9 +147,9 @@ def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
         "sequence": packet.sequence,
         "at": drop.at,
     }
-    yield LogRecord(level, "letter dropped", fields)
+    yield LogRecord(level, "packet dropped", fields)
 
 
 def build_node(scenario: Scenario) -> LinkNode:
-    """The link of that scenario, with nothing under way."""
+    """The link of that scenario, with no packet in flight."""
     return LinkNode(Relay(scenario.link, scenario.start_ns, scenario.seed))

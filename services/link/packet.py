@@ -1,7 +1,7 @@
-"""A sealed letter: what the link knows of a message without opening it.
+"""A packet: a message as the link carries it, with what the link reads from its header.
 
-The link carries whatever it is given, well formed or not: only whose it is and its number are read off the outside,
-for priorities, for replacing what is out of date, and to show operators what is under way.
+The link carries every payload, well formed or not. It reads the source and the sequence of the message, for priorities,
+for replacing outdated messages, and to show operators what is in flight; it neither checks nor changes the payload.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ class Packet:
     source: str
     sequence: int
     subject: tuple[str, ...]
-    """Of waiting letters with equal subject only the newest goes; empty: each goes.
+    """Of the waiting packets of one subject only the newest is sent; empty: each packet is sent.
 
-    States of one source are of one subject, and so are the repetitions of one message under custody.
+    The states of one source have one subject, and so have the repetitions of one message under custody.
     """
     offered_at: MissionTime
     order: int
-    """Counts the letters offered to the link."""
+    """Counts the packets offered to the link."""
 
     @property
     def priority(self) -> int:
-        """Lower goes first."""
+        """Lower values are sent first."""
         service = self.topic.service
         return service.priority if isinstance(service, Custody | Latest) else 9
 
@@ -48,8 +48,8 @@ class Packet:
         return 8 * len(self.payload)
 
 
-def sealed(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) -> Packet:
-    """The letter that such a payload makes; one that cannot be read has source '?' and sequence 0."""
+def packet_of(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) -> Packet:
+    """The packet of that payload; if its header cannot be read, the source is '?' and the sequence 0."""
     header = _header(payload)
     source, sequence = header.get("source"), header.get("sequence")
     readable = isinstance(source, str) and isinstance(sequence, int) and not isinstance(sequence, bool)
@@ -71,7 +71,7 @@ def sealed(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) ->
 
 
 def _header(payload: bytes) -> dict[str, Any]:
-    """The header as it stands in the payload, unchecked; empty when there is none to be read."""
+    """The header as it is in the payload, unchecked; empty if it cannot be read."""
     try:
         if payload.startswith(_HEADER_FIRST):
             text = payload[len(_HEADER_FIRST) : _HEADER_LIMIT_BYTES].decode("utf-8", "replace")
@@ -84,7 +84,7 @@ def _header(payload: bytes) -> dict[str, Any]:
 
 
 def _distinct(service: Latest, payload: bytes) -> tuple[str, ...]:
-    """What tells one subject of the topic from another: the values of the body's fields that the service names."""
+    """The values of the body's fields that tell one subject of the topic from another."""
     if not service.distinct:
         return ()
     try:

@@ -1,4 +1,4 @@
-"""Both directions of the link, the contact that they share, and what operators see of them."""
+"""The relay: both directions of the link, the contact that they share, and the status that operators see."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from schemas.link import (
 from schemas.topics import COMMAND, Topic
 from services.link.channel import Channel, Drop, Flight, Limits
 from services.link.contact import Contact
-from services.link.packet import Packet, sealed
+from services.link.packet import Packet, packet_of
 from services.runtime.node import MissionTime
 
 SHOWN_IN_FLIGHT = 200
@@ -31,7 +31,7 @@ SHOWN_COMMANDS = 10
 
 
 class Relay:
-    """Takes letters in on one side and gives them out on the other, when they arrive."""
+    """Takes packets in on one side and gives them out on the other when they arrive."""
 
     def __init__(self, conditions: LinkConditions, start: MissionTime, seed: int, limits: Limits | None = None) -> None:
         self._conditions = conditions
@@ -50,20 +50,20 @@ class Relay:
         }
 
     def restarted(self, incarnation: int) -> None:
-        """Draws afresh, so that a restarted link does not repeat what it did to the first messages of its last life."""
+        """Reseeds the draws, so that a restarted link does not repeat the losses of its previous start."""
         for direction, channel in self._channels.items():
             channel.reseed(self._generator(direction, incarnation))
 
     def offer(self, topic: Topic, payload: bytes, now: MissionTime) -> None:
-        """Takes a letter in; raises InvalidInput for a topic that does not cross."""
+        """Takes a packet in; raises InvalidInput if the topic does not cross the link."""
         direction = topic.direction
         if direction is None:
             raise InvalidInput(f"expected a topic that crosses the link, got {topic.name}")
         self._order += 1
-        self._channels[direction].offer(sealed(topic, payload, now, self._order), now)
+        self._channels[direction].offer(packet_of(topic, payload, now, self._order), now)
 
     def arrived(self, now: MissionTime) -> list[tuple[Direction, Flight]]:
-        """What has come out by now on either side, in the order of arrival, then of offering."""
+        """Takes out the packets that have arrived by now on either side, in the order of arrival, then of offering."""
         arrived = [
             (direction, flight) for direction, channel in self._channels.items() for flight in channel.arrived(now)
         ]
@@ -74,19 +74,19 @@ class Relay:
         return arrived
 
     def next_event(self) -> MissionTime | None:
-        """When something arrives or may begin to be sent next."""
+        """When a packet arrives or may begin to be sent next."""
         times = [time for channel in self._channels.values() if (time := channel.next_event()) is not None]
         return min(times, default=None)
 
     def drops(self) -> list[tuple[Direction, Drop]]:
-        """What was found to be lost since the last call."""
+        """Takes out the drops since the last call."""
         drops = [(direction, drop) for direction, channel in self._channels.items() for drop in channel.drops()]
         self._dropped.extend(_shown_dropped(direction, drop) for direction, drop in drops)
         return drops
 
     def change(self, change: LinkChange, now: MissionTime) -> None:
-        """Puts the change in force; raises InvalidInput, and changes nothing, when the outcome would make no sense."""
-        conditions = changed(self._conditions, change)
+        """Puts the change in force; raises InvalidInput, and changes nothing, if the result is invalid."""
+        conditions = apply_change(self._conditions, change)
         if change.contact is not None or change.contact_as_scheduled:
             self._forced = change.contact
         elif change.conditions is not None:
@@ -97,7 +97,7 @@ class Relay:
             channel.change(_of(conditions, direction), self._contact, conditions.at_edge, now)
 
     def in_contact(self, now: MissionTime) -> bool:
-        """Whether the sides see each other."""
+        """Whether there is contact."""
         return self._contact.open_at(now)
 
     def contact_changes_at(self, now: MissionTime) -> MissionTime | None:
@@ -106,11 +106,11 @@ class Relay:
 
     @property
     def busy(self) -> bool:
-        """Whether anything waits or is under way."""
+        """Whether a packet waits or is in flight."""
         return not all(channel.idle for channel in self._channels.values())
 
     def status(self, now: MissionTime, incarnation: int) -> LinkStatus:
-        """The link as it is now."""
+        """The link's status now."""
         shown = [
             entry
             for direction, channel in self._channels.items()
@@ -137,21 +137,21 @@ class Relay:
         return Random(f"link/{self._seed}/{direction.value}/{incarnation}")  # a text seeds the same on every machine
 
 
-def changed(conditions: LinkConditions, change: LinkChange) -> LinkConditions:
-    """The conditions with the change made; raises InvalidInput when the outcome would make no sense."""
+def apply_change(conditions: LinkConditions, change: LinkChange) -> LinkConditions:
+    """The conditions with the change applied; raises InvalidInput if the result is invalid."""
     conditions = change.conditions or conditions
-    figures = {
+    values = {
         name: value
         for name in ("one_way_light_time_s", "jitter_s", "rate_bit_s", "loss", "duplicate", "reorder", "corrupt")
         if (value := getattr(change, name)) is not None
     }
     if change.unlimited_rate:
-        figures["rate_bit_s"] = None
+        values["rate_bit_s"] = None
     directions = tuple(Direction) if change.direction is None else (change.direction,)
-    ways = {way.value: _of(conditions, way).model_copy(update=figures) for way in directions}
+    changed_directions = {each.value: _of(conditions, each).model_copy(update=values) for each in directions}
     at_edge: AtEdge = change.at_edge or conditions.at_edge
     try:
-        whole = conditions.model_copy(update={**ways, "at_edge": at_edge}).model_dump()
+        whole = conditions.model_copy(update={**changed_directions, "at_edge": at_edge}).model_dump()
         return LinkConditions.model_validate(whole)
     except ValidationError as error:
         raise InvalidInput(one_line(error)) from None

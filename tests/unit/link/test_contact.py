@@ -1,3 +1,5 @@
+"""The contact schedule: windows, duty cycles and forced contact."""
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,7 +28,7 @@ def test_without_windows_there_is_always_contact() -> None:
     assert contact.after(START, 5 * S) == START + 5 * S
 
 
-def test_a_window_holds_from_its_opening_until_just_before_its_closing() -> None:
+def test_a_window_includes_its_opening_and_excludes_its_closing() -> None:
     contact = Contact.of(windows((10, 20), (30, 35)), START)
     assert not contact.open_at(START + 10 * S - 1)
     assert contact.open_at(START + 10 * S)
@@ -39,7 +41,7 @@ def test_a_window_holds_from_its_opening_until_just_before_its_closing() -> None
     assert contact.span_from(START + 35 * S) is None
 
 
-def test_windows_that_touch_are_one() -> None:
+def test_adjacent_windows_are_merged() -> None:
     contact = Contact.of(windows((0, 10), (10, 20)), START)
     assert contact.windows == (Span(START, START + 20 * S),)
 
@@ -53,7 +55,7 @@ def test_a_duty_cycle_repeats_before_and_after_its_offset() -> None:
     assert contact.longest_from(START + 79 * S) == 30 * S
 
 
-def test_force_overrides_the_schedule_both_ways() -> None:
+def test_forced_contact_and_forced_blackout_override_the_schedule() -> None:
     closed = Contact.of(LinkConditions(), START, forced=False)
     opened = Contact.of(windows((10, 20)), START, forced=True)
     assert not closed.open_at(START)
@@ -64,7 +66,7 @@ def test_force_overrides_the_schedule_both_ways() -> None:
     assert opened.changes_at(START) is None
 
 
-def test_contact_time_runs_only_in_windows() -> None:
+def test_contact_time_passes_only_within_windows() -> None:
     contact = Contact.of(windows((10, 20), (30, 35)), START)
     assert contact.after(START, 4 * S) == START + 14 * S
     assert contact.after(START + 18 * S, 2 * S) == START + 20 * S
@@ -79,7 +81,7 @@ def test_contact_time_runs_only_in_windows() -> None:
     begins=st.integers(0, 300),
     duration=st.integers(0, 300),
 )
-def test_contact_time_in_a_duty_cycle_is_what_counting_seconds_gives(
+def test_contact_time_in_a_duty_cycle_agrees_with_counting_seconds(
     period: int, share: int, offset: int, begins: int, duration: int
 ) -> None:
     share = min(share, period)
@@ -94,7 +96,7 @@ def test_contact_time_in_a_duty_cycle_is_what_counting_seconds_gives(
 
 
 @given(period=st.integers(1, 50), share=st.integers(1, 50), offset=st.integers(0, 100), time=st.integers(-200, 300))
-def test_contact_does_not_change_before_the_time_that_is_told(period: int, share: int, offset: int, time: int) -> None:
+def test_contact_does_not_change_before_the_predicted_time(period: int, share: int, offset: int, time: int) -> None:
     contact = Contact.of(duty(period, min(share, period), offset), START)
     changes_at = contact.changes_at(START + time * S)
     if changes_at is None:
@@ -107,6 +109,6 @@ def test_contact_does_not_change_before_the_time_that_is_told(period: int, share
 
 
 @pytest.mark.parametrize(("time_s", "longest_s"), [(0, 10), (15, 5), (20, 5), (34, 1), (35, 0)])
-def test_the_longest_contact_counts_what_is_left_of_this_one(time_s: int, longest_s: int) -> None:
+def test_the_longest_contact_counts_the_rest_of_the_present_one(time_s: int, longest_s: int) -> None:
     contact = Contact.of(windows((10, 20), (30, 35)), START)
     assert contact.longest_from(START + time_s * S) == longest_s * S

@@ -1,3 +1,5 @@
+"""The link's node: forwarding, changes, contact and status reports."""
+
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -15,7 +17,7 @@ from schemas.link import (
 )
 from schemas.topics import COMMAND, LINK_SET, LINK_STATUS, MEASURE, SAMPLE, STATE, Side, crossing
 from services.link.node import LinkNode, build_node
-from services.link.relay import Relay, changed
+from services.link.relay import Relay, apply_change
 from services.mission.link_presets import PRESETS, PROVENANCE, preset
 from services.mission.scenario import Scenario
 from services.runtime.node import (
@@ -87,7 +89,7 @@ class Endpoint:
         return answer.reply
 
 
-def test_it_overhears_all_that_crosses_and_nothing_else() -> None:
+def test_the_link_receives_every_topic_that_crosses_and_no_other() -> None:
     interface = build_node(Scenario(name="m", region="t1")).interface
     assert set(interface.receives_raw) == {*crossing(Direction.UP), *crossing(Direction.DOWN)}
     assert interface.serves == (LINK_SET,)
@@ -95,7 +97,7 @@ def test_it_overhears_all_that_crosses_and_nothing_else() -> None:
     assert not interface.custody
 
 
-def test_letters_go_up_to_the_moon_and_down_to_earth_one_light_time_later() -> None:
+def test_packets_arrive_on_the_moon_and_on_earth_one_light_time_later() -> None:
     endpoint = Endpoint()
     endpoint.give(ReceivedRaw(COMMAND, b"up"))
     endpoint.now += 5
@@ -112,7 +114,7 @@ def test_each_direction_has_its_own_conditions() -> None:
     assert endpoint.forwards() == [(1_282_000_000, b"u", Side.MOON), (4 * S, b"d", Side.EARTH)]
 
 
-def test_letters_that_arrive_together_come_in_the_order_of_their_offering() -> None:
+def test_packets_that_arrive_together_come_in_the_order_of_offering() -> None:
     endpoint = Endpoint()
     payloads = [str(k).encode() for k in range(10)]
     for k, payload in enumerate(payloads):
@@ -122,7 +124,7 @@ def test_letters_that_arrive_together_come_in_the_order_of_their_offering() -> N
     assert {at for at, _, _ in endpoint.forwards()} == {1_282_000_000}
 
 
-def test_what_is_under_way_is_shown_with_its_arrival() -> None:
+def test_the_status_shows_each_packet_in_flight_with_its_arrival() -> None:
     endpoint = Endpoint()
     endpoint.give(ReceivedRaw(SAMPLE, b'{"header":{"source":"rover","sequence":4},"body":{}}'))
     (shown,) = endpoint.ask().in_flight
@@ -133,7 +135,7 @@ def test_what_is_under_way_is_shown_with_its_arrival() -> None:
     assert endpoint.ask().down.delivered == 1
 
 
-def test_a_change_names_what_it_changes_and_leaves_the_rest() -> None:
+def test_a_change_leaves_the_fields_that_it_does_not_name() -> None:
     endpoint = Endpoint(LinkConditions(up=DirectionConditions(loss=0.5), down=DirectionConditions(jitter_s=0.25)))
     status = endpoint.ask(direction=Direction.DOWN, one_way_light_time_s=6.0)
     assert status.conditions.down == DirectionConditions(one_way_light_time_s=6.0, jitter_s=0.25)
@@ -144,21 +146,21 @@ def test_a_change_names_what_it_changes_and_leaves_the_rest() -> None:
     assert status.conditions.up.rate_bit_s is None
 
 
-def test_an_empty_change_changes_nothing_and_tells_the_status() -> None:
+def test_an_empty_change_changes_nothing_and_returns_the_status() -> None:
     endpoint = Endpoint()
     before = len(endpoint.of(LogRecord))
     assert endpoint.ask().conditions == LinkConditions()
     assert len(endpoint.of(LogRecord)) == before
 
 
-def test_a_preset_is_set_whole_and_single_figures_come_on_top() -> None:
+def test_single_values_of_a_change_apply_on_top_of_a_preset() -> None:
     endpoint = Endpoint()
     status = endpoint.ask(conditions=PRESETS["farside-relay"], loss=0.1)
     assert status.conditions.up == PRESETS["farside-relay"].up.model_copy(update={"loss": 0.1})
     assert status.conditions.down.rate_bit_s == 140_000.0
 
 
-def test_a_blackout_can_be_put_on_and_taken_off_and_the_schedule_comes_back() -> None:
+def test_a_forced_blackout_can_be_ended_and_the_schedule_applies_again() -> None:
     endpoint = Endpoint(LinkConditions(windows=(Window(opens_s=0, closes_s=100),)))
     assert endpoint.ask(contact=False).contact is False
     endpoint.give(ReceivedRaw(SAMPLE, b"held"))
@@ -172,7 +174,7 @@ def test_a_blackout_can_be_put_on_and_taken_off_and_the_schedule_comes_back() ->
     assert endpoint.forwards() == [(51_282_000_000, b"held", Side.EARTH)]
 
 
-def test_contact_lost_and_regained_is_said_when_it_happens() -> None:
+def test_a_change_of_contact_is_reported_when_it_happens() -> None:
     endpoint = Endpoint(LinkConditions(duty_cycle=DutyCycle(period_s=100, contact_s=30)))
     endpoint.until(START + 210 * S)
     said = [(at - START, note.text) for at, note in endpoint.of(LogRecord) if note.text.startswith("contact")]
@@ -187,10 +189,10 @@ def test_contact_lost_and_regained_is_said_when_it_happens() -> None:
     assert (100 * S, True) in contact
 
 
-def test_a_loss_is_reported_with_its_reason() -> None:
+def test_a_dropped_packet_is_reported_with_its_reason() -> None:
     endpoint = Endpoint(LinkConditions(down=DirectionConditions(loss=1.0)))
     endpoint.give(ReceivedRaw(SAMPLE, b'{"header":{"source":"rover","sequence":4},"body":{}}'))
-    (note,) = [note for _, note in endpoint.of(LogRecord) if note.text == "letter dropped"]
+    (note,) = [note for _, note in endpoint.of(LogRecord) if note.text == "packet dropped"]
     assert note.level is Level.DEBUG
     assert (note.fields["why"], note.fields["source"], note.fields["sequence"]) == ("lost on the way", "rover", 4)
     status = endpoint.ask()
@@ -218,14 +220,14 @@ def test_a_topic_that_is_not_served_is_refused() -> None:
     assert LINK_SET.name in refusal.why
 
 
-def test_a_change_that_makes_no_sense_is_refused_and_changes_nothing() -> None:
+def test_an_invalid_change_is_refused_and_changes_nothing() -> None:
     bad = LinkChange.model_construct(**{**LinkChange().model_dump(), "loss": 7.0})
     endpoint = Endpoint()
     (refusal,) = [e for e in endpoint.give(QueryReceived(LINK_SET, bad, 3)) if isinstance(e, RefuseQuery)]
     assert "loss" in refusal.why
     assert endpoint.ask().conditions == LinkConditions()
     with pytest.raises(InvalidInput, match="loss"):
-        changed(LinkConditions(), bad)
+        apply_change(LinkConditions(), bad)
 
 
 def test_two_runs_with_the_same_seed_are_the_same() -> None:
@@ -241,7 +243,7 @@ def test_two_runs_with_the_same_seed_are_the_same() -> None:
     assert run(3) != run(4)
 
 
-def test_a_restarted_link_does_not_repeat_the_fates_of_its_first_life() -> None:
+def test_a_restarted_link_does_not_repeat_the_losses_of_its_first_start() -> None:
     def lost(incarnation: int) -> set[int]:
         endpoint = Endpoint(LinkConditions(down=DirectionConditions(loss=0.5)))
         endpoint.give(Started(incarnation))
@@ -270,7 +272,7 @@ def test_the_polar_preset_begins_one_day_before_contact_is_lost() -> None:
     assert relay.contact_changes_at(START) == START + 86_400 * S
 
 
-def test_link_status_says_what_its_topic_admits() -> None:
+def test_the_link_status_of_a_full_link_fits_its_topic() -> None:
     from schemas.codec import decode, encode
     from schemas.wire import Header
 

@@ -8,7 +8,7 @@ from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, PLAN
 from schemas.wire import Header
-from services.link.channel import damaged
+from services.link.impairments import corrupt
 
 HEADER = Header(mission="m", source="rover", incarnation=2, sequence=5, made_at=10**18)
 BODY = RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=3, detail='a ,"checksum":1},"body": b')
@@ -25,7 +25,7 @@ def test_no_damage_of_one_to_four_bytes_passes() -> None:
     payload = encode(HEADER, BODY)
     for seed in range(3000):
         with pytest.raises(Refused):
-            decode(EVENT, damaged(payload, Random(seed)), "m")
+            decode(EVENT, corrupt(payload, Random(seed)), "m")
 
 
 def test_damage_in_header_or_body_is_named_as_such() -> None:
