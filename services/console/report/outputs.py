@@ -106,7 +106,7 @@ def _write_pictures(outcome: Outcome, region: Region, folder: Path) -> None:
     samples = np.array([(sample.x_m, sample.y_m) for sample in report.sample_table], dtype=np.float64).reshape(-1, 2)
     path = np.array(report.path_m, dtype=np.float64).reshape(-1, 2)
     picture = MapPicture(
-        title=f"{region.title} · {report.planner} · {report.samples} samples",
+        title=_title(region, report),
         note=caption(report),
         reference_ppb=region.he3_ppb,
         mean_ppb=outcome.mean_ppb,
@@ -122,6 +122,11 @@ def _write_pictures(outcome: Outcome, region: Region, folder: Path) -> None:
         rmse_figure(f"Error of the map · {region.title}", caption(report), report.rmse_history),
         folder / "rmse.png",
     )
+
+
+def _title(region: Region, report: MissionReport) -> str:
+    error = "" if report.rmse_ppb is None else f" · RMSE {report.rmse_ppb:.3f} ppb"
+    return f"{region.title} · {report.planner} · {report.samples} samples{error} · {report.path_length_m / 1000:.1f} km"
 
 
 def caption(report: MissionReport) -> str:

@@ -1,7 +1,9 @@
-"""Pictures of a mission: reference, belief and its standard deviation side by side; error over samples.
+"""Pictures of a mission: reference, map, its standard deviation and its error; error over samples.
 
 Drawn without a display, in metres, with colour maps that are even to the eye and readable in print and to the
-colour-blind: one for abundance, the same scale for reference and belief, another for uncertainty.
+colour-blind: one for abundance, on the same scale for reference and map; one for uncertainty; one with a neutral middle
+for the error. Scales end at percentiles, so that a few extreme cells do not flatten everything else; the ends of a
+colour bar are pointed where cells lie beyond.
 """
 
 from __future__ import annotations
@@ -31,12 +33,16 @@ from services.console.report.mission_report import array_of
 
 ABUNDANCE = "viridis"
 UNCERTAINTY = "magma"
+ERROR = "RdBu_r"
 INK = "#1b1f24"
 QUIET = "#5b6570"
 PATH_COLOUR = "#ffffff"
 SAMPLE_COLOUR = "#ff5a36"
 START_COLOUR = "#ffd23f"
 DPI = 160
+ABUNDANCE_PERCENTILES = (0.5, 99.5)
+STD_PERCENTILES = (10.0, 99.5)
+"""Where the scale of a standard deviation ends: close to a sample it falls to the noise, which would hide the rest."""
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -75,23 +81,25 @@ class MapPicture:
 
 
 def map_figure(picture: MapPicture) -> Figure:
-    """The map's picture: two or three panels of the same extent, each with its colour bar."""
+    """The map's picture: four panels of the same extent in two rows, or two panels where the truth is not known."""
     with rc_context(_STYLE):
         panels = _panels(picture)
+        rows = (len(panels) + 1) // 2
         figure = Figure(
-            figsize=(4.3 * len(panels) + 0.3, 5.75),
+            figsize=_size(picture.mean_ppb, columns=2, rows=rows, beside=1.2),
             dpi=DPI,
-            layout=ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05, wspace=0.03),
+            layout=ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06, wspace=0.03, hspace=0.02),
         )
         FigureCanvasAgg(figure)
-        axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-        for index, (axis, panel) in enumerate(zip(axes, panels, strict=True)):
-            _draw_panel(figure, axis, panel, picture)
-            if index == 0:
+        axes = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
+        for index, (axis, panel) in enumerate(zip(axes.flat, panels, strict=True)):
+            _draw_panel(figure, axis, panel, picture, with_scale=index == 0)
+            axis.label_outer()
+            if index % 2 == 0:
                 axis.set_ylabel("north [m]")
-        figure.suptitle(picture.title, fontsize=12.5, fontweight="bold", x=0.012, ha="left")
-        figure.supxlabel(picture.note, fontsize=7.5, color=QUIET, x=0.012, ha="left")
-        figure.legend(handles=_legend(picture), loc="outside upper right", ncols=4, fontsize=8.5, handlelength=1.8)
+        figure.suptitle(picture.title, fontsize=12.0, fontweight="bold", x=0.012, ha="left")
+        figure.supxlabel(fill(picture.note, 100), fontsize=7.5, color=QUIET, x=0.012, ha="left")
+        figure.legend(handles=_legend(picture), loc="outside lower right", ncols=4, fontsize=8.5, handlelength=1.8)
     return figure
 
 
@@ -121,21 +129,44 @@ class _Panel:
 
 
 def _panels(picture: MapPicture) -> list[_Panel]:
-    shared = picture.mean_ppb if picture.reference_ppb is None else picture.reference_ppb
-    low, high = float(np.min(shared)), float(np.max(shared))
-    if not high > low:
-        low, high = low - 0.5, high + 0.5
     ppb = "helium-3 [ppb]"
-    belief = _Panel("Belief: posterior mean", picture.mean_ppb, ABUNDANCE, low, high, ppb, SAMPLE_COLOUR, True)
-    top = float(np.max(picture.std_ppb)) or 1.0
-    std = _Panel("Belief: standard deviation", picture.std_ppb, UNCERTAINTY, 0.0, top, "std [ppb]", "#4fd1ff", False)
-    if picture.reference_ppb is None:
-        return [belief, std]
-    truth = _Panel("Reference field", picture.reference_ppb, ABUNDANCE, low, high, ppb, "", False)
-    return [truth, belief, std]
+    reference, mean, std = picture.reference_ppb, picture.mean_ppb, picture.std_ppb
+    low, high = _scale(mean if reference is None else reference, *ABUNDANCE_PERCENTILES)
+    map_panel = _Panel("Map: posterior mean", mean, ABUNDANCE, low, high, ppb, SAMPLE_COLOUR, True)
+    spread = _Panel(
+        "Map: standard deviation", std, UNCERTAINTY, *_scale(std, *STD_PERCENTILES), "std [ppb]", "#4fd1ff", False
+    )
+    if reference is None:
+        return [map_panel, spread]
+    truth = _Panel("Reference field", reference, ABUNDANCE, low, high, ppb, "", False)
+    error = mean - reference
+    most = max(float(np.percentile(np.abs(error), 99.0)), 1e-6)
+    difference = _Panel("Error: map minus reference", error, ERROR, -most, most, "error [ppb]", "", False)
+    return [truth, map_panel, spread, difference]
 
 
-def _draw_panel(figure: Figure, axis: Any, panel: _Panel, picture: MapPicture, with_start: bool = True) -> None:
+def _size(values: NDArray[Any], columns: int, beside: float, rows: int = 1) -> tuple[float, float]:
+    """Width and height [inch] of a figure of maps, with so much height beside them for title and caption."""
+    height, width = values.shape
+    return 4.8 * columns, beside + rows * max(2.0, 0.3 + 3.75 * height / width)
+
+
+def _scale(values: NDArray[Any], first: float, last: float) -> tuple[float, float]:
+    """The ends of a scale at two percentiles of the values; at least 1 % of the upper end apart."""
+    low, high = (float(end) for end in np.percentile(values, (first, last)))
+    if high - low >= 0.01 * abs(high) and high > low:
+        return low, high
+    return (0.0, high) if high > 0 else (low - 0.5, high + 0.5)
+
+
+def _draw_panel(
+    figure: Figure,
+    axis: Any,
+    panel: _Panel,
+    picture: MapPicture,
+    with_start: bool = True,
+    with_scale: bool = True,
+) -> None:
     rows, columns = panel.values.shape
     width, height = columns * picture.resolution_m, rows * picture.resolution_m
     image = axis.imshow(
@@ -149,20 +180,21 @@ def _draw_panel(figure: Figure, axis: Any, panel: _Panel, picture: MapPicture, w
     )
     _mark_obstacles(axis, picture)
     if panel.with_path and len(picture.path_m):
-        axis.plot(*picture.path_m.T, color=INK, lw=1.5, alpha=0.55, solid_joinstyle="round")
-        axis.plot(*picture.path_m.T, color=PATH_COLOUR, lw=0.75, alpha=0.95, solid_joinstyle="round", label="driven")
+        axis.plot(*picture.path_m.T, color=PATH_COLOUR, lw=0.7, alpha=0.75, solid_joinstyle="round", label="driven")
     if panel.dots and len(picture.samples_m):
         axis.scatter(
-            *picture.samples_m.T, s=11, c=panel.dots, edgecolors="white", linewidths=0.45, zorder=3, label="samples"
+            *picture.samples_m.T, s=9, c=panel.dots, edgecolors="white", linewidths=0.4, zorder=3, label="samples"
         )
     if with_start:
         axis.plot(*picture.start_m, marker="*", ms=11, mfc=START_COLOUR, mec=INK, mew=0.7, ls="none", zorder=4)
-    _scale_bar(axis, width, height)
+    if with_scale:
+        _scale_bar(axis, width, height)
     axis.set(xlim=(0, width), ylim=(0, height), xlabel="east [m]")
     axis.set_aspect("equal")
     axis.set_title(panel.title, loc="left", pad=5)
-    out_of_scale = "both" if panel.values.min() < panel.low or panel.values.max() > panel.high else "neither"
-    bar = figure.colorbar(image, ax=axis, location="bottom", shrink=0.97, aspect=34, pad=0.02, extend=out_of_scale)
+    ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    beyond = ends[bool(panel.values.min() < panel.low), bool(panel.values.max() > panel.high)]
+    bar = figure.colorbar(image, cax=axis.inset_axes([1.025, 0.0, 0.035, 1.0]), extend=beyond, extendfrac=0.03)
     bar.set_label(panel.label)
     bar.outline.set_linewidth(0.5)
 
@@ -210,13 +242,13 @@ def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
     values = array_of(raster)
     samples = np.array([(sample.x_m, sample.y_m) for sample in track.samples], dtype=np.float64).reshape(-1, 2)
     path = np.array(track.driven_path_m, dtype=np.float64).reshape(-1, 2)
-    low, high = float(values.min()), float(values.max())
     uncertain = raster.layer is MapLayer.STD
+    low, high = _scale(values, *STD_PERCENTILES) if uncertain else (float(values.min()), float(values.max()))
     panel = _Panel(
         title=raster.layer.value,
         values=values,
         colours=UNCERTAINTY if uncertain else ABUNDANCE,
-        low=0.0 if uncertain else low,
+        low=low,
         high=high if high > low else low + 1.0,
         label=_LABELS[raster.layer],
         dots="#4fd1ff" if uncertain else SAMPLE_COLOUR,
@@ -225,7 +257,7 @@ def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
     start = (float(path[0, 0]), float(path[0, 1])) if len(path) else (0.0, 0.0)
     picture = MapPicture("", "", None, values, values, None, raster.resolution_m, path, samples, start)
     with rc_context(_STYLE):
-        figure = Figure(figsize=(5.0, 5.6), dpi=DPI, layout="constrained")
+        figure = Figure(figsize=_size(values, columns=1, beside=0.2), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         axis = figure.add_subplot()
         _draw_panel(figure, axis, panel, picture)
@@ -239,13 +271,13 @@ def region_figure(region: Region) -> Figure:
     nothing = np.empty((0, 2))
     he3, height, cell = region.he3_ppb, region.elevation_m, region.grid.resolution_m
     picture = MapPicture("", "", None, he3, height, region.traversable, cell, nothing, nothing, (0.0, 0.0))
-    low, high, base, top = float(he3.min()), float(he3.max()), float(height.min()), float(height.max())
+    (low, high), base, top = _scale(he3, *ABUNDANCE_PERCENTILES), float(height.min()), float(height.max())
     panels = (
         _Panel("Reference field", he3, ABUNDANCE, low, high, "helium-3 [ppb]", "", False),
         _Panel("Elevation", height, "cividis", base, max(top, base + 1.0), "elevation [m]", "", False),
     )
     with rc_context(_STYLE):
-        figure = Figure(figsize=(8.9, 5.75), dpi=DPI, layout="constrained")
+        figure = Figure(figsize=_size(he3, columns=2, beside=1.0), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for axis, panel in zip(axes, panels, strict=True):
@@ -272,8 +304,10 @@ def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
         if history:
             end, last = (samples[-1], rmse[-1]), f"{rmse[-1]:.3f} ppb"
             look: dict[str, Any] = {"color": "#1f6f8b", "fontweight": "bold", "ha": "right"}
-            axis.annotate(last, end, xytext=(-2, 8), textcoords="offset points", **look)
-            axis.set_ylim(0, max(*rmse, *claimed) * 1.08)
+            away = -16 if claimed[-1] > rmse[-1] else 8  # clear of the other curve
+            axis.annotate(last, end, xytext=(-2, away), textcoords="offset points", **look)
+            least, most = min(*rmse, *claimed), max(*rmse, *claimed)
+            axis.set_ylim(0 if least < 0.4 * most else 0.8 * least, most * 1.08)
             axis.set_xlim(0, samples[-1] * 1.02)
         axis.set(xlabel="samples", ylabel="helium-3 [ppb]")
         axis.grid(color="#d8dde2", lw=0.6)

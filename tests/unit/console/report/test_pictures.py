@@ -1,4 +1,4 @@
-"""Pictures: metres on the axes, one scale for reference and belief, everything drawn that was given."""
+"""Pictures: metres on the axes, one scale for reference and map, everything drawn that was given."""
 
 from __future__ import annotations
 
@@ -30,44 +30,56 @@ def panels(figure: Any) -> list[Any]:
     return [axis for axis in figure.axes if axis.get_title(loc="left")]
 
 
-def test_three_panels_in_metres_with_the_south_at_the_bottom() -> None:
+def test_four_panels_in_metres_with_the_south_at_the_bottom() -> None:
     drawn = panels(map_figure(picture()))
     assert [axis.get_title(loc="left") for axis in drawn] == [
         "Reference field",
-        "Belief: posterior mean",
-        "Belief: standard deviation",
+        "Map: posterior mean",
+        "Map: standard deviation",
+        "Error: map minus reference",
     ]
     for axis in drawn:
         assert axis.get_xlim() == (0.0, 120.0)
         assert axis.get_ylim() == (0.0, 80.0)
-        assert axis.get_xlabel() == "east [m]"
         assert axis.get_aspect() == 1.0
         assert axis.images[0].origin == "lower"
-    assert drawn[0].get_ylabel() == "north [m]"
+    assert [axis.get_xlabel() for axis in drawn] == ["", "", "east [m]", "east [m]"]
+    assert [axis.get_ylabel() for axis in drawn] == ["north [m]", "", "north [m]", ""]
 
 
-def test_reference_and_belief_share_their_scale_and_the_standard_deviation_begins_at_nothing() -> None:
-    truth, belief, std = (axis.images[0] for axis in panels(map_figure(picture())))
-    assert truth.get_clim() == belief.get_clim() == (REFERENCE.min(), REFERENCE.max())
-    assert truth.get_cmap().name == belief.get_cmap().name == "viridis"
-    assert std.get_clim() == (0.0, 1.0)
+def test_reference_and_map_share_a_scale_that_leaves_out_extreme_cells() -> None:
+    truth, mean, _, _ = (axis.images[0] for axis in panels(map_figure(picture())))
+    assert truth.get_clim() == mean.get_clim() == pytest.approx(np.percentile(REFERENCE, (0.5, 99.5)))
+    assert truth.get_cmap().name == mean.get_cmap().name == "viridis"
+
+
+def test_the_scale_of_the_standard_deviation_shows_its_structure_away_from_the_samples() -> None:
+    std = panels(map_figure(picture()))[2].images[0]
+    assert std.get_clim() == pytest.approx(np.percentile(STD, (10.0, 99.5)))
+
+
+def test_the_error_is_the_map_minus_the_reference_with_zero_in_the_middle_of_its_scale() -> None:
+    error = panels(map_figure(picture()))[3].images[0]
+    assert np.array_equal(error.get_array(), MEAN - REFERENCE)
+    low, high = error.get_clim()
+    assert low == -high < 0
+    assert high == pytest.approx(np.percentile(np.abs(MEAN - REFERENCE), 99.0))
 
 
 def test_each_panel_has_a_colour_bar_with_its_unit() -> None:
-    figure = map_figure(picture())
-    labels = [axis.get_xlabel() for axis in figure.axes if axis not in panels(figure)]
-    assert labels == ["helium-3 [ppb]", "helium-3 [ppb]", "std [ppb]"]
+    bars = [axis.child_axes[0] for axis in panels(map_figure(picture()))]
+    assert [bar.get_ylabel() for bar in bars] == ["helium-3 [ppb]", "helium-3 [ppb]", "std [ppb]", "error [ppb]"]
 
 
-def test_the_path_is_drawn_on_the_belief_and_the_samples_on_both_of_its_panels() -> None:
-    truth, belief, std = panels(map_figure(picture()))
-    assert any(np.array_equal(line.get_xydata(), PATH) for line in belief.lines)
-    for axis in (belief, std):
+def test_the_path_is_drawn_on_the_mean_and_the_samples_on_mean_and_standard_deviation() -> None:
+    truth, mean, std, _ = panels(map_figure(picture()))
+    assert any(np.array_equal(line.get_xydata(), PATH) for line in mean.lines)
+    for axis in (mean, std):
         assert any(np.array_equal(dots.get_offsets(), SAMPLES) for dots in axis.collections)
     assert not any(np.array_equal(line.get_xydata(), PATH) for line in truth.lines)
 
 
-def test_without_a_reference_the_belief_stands_alone() -> None:
+def test_without_a_reference_the_map_stands_alone() -> None:
     assert len(panels(map_figure(picture(reference=None)))) == 2
 
 
@@ -95,6 +107,11 @@ def test_error_and_claimed_deviation_are_drawn_over_the_samples() -> None:
     assert list(rmse.get_ydata()) == [1.0, 1 / 2, 1 / 3, 1 / 4]
     assert list(claimed.get_ydata()) == pytest.approx([0.9, 0.45, 0.3, 0.225])
     assert axis.get_ylim()[0] == 0.0
+
+
+def test_the_error_axis_begins_near_curves_that_stay_far_from_zero() -> None:
+    scores = [score.model_copy(update={"rmse_ppb": 0.8, "mean_std_ppb": 0.9}) for score in history(3)]
+    assert rmse_figure("title", "note", scores).axes[0].get_ylim() == pytest.approx((0.64, 0.972))
 
 
 def test_no_rounds_make_an_empty_diagram() -> None:
