@@ -1,7 +1,7 @@
-"""What has been asked of the rover, round by round, and what has become of it.
+"""The round log: every round that was sent to the rover, with what is known of its execution.
 
-The ledger knows which samples are measured, skipped or still to come, and keeps the versions of rounds that were
-replaced: the rover may have begun one of them before it heard of the replacement.
+It knows which samples are measured, skipped or still to come, and keeps the versions of rounds that were replaced: the
+rover may have begun one of them before it heard of the replacement.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ import numpy as np
 
 from he3.frames import FloatArray, Place
 from schemas.plans import PlannedSample, RoundPlan, Waypoint
+from services.ground.budget import Committed
 from services.runtime.node import MissionTime
 
 
 @dataclass(slots=True, eq=False)
 class RoundRecord:
-    """One version of one round; `introduced` is the first plan revision that held it."""
+    """The entry of one version of one round; `introduced` is the first plan revision that held it."""
 
     plan: RoundPlan
     introduced: int
@@ -26,7 +27,7 @@ class RoundRecord:
     ended: bool = False
     """The rover said that it is over; samples of it may still be under way."""
     ended_early: bool = False
-    """It ended before its end: what is not reported as done will not come."""
+    """It was broken off: samples that are not reported as done will not come."""
     ended_at: MissionTime = 0
     """When it ended early."""
     settled: set[str] = field(default_factory=set)
@@ -56,7 +57,7 @@ class RoundRecord:
 
     @property
     def to_drive_m(self) -> float:
-        """What of it is still to be driven, as far as the ground knows [m]."""
+        """Metres of the path that are still to be driven, as far as the ground knows."""
         return 0.0 if self.ended else self.length_m - self.reached_m
 
     @property
@@ -77,7 +78,7 @@ class RoundRecord:
 
     @property
     def closed(self) -> bool:
-        """Whether nothing more will come of it."""
+        """Whether no sample of it is still to come."""
         return not self.pending
 
     def note_place(self, place_m: Place, tolerance_m: float = 2.0) -> None:
@@ -116,7 +117,7 @@ class RoundRecord:
 
 
 class RoundLog:
-    """The chain of rounds as it stands, and every version that was ever sent."""
+    """The chain of rounds that is in force, and every version that was ever sent."""
 
     def __init__(self) -> None:
         self.chain: list[RoundRecord] = []
@@ -137,6 +138,16 @@ class RoundLog:
     @property
     def next_number(self) -> int:
         return self.chain[-1].number + 1 if self.chain else 1
+
+    @property
+    def end_m(self) -> Place | None:
+        """Where the chain ends [m]; None for an empty one."""
+        return self.chain[-1].end_m if self.chain else None
+
+    @property
+    def idle(self) -> bool:
+        """Whether the last round of the chain is over, or there is none."""
+        return not self.chain or self.chain[-1].closed or self.chain[-1].ended
 
     @property
     def open_rounds(self) -> list[RoundRecord]:
@@ -166,6 +177,17 @@ class RoundLog:
         """How many of the last rounds that are over brought no sample."""
         over = [record for record in self.chain if record.begun and record.closed]
         return next((n for n, record in enumerate(reversed(over)) if record.arrived), len(over))
+
+    def committed(self) -> Committed:
+        """What the rounds of the chain will still take."""
+        metres = sum(record.to_drive_m for record in self.chain)
+        return Committed(metres, len(self.pending), len(self.open_rounds))
+
+    def note_place(self, place_m: Place) -> None:
+        """The rover was at that place, which tells how far it has come in the round that it executes."""
+        executing = next((record for record in reversed(self.chain) if record.begun), None)
+        if executing is not None and not executing.ended:
+            executing.note_place(place_m)
 
     def paths(self) -> tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]]:
         """Where the rover is known to have driven, joined over the rounds, and what is planned beyond that.

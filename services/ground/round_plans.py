@@ -1,84 +1,54 @@
-"""From a planner's answer to a round as it goes up: planned elsewhere, checked and named here."""
+"""From a planner's answer to the round as it goes up.
+
+Four types describe a round, each in its place: `PlannedRound` is a planner's answer, `PlanningTask` a round that is
+being planned, `RoundPlan` the message to the rover, `RoundRecord` the entry of a round that was sent in the round log.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import hypot, isfinite
-from typing import Any
+from dataclasses import dataclass
 
-import numpy as np
-
-from he3.errors import InvalidInput
-from he3.frames import FloatArray, Place, SiteGrid, as_points
-from he3.posterior.grid import GridPosterior
+from he3.frames import FloatArray, Place
 from schemas.plans import PlannedSample, RoundPlan
-from services.ground.planners import planner_named
-from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
-
-START_TOLERANCE_M = 0.5  # how far from where it was asked to begin a planned round may begin
-MAX_VERTICES = 4096  # of a path, as the message admits
+from services.ground.planners.interface import PlannedRound
 
 
 @dataclass(frozen=True, slots=True)
-class PlanInWork:
+class PlanningTask:
     """A round that is being planned."""
 
     job: str
+    """Name of the computation."""
     number: int
-    start_m: Place
-    samples: int
+    """Of the round."""
     samples_left: int
+    """How many samples the rest of the mission takes, this round included."""
     attempt: int
+    """How many plannings of this round have failed before."""
     known: int
     """Measurements in the map when planning began."""
     pending: tuple[str, ...]
     """Measurements under way that are counted in."""
 
 
-def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) -> PlannedRound:
-    """The planner's answer, with the last `pending` of the observed places counted in first.
+def round_plan(number: int, planned: PlannedRound, version: str, depth_m: float) -> RoundPlan:
+    """The round of that number as a message, its places rounded to the millimetre.
 
-    Pure and picklable, made to run elsewhere. The posterior variance does not depend on values, so places whose values
-    are not known yet lower it all the same.
+    version: what tells the ids of its samples from those of an earlier plan of that round; depth_m: of each hole.
     """
-    if pending:
-        values = np.zeros(len(request.observed_m))
-        ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values)
-        request = replace(request, std_ppb=ahead.std_ppb)
-    function = planner_named(planner) if isinstance(planner, str) else planner
-    return function(request)
-
-
-def round_plan(work: PlanInWork, result: Any, grid: SiteGrid, version: str, depth_m: float) -> RoundPlan:
-    """The planner's answer as it goes up; raises InvalidInput if it is not what was asked for.
-
-    version: what sets the ids of its samples apart from those of an earlier plan of that round; depth_m: of each hole.
-    """
-    if not isinstance(result, PlannedRound):
-        raise InvalidInput(f"planner: expected a planned round, got {type(result).__name__}")
-    path, places = as_points(result.path_m), as_points(result.samples_m)
-    if not (1 <= len(places) <= work.samples and 1 <= len(path) <= MAX_VERTICES):
-        raise InvalidInput(
-            f"planner: expected 1 to {work.samples} samples on 1 to {MAX_VERTICES} vertices, "
-            f"got {len(places)} on {len(path)}"
-        )
-    if hypot(path[0, 0] - work.start_m[0], path[0, 1] - work.start_m[1]) > START_TOLERANCE_M:
-        raise InvalidInput(f"planner: expected a path from {work.start_m}, got one from {tuple(path[0].tolist())}")
-    if not grid.contains(np.vstack((path, places))).all():
-        raise InvalidInput("planner: expected a round within the region, got one that leaves it")
     return RoundPlan(
-        round=work.number,
-        path_m=tuple(_rounded(place) for place in path),
+        round=number,
+        path_m=tuple(_rounded(place) for place in planned.path_m),
         samples=tuple(
             PlannedSample(
-                sample_id=sample_id(work.number, version, index),
+                sample_id=sample_id(number, version, index),
                 x_m=_rounded(place)[0],
                 y_m=_rounded(place)[1],
                 depth_m=depth_m,
             )
-            for index, place in enumerate(places, 1)
+            for index, place in enumerate(planned.samples_m, 1)
         ),
-        information_nats=float(result.information_nats) if isfinite(result.information_nats) else 0.0,
+        information_nats=planned.information_nats,
     )
 
 

@@ -1,167 +1,126 @@
-"""Telecommands on the ground: what was asked, whether it may go up, and every stage that it is known to have passed."""
+"""Telecommands: issued by the operator, sent to the rover, followed until they end.
+
+A command's departure from Earth is read from the link's status, which the ground asks for while one has not left. Where
+there is no link, nothing answers and the stage is not reported.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-
-import numpy as np
+from collections.abc import Iterable
 
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
-from schemas.commands import CommandReport, CommandStage, CommandStatus, Telecommand
-from schemas.link import LinkStatus
-from schemas.topics import COMMAND
-from services.ground.terrain import closes_nothing
-from services.runtime.node import SECOND, MissionTime, seconds
+from schemas.commands import ENDS, CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
+from schemas.link import LinkChange, LinkStatus
+from schemas.topics import COMMAND, COMMAND_STATUS, LINK_SET
+from services.ground.command_history import LOOK_AGAIN_S, CommandHistory
+from services.ground.director import Director
+from services.mission.scenario import Scenario
+from services.runtime.node import (
+    Effect,
+    MissionTime,
+    RefuseQuery,
+    Send,
+    SendQuery,
+    SendReply,
+    SetTimer,
+    seconds,
+)
 
-MAX_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
-MAX_LISTED = 300  # commands in a list, the newest; with the largest polygons it stays under the size of a reply
-LOOK_AGAIN_S = 30.0  # between looks at the link for a command that has not left yet
-LOST_AFTER_S = 60.0  # past its expiry and a round trip, before silence means that a command is lost
-
-_ORDER = {stage: number for number, stage in enumerate(CommandStage)}
-
-_NEVER_CARRIED_OUT = frozenset({CommandStage.REJECTED, CommandStage.FAILED, CommandStage.EXPIRED})
-Polygon = tuple[tuple[float, float], ...]
+LOOK_QUERY, LOOK_TIMER = "commands-on-the-link", "look"
+LOST_TIMER = "lost:"
+"""Prefix of the timer at whose time a command without a report counts as lost; its id follows."""
+_EXCURSIONS = frozenset({CommandKind.GO_TO, CommandKind.RETURN_TO_START})
 
 
-@dataclass(slots=True)
-class CommandBook:
-    """All telecommands of the mission, in the order in which they were issued."""
+class TelecommandHandler:
+    """Issues telecommands, follows them, and tells the director of those that change what is planned."""
 
-    grid: SiteGrid
-    round_trip_s: float = 0.0
-    """Light time there and back as the scenario says [s]."""
-    _book: dict[str, CommandStatus] = field(default_factory=dict)
-    _sent: list[str] = field(default_factory=list)
+    def __init__(self, scenario: Scenario, source: str, history: CommandHistory, director: Director) -> None:
+        """source: under which name this service sends."""
+        self._start_m = scenario.start_m
+        self._keep_outs = scenario.ground.keep_outs
+        self._source = source
+        self._history = history
+        self._director = director
 
     def restarted(self) -> None:
-        """The process has started: what it sends is counted from 0 again."""
-        self._sent = []
+        """The process has started."""
+        self._history.restarted()
 
-    def issue(self, command: Telecommand, now: MissionTime) -> tuple[CommandStatus, bool]:
-        """The command's status, and whether it is new and must go up; the same command again changes nothing.
+    def listed(self) -> CommandList:
+        """The newest commands with their stages."""
+        return CommandList(commands=self._history.listed())
 
-        Raises InvalidInput, in one line and without a change, for a command that could not be carried out.
-        """
-        known = self._book.get(command.command_id)
-        if known is not None:
-            if known.command != command:
-                raise InvalidInput(f"command {command.command_id}: expected a new id, got that of another command")
-            return known, False
-        if command.expires_at is not None and command.expires_at <= now:
-            late = (now - command.expires_at) / SECOND
-            raise InvalidInput(f"command {command.command_id}: expected an expiry ahead, got one {late:g} s ago")
-        target = command.target_m
-        if target is not None and not self.grid.contains(np.array([target]))[0]:
-            raise InvalidInput(
-                f"command {command.command_id}: expected a target within 0..{self.grid.width_m:g} m east and "
-                f"0..{self.grid.height_m:g} m north, got ({target[0]:g}, {target[1]:g})"
-            )
-        if command.polygon_m is not None and (why := closes_nothing(self.grid, command.polygon_m)) is not None:
-            raise InvalidInput(f"command {command.command_id}: polygon_m: {why}")
-        under_way = sum(status.end is None for status in self._book.values())
-        if under_way >= MAX_UNDER_WAY:
-            raise InvalidInput(f"expected at most {MAX_UNDER_WAY} commands under way, got one more")
-        stages = tuple(
-            CommandReport(command_id=command.command_id, stage=stage, at=now)
-            for stage in (CommandStage.QUEUED, CommandStage.RELEASED)
-        )
-        status = CommandStatus(command=command, stages=stages)
-        self._book[command.command_id] = status
-        self._sent.append(command.command_id)
-        return status, True
+    def issue(self, command: Telecommand, token: int, now: MissionTime) -> Iterable[Effect]:
+        """Answer the operator's query with the command's status or a refusal, and send the command if it is new."""
+        try:
+            status, new = self._history.issue(command, now)
+        except InvalidInput as error:
+            yield RefuseQuery(token, str(error))
+            return
+        yield SendReply(token, status)
+        if not new:
+            return
+        yield Send(COMMAND, command)
+        yield from self.look()
+        overdue = self._history.overdue_at(command)
+        if overdue is not None:
+            yield SetTimer(LOST_TIMER + command.command_id, overdue)
+        yield Send(COMMAND_STATUS, status)
+        yield from self._set_keep_out(command, now)
 
-    def report(self, report: CommandReport) -> CommandStatus | None:
-        """The command's status after a report on it; None if nothing is new or the command is not known here."""
-        known = self._book.get(report.command_id)
-        if known is None or any(passed.stage is report.stage for passed in known.stages):
-            return None
-        stages = tuple(sorted((*known.stages, report), key=lambda passed: (passed.at, _ORDER[passed.stage])))
-        status = CommandStatus(command=known.command, stages=stages)
-        self._book[report.command_id] = status
-        return status
+    def reported(self, report: CommandReport, now: MissionTime) -> Iterable[Effect]:
+        """The rover has reported a stage of a command."""
+        status = self._history.report(report)
+        if status is None:
+            return
+        yield Send(COMMAND_STATUS, status)
+        passed = {known.stage for known in status.stages}
+        if report.stage is CommandStage.RECEIVED and CommandStage.RADIATED not in passed:
+            yield SendQuery(LINK_SET, LinkChange(), LOOK_QUERY)  # it left between two looks
+        command = status.command
+        if report.stage in ENDS:
+            yield from self._set_keep_out(command, now)
+        if command.kind in _EXCURSIONS:
+            yield from self._follow_excursion(status, report.stage, now)
 
-    def leaving(self) -> list[str]:
-        """Commands sent since the start that are not known to have left the Earth."""
-        return [
-            name
-            for name in self._sent
-            if all(_ORDER[passed.stage] < _ORDER[CommandStage.RADIATED] for passed in self._book[name].stages)
-        ]
+    def look(self) -> Iterable[Effect]:
+        """Ask the link whether the commands that were sent have left the Earth, if there are any."""
+        if self._history.leaving():
+            yield SendQuery(LINK_SET, LinkChange(), LOOK_QUERY)
 
-    def _not_radiated(self) -> list[str]:
-        """Commands sent since the start that were not seen to leave the Earth, whatever else is known of them."""
-        return [
-            name
-            for name in self._sent
-            if all(passed.stage is not CommandStage.RADIATED for passed in self._book[name].stages)
-        ]
+    def seen_on_link(self, link: LinkStatus, now: MissionTime) -> Iterable[Effect]:
+        """The link has answered."""
+        left, again = self._history.seen_on_link(link, self._source, now)
+        for departed in left:
+            yield Send(COMMAND_STATUS, departed)
+        if self._history.leaving():
+            yield SetTimer(LOOK_TIMER, again)
 
-    def seen_on_link(self, link: LinkStatus, source: str, now: MissionTime) -> tuple[list[CommandStatus], MissionTime]:
-        """Commands that the link's status shows to have left the Earth, and when to look again for the others.
+    def look_failed(self, now: MissionTime) -> Iterable[Effect]:
+        """The link has not answered."""
+        yield SetTimer(LOOK_TIMER, now + seconds(LOOK_AGAIN_S))
 
-        A message is told by its sequence, which is its place among the commands sent since the start.
-        """
-        departures = {
-            (flight.sequence, flight.offered_at): flight.departs_at
-            for flight in (*link.in_flight, *link.commands_arrived)
-            if flight.topic == COMMAND.name and flight.source == source
-        }
-        left: list[CommandStatus] = []
-        again = now + seconds(LOOK_AGAIN_S)
-        if link.contact_changes_at is not None and link.contact_changes_at > now:
-            again = min(again, link.contact_changes_at)
-        for name in self._not_radiated():
-            sequence, sent_at = self._sent.index(name), self._book[name].stages[0].at
-            for (number, offered_at), departs_at in departures.items():
-                if number != sequence or offered_at < sent_at or departs_at is None:
-                    continue
-                if departs_at > now:
-                    again = min(again, departs_at)
-                    continue
-                radiated = CommandReport(command_id=name, stage=CommandStage.RADIATED, at=departs_at)
-                status = self.report(radiated)
-                if status is not None:
-                    left.append(status)
-        return left, again
+    def overdue(self, command_id: str, now: MissionTime) -> Iterable[Effect]:
+        """The time of that command has passed: without a report it is lost."""
+        status = self._history.give_up(command_id, now)
+        if status is not None:
+            yield Send(COMMAND_STATUS, status)
 
-    def overdue_at(self, command: Telecommand) -> MissionTime | None:
-        """When silence about the command means that it was lost; None if it does not expire."""
-        if command.expires_at is None:
-            return None
-        return command.expires_at + round((self.round_trip_s + LOST_AFTER_S) * SECOND)
+    def _set_keep_out(self, command: Telecommand, now: MissionTime) -> Iterable[Effect]:
+        """Close at once what the command closes; what it opens is open when the rover has carried it out."""
+        if command.kind is CommandKind.SET_KEEP_OUT and command.area_id is not None:
+            at_first = self._keep_outs.get(command.area_id)
+            polygons = self._history.closed_by(command.area_id, () if at_first is None else (at_first,))
+            yield from self._director.keep_out(command.area_id, polygons, now)
 
-    def give_up(self, command_id: str, now: MissionTime) -> CommandStatus | None:
-        """The status of a command whose time has passed without a word from the rover; None if there was one."""
-        known = self._book.get(command_id)
-        if known is None or any(_ORDER[passed.stage] >= _ORDER[CommandStage.RECEIVED] for passed in known.stages):
-            return None
-        why = "its time has passed without word from the rover"
-        return self.report(CommandReport(command_id=command_id, stage=CommandStage.LOST, at=now, why=why))
-
-    def closed_by(self, area_id: str, at_first: Sequence[Polygon] = ()) -> list[Polygon]:
-        """The polygons that the rover keeps out of under that id, or may yet, and the one that the operator last set.
-
-        at_first: what it kept out of before any command. A polygon is given up only when the rover has carried out a
-        later command on the area; one that a refused or expired command brought, as soon as another is issued.
-        """
-        spoken = [status for status in self._book.values() if status.command.area_id == area_id]
-        closed = list(at_first)
-        for status in spoken:
-            passed = {report.stage for report in status.stages}
-            if CommandStage.COMPLETED in passed:
-                closed = []
-            polygon = status.command.polygon_m
-            if polygon is not None and (status is spoken[-1] or not passed & _NEVER_CARRIED_OUT):
-                closed.append(polygon)
-        return closed
-
-    def find(self, command_id: str) -> CommandStatus | None:
-        """The status of that command; None for one that was not issued here."""
-        return self._book.get(command_id)
-
-    def listed(self) -> tuple[CommandStatus, ...]:
-        """The newest commands with their stages, in the order in which they were issued."""
-        return tuple(self._book.values())[-MAX_LISTED:]
+    def _follow_excursion(self, status: CommandStatus, stage: CommandStage, now: MissionTime) -> Iterable[Effect]:
+        command = status.command
+        if stage is CommandStage.STARTED and status.end is None:
+            self._director.excursion_begun(command.command_id)
+        elif stage is CommandStage.COMPLETED:
+            target = command.target_m if command.target_m is not None else self._start_m
+            self._director.excursion_begun(command.command_id)  # it is over, even if its begin was never reported
+            yield from self._director.excursion_ended(command.command_id, target, now)
+        elif stage in ENDS:
+            yield from self._director.excursion_ended(command.command_id, None, now)

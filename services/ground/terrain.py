@@ -231,6 +231,11 @@ def worth_nothing(weights: NDArray[np.float32] | None, open_cells: BoolArray) ->
     return "expected a weight above 0 somewhere on open ground, got 0 everywhere"
 
 
+def leads_through(grid: SiteGrid, path_m: Sequence[Place], area: BoolArray) -> bool:
+    """Whether the polyline leads through a cell of the area (rows, columns)."""
+    return any(area[cell_of(grid, place)] for place in along(path_m, 0.5 * grid.resolution_m))
+
+
 def along(path_m: Sequence[Place], step_m: float) -> Iterator[Place]:
     """Places along the polyline from its first vertex on, no further apart than the step."""
     yield path_m[0]

@@ -1,15 +1,18 @@
 """The planners: one signature for all, arrays and frozen values in, a planned round out.
 
-They are named here and imported when asked for, so that whoever only needs the names needs no OMPL. Anybody's own is
-named ``module:function`` (``services.ground.planners.plugin``).
+They are named here and imported when one is asked for, so that their names are known without OMPL. A plug-in planner is
+named ``module:function`` (``services.ground.planners.plugin``). Every planner's answers are validated in one place
+(``services.ground.planners.validation``).
 """
 
 from __future__ import annotations
 
+from functools import partial
 from importlib import import_module
 
 from he3.errors import InvalidInput
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
+from services.ground.planners.validation import checked_answer
 
 PLANNERS = {
     "rrt": "services.ground.planners.rrt",
@@ -21,14 +24,21 @@ PLANNERS = {
 
 
 def planner_named(name: str) -> Planner:
-    """The planner of that name, ours or anybody's; raises InvalidInput for a name that none has."""
+    """The planner of that name, ours or a plug-in, its answers validated.
+
+    Raises InvalidInput for a name that no planner has, or a plug-in that cannot be imported.
+    """
     if ":" in name:
-        own: Planner = import_module("services.ground.planners.plugin").load_plugin(name)
-        return own
-    if name not in PLANNERS:
+        planner: Planner = import_module("services.ground.planners.plugin").load_plugin(name)
+    elif name in PLANNERS:
+        planner = getattr(import_module(PLANNERS[name]), name)
+    else:
         raise InvalidInput(f"expected a planner among {', '.join(PLANNERS)}, or module:function; got {name!r}")
-    planner: Planner = getattr(import_module(PLANNERS[name]), name)
-    return planner
+    return partial(_validated, name, planner)
+
+
+def _validated(name: str, planner: Planner, request: PlanningRequest) -> PlannedRound:
+    return checked_answer(name, planner(request), request)
 
 
 def plan(name: str, request: PlanningRequest) -> PlannedRound:

@@ -40,6 +40,7 @@ from schemas.wire import Header, Wire
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.node import GroundNode, build_node
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
+from services.ground.planners.traversability import OpenGround
 from services.mission.scenario import Scenario
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.node import (
@@ -88,12 +89,16 @@ def scenario(**changes: dict[str, object]) -> Scenario:
 
 
 def straight(request: PlanningRequest) -> PlannedRound:
-    """A planner: places at random in the open, straight to one after the other."""
+    """A planner: places at random in the open, straight from one to the next over open ground."""
     rng = np.random.default_rng(request.seed)
-    rows, columns = np.nonzero(request.traversable)
-    chosen = rng.choice(len(rows), size=request.samples, replace=False)
-    places = np.column_stack((columns[chosen] + 0.5, rows[chosen] + 0.5)) * request.grid.resolution_m
-    path = np.vstack((np.array([request.start_m]), places))
+    ground = OpenGround(request.grid, request.traversable)
+    cells = np.argwhere(request.traversable)
+    for _ in range(1000):
+        chosen = cells[rng.choice(len(cells), size=request.samples, replace=False)]
+        places = (chosen[:, ::-1] + 0.5) * request.grid.resolution_m
+        path = np.vstack((np.array([request.start_m]), places))
+        if ground.segments_free(np.vstack((ground.footing(request.start_m), places[:-1])), places).all():
+            break
     if float(np.hypot(*np.diff(path, axis=0).T).sum()) > request.budget_m:
         raise NoRoute(f"the budget of {request.budget_m:g} m does not reach")
     return PlannedRound(path, places, 1.0)
@@ -568,9 +573,10 @@ def test_a_planner_that_breaks_is_tried_again_with_another_seed_and_then_fails_t
     ("fault", "complaint"),
     [
         (lambda r: PlannedRound(r.path_m + 3.0, r.samples_m, 1.0), "expected a path from"),
-        (lambda r: PlannedRound(r.path_m, np.vstack((r.samples_m, r.samples_m)), 1.0), "expected 1 to 3 samples"),
-        (lambda r: PlannedRound(r.path_m, r.samples_m + 100.0, 1.0), "within the region"),
-        (lambda r: "a plan", "expected a planned round"),
+        (lambda r: PlannedRound(r.path_m, np.vstack((r.samples_m, r.samples_m)), 1.0), "1 to 3 samples, got 4 and 6"),
+        (lambda r: PlannedRound(r.path_m, r.samples_m + 100.0, 1.0), "expected samples on the path"),
+        (lambda r: PlannedRound(r.path_m + [[0], [0], [0], [60]], r.samples_m, 1.0), "within the region"),
+        (lambda r: "a plan", "expected a PlannedRound, got str"),
     ],
 )
 def test_what_a_planner_answers_is_checked_before_it_goes_up(

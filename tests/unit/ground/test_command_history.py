@@ -9,14 +9,14 @@ from he3.frames import SiteGrid
 from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
 from schemas.link import Direction, DirectionCounts, InFlight, LinkConditions, LinkStatus
 from schemas.topics import COMMAND, PLAN
-from services.ground.telecommands import LOOK_AGAIN_S, MAX_LISTED, MAX_UNDER_WAY, CommandBook
+from services.ground.command_history import LOOK_AGAIN_S, MAX_LISTED, MAX_UNDER_WAY, CommandHistory
 from services.runtime.node import SECOND
 
 NOW = 1_000 * SECOND
 
 
-def book() -> CommandBook:
-    return CommandBook(SiteGrid(100, 100), round_trip_s=2.5)
+def book() -> CommandHistory:
+    return CommandHistory(SiteGrid(100, 100), round_trip_s=2.5)
 
 
 def pause(name: str = "a", **more: object) -> Telecommand:
@@ -37,7 +37,7 @@ def link(*flights: InFlight, contact_changes_at: int | None = None) -> LinkStatu
     )  # fmt: skip
 
 
-def names(commands: CommandBook, name: str = "a") -> list[str]:
+def names(commands: CommandHistory, name: str = "a") -> list[str]:
     status = commands.find(name)
     assert status is not None
     return [report.stage.value for report in status.stages]
@@ -154,7 +154,7 @@ def keep_out(name: str, polygon: tuple[tuple[float, float], ...] | None = None, 
     return Telecommand(command_id=name, kind=CommandKind.SET_KEEP_OUT, area_id=area, polygon_m=polygon)
 
 
-def after(*happened: Telecommand | tuple[str, CommandStage]) -> CommandBook:
+def after(*happened: Telecommand | tuple[str, CommandStage]) -> CommandHistory:
     commands = book()
     for number, item in enumerate(happened):
         if isinstance(item, Telecommand):

@@ -1,0 +1,25 @@
+"""Moves of the rover that the operator commands: while one is under way, no round is planned."""
+
+from __future__ import annotations
+
+
+class Excursions:
+    """The go-to and return-to-start commands that the rover has begun and not ended."""
+
+    def __init__(self) -> None:
+        self._commands: set[str] = set()
+
+    @property
+    def under_way(self) -> bool:
+        return bool(self._commands)
+
+    def begin(self, command_id: str) -> None:
+        """The rover has begun that command."""
+        self._commands.add(command_id)
+
+    def end(self, command_id: str) -> bool:
+        """Whether that command was under way; it no longer is."""
+        if command_id not in self._commands:
+            return False
+        self._commands.discard(command_id)
+        return True

@@ -1,0 +1,79 @@
+"""Areas of the site that are worth more, or less, than the rest: the scenario's, as the operator changes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.frames import BoolArray, Place, SiteGrid
+from schemas.ground import InterestArea, InterestChange, InterestList
+from services.ground.terrain import holds_nothing, interest_weights, worth_nothing
+from services.mission.scenario import InterestRegion
+
+MAX_AREAS = 100
+
+_Areas = dict[str, tuple[Sequence[Place], float]]
+
+
+class InterestAreas:
+    """Corners and weight of each area, by its id, and the weight of each cell that follows from them."""
+
+    def __init__(self, grid: SiteGrid, areas: Mapping[str, InterestRegion]) -> None:
+        self._grid = grid
+        self._areas: _Areas = {area_id: (area.polygon_m, area.weight) for area_id, area in areas.items()}
+        self._weights = self._weights_of(self._areas)
+
+    @property
+    def weights(self) -> NDArray[np.float32] | None:
+        """(rows, columns) weight of each cell's uncertainty; None where every cell has weight 1."""
+        return self._weights
+
+    def listed(self) -> InterestList:
+        """The areas as an operator sees them."""
+        return InterestList(
+            areas=tuple(
+                InterestArea(area_id=area_id, polygon_m=tuple(polygon), weight=weight)
+                for area_id, (polygon, weight) in self._areas.items()
+            )
+        )
+
+    def objection(self, change: InterestChange, open_cells: BoolArray) -> str | None:
+        """One line on why that change cannot be made; None if it can. open_cells: (rows, columns)."""
+        grid = self._grid
+        if change.polygon_m is not None:
+            if not grid.contains(np.array(change.polygon_m)).all():
+                return (
+                    f"interest: expected corners within 0..{grid.width_m:g} m east and "
+                    f"0..{grid.height_m:g} m north, got one outside"
+                )
+            if (why := holds_nothing(grid, change.polygon_m)) is not None:
+                return f"interest: polygon_m: {why}"
+        if change.area_id is None:
+            return None
+        if change.area_id not in self._areas and len(self._areas) >= MAX_AREAS:
+            return f"interest: expected at most {MAX_AREAS} areas, got one more"
+        if (why := worth_nothing(self._weights_of(self._changed(change)), open_cells)) is not None:
+            return f"interest: weight: {why}"
+        return None
+
+    def change(self, change: InterestChange) -> bool:
+        """Whether there was something to change: an area is set, or without a polygon removed."""
+        if change.area_id is None or (change.polygon_m is None and change.area_id not in self._areas):
+            return False
+        self._areas = self._changed(change)
+        self._weights = self._weights_of(self._areas)
+        return True
+
+    def _changed(self, change: InterestChange) -> _Areas:
+        areas = dict(self._areas)
+        if change.area_id is not None:
+            if change.polygon_m is None:
+                areas.pop(change.area_id, None)
+            else:
+                areas[change.area_id] = (change.polygon_m, change.weight)
+        return areas
+
+    def _weights_of(self, areas: _Areas) -> NDArray[np.float32] | None:
+        return interest_weights(self._grid, list(areas.values()))

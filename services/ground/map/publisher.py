@@ -1,0 +1,109 @@
+"""Makes the map that operators see: a new snapshot whenever map, track or plan have changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from he3.posterior.grid import PosteriorMap
+from schemas.maps import MapScore
+from services.ground.belief import Belief
+from services.ground.map.snapshot import MapSnapshot
+from services.ground.refits import RefitSchedule
+from services.ground.round_log import RoundLog
+from services.ground.samples import SampleIntake
+from services.ground.scoring import Scorer
+from services.ground.terrain import GroundTerrain
+from services.runtime.node import MissionTime, PublishSnapshot
+
+
+class MapPublisher:
+    """Compares what is known with what was last shown. Its revision grows with every change of map or terrain."""
+
+    def __init__(
+        self,
+        belief: Belief,
+        terrain: GroundTerrain,
+        samples: SampleIntake,
+        round_log: RoundLog,
+        refits: RefitSchedule,
+        scorer: Scorer | None,
+        origin_deg: tuple[float, float] | None,
+        start: MissionTime,
+    ) -> None:
+        """scorer: None where there is no reference; origin_deg: latitude and longitude of the site's south-west corner
+        where they are known; start: when the mission begins."""
+        self._belief = belief
+        self._terrain = terrain
+        self._samples = samples
+        self._round_log = round_log
+        self._refits = refits
+        self._scorer = scorer
+        self._origin_deg = origin_deg
+        self._map: PosteriorMap | None = None
+        self._traversable: object = None
+        self._map_time = start
+        self._rounds_scored = 0
+        self._history: tuple[MapScore, ...] = ()
+        self._shown_at_the_end = False
+        self.revision = 0
+        self.mean_std_ppb = 0.0
+        """Mean over the cells of the standard deviation [ppb]."""
+        self.score: MapScore | None = None
+        self.snapshot: MapSnapshot | None = None
+        """The map as it was last published."""
+
+    def publish(
+        self, now: MissionTime, ended: bool, plan_ends: Callable[[MissionTime], MissionTime | None]
+    ) -> Iterable[PublishSnapshot]:
+        """A new snapshot if there is something new; ended: whether the mission is over.
+
+        plan_ends: when the rover will have done what is planned, as the ground expects; asked for new snapshots only.
+        """
+        self._note_changes(now)
+        driven, planned = self._round_log.paths()
+        before = self.snapshot
+        if (
+            before is not None
+            and before.revision == self.revision
+            and before.driven_path_m is driven
+            and before.planned_path_m is planned
+        ):
+            if ended and not self._shown_at_the_end:
+                self._shown_at_the_end = True
+                yield PublishSnapshot(before, awaited=True)
+            return
+        current = self._belief.map
+        self.snapshot = MapSnapshot(
+            grid=self._belief.grid,
+            mean_ppb=current.mean_ppb,
+            std_ppb=current.std_ppb,
+            traversable=self._terrain.traversable,
+            samples=self._samples.reports,
+            driven_path_m=driven,
+            planned_path_m=planned,
+            plan_ends=plan_ends(now),
+            revision=self.revision,
+            mission_time_ns=self._map_time,
+            score=self.score,
+            score_history=self._history,
+            process=self._belief.process,
+            origin_deg=self._origin_deg,
+        )
+        # Reports are made from answers that are asked for as soon as the mission is said to be over.
+        self._shown_at_the_end = ended
+        yield PublishSnapshot(self.snapshot, awaited=self._shown_at_the_end)
+
+    def _note_changes(self, now: MissionTime) -> None:
+        """A new revision, with its score, if map or terrain are other objects than before."""
+        current, traversable = self._belief.map, self._terrain.traversable
+        if self._map is current and self._traversable is traversable:
+            return
+        self._map, self._traversable = current, traversable
+        self.revision += 1
+        self._map_time = now
+        self.mean_std_ppb = float(current.std_ppb.mean(dtype="f8"))
+        if self._scorer is not None:
+            self.score = self._scorer.score(current.mean_ppb, current.std_ppb, self.revision, len(self._samples), now)
+            if self._refits.rounds > self._rounds_scored:
+                self._history = (*self._history, self.score)
+        self._rounds_scored = self._refits.rounds

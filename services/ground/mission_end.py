@@ -1,0 +1,57 @@
+"""Whether the mission is over, and why."""
+
+from __future__ import annotations
+
+from services.runtime.node import Finish
+
+
+class MissionEnd:
+    """What speaks for the end: the last plan is sent, the rover has completed it, nothing more can be planned."""
+
+    def __init__(self) -> None:
+        self.finish: Finish | None = None
+        """How the mission ended; None while it goes on."""
+        self._last_sent = False
+        self._completed = 0
+        self._exhausted = ""
+        self._failed = False
+
+    @property
+    def nothing_more_to_plan(self) -> bool:
+        """Whether planning has been given up, until `reopen`."""
+        return bool(self._exhausted)
+
+    def plan_sent(self, last: bool) -> None:
+        """A plan has been sent; last: after it no sample is left to be planned."""
+        self._last_sent = last
+
+    def plan_outdated(self) -> None:
+        """The rover has begun something else than the last plan says."""
+        self._last_sent = False
+
+    def plan_completed(self, revision: int) -> None:
+        """The rover says that it has completed the plan of that revision."""
+        self._completed = max(self._completed, revision)
+
+    def give_up_planning(self, why: str, failed: bool = False) -> None:
+        """No round can be planned any more: the mission ends with what is under way; failed: it should not have."""
+        self._exhausted = why
+        self._failed = failed
+
+    def reopen(self) -> None:
+        """Rounds were taken back: they are to be planned anew."""
+        self._last_sent = False
+        self._exhausted = ""
+        self._failed = False
+
+    def awaits_completion(self, introduced: int) -> bool:
+        """Whether the rover has still to say that it has completed its plan, whose last round has that revision."""
+        return self._last_sent and not self._exhausted and self._completed < introduced
+
+    def over(self, samples: int, samples_total: int, detail: str) -> Finish:
+        """The mission ends now, with so many samples in the map; detail: what an operator was last told."""
+        why = f"{samples} of {samples_total} samples are in the map"
+        if samples < samples_total:
+            why += f"; {self._exhausted or detail or 'the rover has completed its plan'}"
+        self.finish = Finish(ok=not self._failed, why=why)
+        return self.finish

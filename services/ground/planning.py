@@ -1,0 +1,159 @@
+"""The round that is being planned: what the planner is asked, with which seed, and what becomes of its answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from he3.frames import FloatArray, Place, SiteGrid
+from he3.posterior.grid import GridPosterior
+from schemas.plans import PlannedSample, RoundPlan
+from services.ground.belief import Belief
+from services.ground.budget import RemainingBudget
+from services.ground.interests import InterestAreas
+from services.ground.planners import planner_named
+from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningRequest
+from services.ground.planners.validation import checked_answer
+from services.ground.round_log import RoundLog, RoundRecord
+from services.ground.round_plans import PlanningTask, round_plan, sample_id
+from services.ground.terrain import GroundTerrain
+from services.mission.scenario import Scenario
+from services.runtime.node import Compute
+
+MAX_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
+MAX_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came
+_SEED = 2  # tells the seeds of plans from those of fits
+
+
+class RoundPlanning:
+    """Plans one round at a time, and makes the plans' revisions."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        grid: SiteGrid,
+        belief: Belief,
+        terrain: GroundTerrain,
+        round_log: RoundLog,
+        interests: InterestAreas,
+        planner: str | Planner | None = None,
+    ) -> None:
+        """planner: in place of the scenario's. Raises InvalidInput for a plug-in planner that cannot be imported."""
+        self._scenario = scenario
+        self._grid = grid
+        self._belief = belief
+        self._terrain = terrain
+        self._round_log = round_log
+        self._interests = interests
+        self._planner = planner if planner is not None else scenario.ground.planner
+        if isinstance(self._planner, str) and ":" in self._planner:
+            planner_named(self._planner)  # a bad name fails at start-up, not when the first round is planned
+        self.revision = 0
+        """Of the last plan made."""
+        self._task: PlanningTask | None = None
+        self._tasks = 0
+        self._attempt = 0
+        self._outlook_m: FloatArray | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a round is being planned."""
+        return self._task is not None
+
+    def start(self, number: int, start_m: Place, remaining: RemainingBudget) -> Compute:
+        """Plan the round of that number from that place, within what is left of the budget."""
+        pending = self._round_log.pending
+        samples = min(self._scenario.samples_per_round, remaining.samples)
+        self._tasks += 1
+        self._task = PlanningTask(
+            job=f"plan:{number}:{self._tasks}",
+            number=number,
+            samples_left=remaining.samples,
+            attempt=self._attempt,
+            known=len(self._belief),
+            pending=tuple(planned.sample_id for planned in pending),
+        )
+        request = self._request(number, start_m, samples, remaining, pending)
+        arguments = (self._planner, request, len(pending))
+        return Compute(self._task.job, run_planner, arguments, self._scenario.ground.planning_s)
+
+    def _request(
+        self, number: int, start_m: Place, samples: int, remaining: RemainingBudget, pending: Sequence[PlannedSample]
+    ) -> PlanningRequest:
+        ground = self._scenario.ground
+        seed = np.random.SeedSequence((self._scenario.seed, _SEED, number, self.revision + 1, self._attempt))
+        return PlanningRequest(
+            grid=self._grid,
+            traversable=self._terrain.open_from(start_m, self._round_log.paths()[0][-MAX_BACK:]),
+            start_m=start_m,
+            observed_m=np.vstack((self._belief.places_m, _places(pending))),
+            std_ppb=self._belief.map.std_ppb,
+            hyperparameters=self._belief.hyperparameters,
+            samples=samples,
+            samples_left=remaining.samples,
+            budget_m=remaining.metres,
+            seed=int(seed.generate_state(1)[0]),
+            interest=self._interests.weights,
+            options=PlannerOptions(clearance_m=ground.clearance_m, information_exponent=ground.information_exponent),
+            outlook_m=self._outlook_m,
+        )
+
+    def cancel(self) -> None:
+        """What is being planned is no longer wanted: its answer is dropped when it comes."""
+        self._task = None
+
+    def take_back(self, records: Iterable[RoundRecord]) -> None:
+        """Those rounds are to be planned anew; what they were to sample is still to be sampled."""
+        if self._outlook_m is not None:
+            samples = [planned for record in records for planned in record.plan.samples]
+            self._outlook_m = np.vstack((_places(samples), self._outlook_m))
+        self._task = None
+        self._attempt = 0
+
+    def answered(self, job: str) -> PlanningTask | None:
+        """The task whose answer that computation is; None if it is no longer wanted. Nothing is being planned then."""
+        if self._task is None or self._task.job != job:
+            return None
+        task, self._task = self._task, None
+        return task
+
+    def plan_of(self, task: PlanningTask, planned: PlannedRound) -> RoundPlan:
+        """The planned round as it goes up, in a new revision."""
+        # The first plan of a round has the plain ids; they are never used for another place.
+        known = self._round_log.of_sample(sample_id(task.number, "", 1)) is not None
+        version = f"v{self.revision + 1}" if known else ""
+        plan = round_plan(task.number, planned, version, self._scenario.sample_depth_m)
+        self.revision += 1
+        self._outlook_m = planned.outlook_m
+        self._attempt = 0
+        return plan
+
+    def failed(self, task: PlanningTask) -> bool:
+        """Whether the round is given up; else it is planned again with another seed."""
+        self._attempt = task.attempt + 1
+        if self._attempt < MAX_ATTEMPTS:
+            return False
+        self._attempt = 0
+        return True
+
+
+def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) -> PlannedRound:
+    """The planner's answer, checked, with the last `pending` of the observed places counted in first.
+
+    Pure and picklable, made to run elsewhere. The posterior variance does not depend on values, so places whose values
+    are not known yet lower it all the same. Raises NoRoute, or InvalidInput for an answer that cannot be driven.
+    """
+    if pending:
+        values = np.zeros(len(request.observed_m))
+        ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values)
+        request = replace(request, std_ppb=ahead.std_ppb)
+    if isinstance(planner, str):
+        return planner_named(planner)(request)
+    return checked_answer(getattr(planner, "__name__", type(planner).__name__), planner(request), request)
+
+
+def _places(samples: Sequence[PlannedSample]) -> FloatArray:
+    """(n, 2) [m]."""
+    return np.array([(planned.x_m, planned.y_m) for planned in samples], dtype=np.float64).reshape(-1, 2)

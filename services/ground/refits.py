@@ -1,0 +1,54 @@
+"""When the hyperparameters are fitted: once a round, in their order, each time on the rounds up to that one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from he3.gp import Hyperparameters
+from services.ground.belief import Belief, fit
+from services.ground.round_log import RoundLog
+from services.runtime.node import Compute, Effect, Level, LogRecord
+
+_SEED = 1  # tells the seeds of fits from those of plans
+
+
+class RefitSchedule:
+    """Asks for the fit of each round that is closed, and gives the belief what comes of it. One fit at a time."""
+
+    def __init__(self, belief: Belief, round_log: RoundLog, seed: int) -> None:
+        self._belief = belief
+        self._round_log = round_log
+        self._seed = seed
+        self._job: str | None = None
+        self.rounds = 0
+        """Rounds that the hyperparameters have seen."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a fit is being computed."""
+        return self._job is not None
+
+    def next(self) -> Compute | None:
+        """The fit of the next round that is closed; None if there is none. A round without samples needs none."""
+        chain = self._round_log.chain
+        while self.rounds < len(chain) and chain[self.rounds].closed:
+            number, record = self.rounds + 1, chain[self.rounds]
+            request = self._belief.fit_request(record.number, (self._seed, _SEED, number)) if record.arrived else None
+            if request is not None:
+                self._job = f"fit:{number}"
+                return Compute(self._job, fit, (request,))
+            self.rounds += 1
+        return None
+
+    def waits_for(self, job: str) -> bool:
+        """Whether that computation is the fit being computed."""
+        return job == self._job
+
+    def finish(self, result: Any, error: Exception | None) -> list[Effect]:
+        """The fit has ended: the belief adopts its result; without one the hyperparameters stay as they were."""
+        job, self._job = self._job, None
+        self.rounds += 1
+        if isinstance(result, Hyperparameters):
+            self._belief.adopt(result)
+            return []
+        return [LogRecord(Level.WARNING, f"{job}: the hyperparameters stay as they were: {error}")]

@@ -1,0 +1,39 @@
+"""Plans that the rover rejects, and how long the ground waits before it plans again."""
+
+from __future__ import annotations
+
+from services.runtime.node import MissionTime, seconds
+
+FIRST_WAIT_S, LONGEST_WAIT_S = 30.0, 3600.0  # from the second rejection in a row until the next planning
+MAX_REJECTIONS = 10  # plans in a row that the rover may reject
+
+
+class PlanRejections:
+    """Counts rejections in a row. The first is answered at once, each later one after a longer wait."""
+
+    def __init__(self) -> None:
+        self.in_a_row = 0
+        self._not_before: MissionTime = 0
+
+    @property
+    def too_many(self) -> bool:
+        return self.in_a_row > MAX_REJECTIONS
+
+    def accepted(self) -> None:
+        """The rover has accepted a plan."""
+        self.in_a_row, self._not_before = 0, 0
+
+    def rejected(self, now: MissionTime) -> MissionTime | None:
+        """Count one more; when planning may go on, or None for at once.
+
+        A rover that rejects twice in a row knows something that has not come down yet: the next plan waits for it.
+        """
+        self.in_a_row += 1
+        if self.in_a_row == 1:
+            return None
+        self._not_before = now + seconds(min(FIRST_WAIT_S * 2 ** (self.in_a_row - 2), LONGEST_WAIT_S))
+        return self._not_before
+
+    def waiting(self, now: MissionTime) -> bool:
+        """Whether planning has to wait."""
+        return now < self._not_before

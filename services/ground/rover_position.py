@@ -1,0 +1,34 @@
+"""Where the rover was last heard of, and how far it has driven."""
+
+from __future__ import annotations
+
+from he3.frames import Place
+from services.runtime.node import MissionTime
+
+
+class RoverPosition:
+    """The rover's position as of the newest message about it; older messages that come late do not set it back."""
+
+    def __init__(self, start_m: Place) -> None:
+        self.place_m = start_m
+        """(x, y) [m]."""
+        self.driven_m = 0.0
+        """Odometer [m]."""
+        self._made_at: MissionTime = -1
+
+    def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> bool:
+        """Whether the message that says so, made at that time, is the newest so far."""
+        self.drove(driven_m)
+        if made_at < self._made_at:
+            return False
+        self._made_at = made_at
+        self.place_m = place_m
+        return True
+
+    def drove(self, driven_m: float) -> None:
+        """The odometer has shown that many metres."""
+        self.driven_m = max(self.driven_m, driven_m)
+
+    def sent_to(self, place_m: Place) -> None:
+        """The operator has sent the rover to that place, and it has arrived."""
+        self.place_m = place_m

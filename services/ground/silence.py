@@ -1,0 +1,32 @@
+"""Watches for silence of the rover."""
+
+from __future__ import annotations
+
+from services.runtime.node import SECOND, Level, LogRecord, MissionTime, seconds
+
+
+class SilenceWatch:
+    """When the rover was last heard; a silence that is too long is reported once."""
+
+    def __init__(self, timeout_s: float) -> None:
+        self._timeout = seconds(timeout_s)
+        self._heard_at: MissionTime | None = None
+        self.silent = False
+        """Whether the rover is reported as silent."""
+
+    @property
+    def ever_heard(self) -> bool:
+        return self._heard_at is not None
+
+    def heard(self, now: MissionTime) -> None:
+        """A message of the rover has arrived."""
+        self._heard_at = now
+        self.silent = False
+
+    def check(self, now: MissionTime) -> list[LogRecord]:
+        """A warning when the silence has just become too long."""
+        if self._heard_at is None or self.silent or now - self._heard_at <= self._timeout:
+            return []
+        self.silent = True
+        since_s = (now - self._heard_at) / SECOND
+        return [LogRecord(Level.WARNING, f"nothing heard of the rover for {since_s:.0f} s")]

@@ -1,0 +1,84 @@
+"""The ground's status, as operators see it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from schemas.ground import GroundStatus, KernelParameters, MissionPhase
+from schemas.telemetry import RoverState
+from schemas.topics import GROUND_STATUS
+from services.ground.belief import Belief
+from services.ground.director import Director, MissionProgress
+from services.ground.map.publisher import MapPublisher
+from services.ground.silence import SilenceWatch
+from services.mission.scenario import Scenario
+from services.runtime.node import MissionTime, Send
+
+
+class StatusReporter:
+    """Sends the status whenever it has changed, and when its time has come."""
+
+    def __init__(
+        self, scenario: Scenario, belief: Belief, director: Director, publisher: MapPublisher, silence: SilenceWatch
+    ) -> None:
+        self._scenario = scenario
+        self._belief = belief
+        self._director = director
+        self._publisher = publisher
+        self._silence = silence
+        self._rover: RoverState | None = None
+        self._rover_made_at: MissionTime | None = None
+        self._sent: GroundStatus | None = None
+
+    def heard(self, state: RoverState, made_at: MissionTime) -> None:
+        """The rover has reported its state; an older one does not replace a newer one."""
+        if self._rover_made_at is None or made_at >= self._rover_made_at:
+            self._rover, self._rover_made_at = state, made_at
+
+    def send(self, anyway: bool) -> Iterable[Send]:
+        """The status, if it has changed; anyway: whether or not."""
+        status = self._status()
+        if anyway or status != self._sent:
+            self._sent = status
+            yield Send(GROUND_STATUS, status)
+
+    def _status(self) -> GroundStatus:
+        progress = self._director.progress()
+        hyperparameters = self._belief.hyperparameters
+        return GroundStatus(
+            phase=self._phase(progress),
+            planner=self._scenario.ground.planner,
+            round=progress.rounds_completed,
+            rounds=self._scenario.rounds,
+            samples=progress.samples,
+            samples_total=self._scenario.samples,
+            driven_m=progress.driven_m,
+            budget_m=self._scenario.ground.budget_m,
+            plan_revision=progress.plan_revision,
+            plans_in_work=int(progress.planning),
+            map_revision=self._publisher.revision,
+            mean_std_ppb=self._publisher.mean_std_ppb,
+            kernel=KernelParameters(
+                name=hyperparameters.kernel.name,
+                parameters=hyperparameters.kernel.parameters(),
+                noise_std_ppb=hyperparameters.noise_std_ppb,
+                mean_ppb=hyperparameters.mean_ppb,
+                scale_ppb=hyperparameters.scale_ppb,
+            ),
+            score=self._publisher.score,
+            rover=self._rover,
+            rover_made_at=self._rover_made_at,
+            detail=self._detail(progress)[:500],
+        )
+
+    def _phase(self, progress: MissionProgress) -> MissionPhase:
+        if progress.ended is not None:
+            return MissionPhase.COMPLETED if progress.ended.ok else MissionPhase.FAILED
+        if not self._silence.ever_heard:
+            return MissionPhase.WAITING
+        return MissionPhase.EXECUTING if progress.executing else MissionPhase.PLANNING
+
+    def _detail(self, progress: MissionProgress) -> str:
+        if self._silence.silent and progress.ended is None:
+            return f"the rover is silent; {progress.detail}" if progress.detail else "the rover is silent"
+        return progress.detail
