@@ -575,7 +575,7 @@ def test_a_planner_that_breaks_is_tried_again_with_another_seed_and_then_fails_t
         (lambda r: PlannedRound(r.path_m + 3.0, r.samples_m, 1.0), "expected a path from"),
         (lambda r: PlannedRound(r.path_m, np.vstack((r.samples_m, r.samples_m)), 1.0), "1 to 3 samples, got 4 and 6"),
         (lambda r: PlannedRound(r.path_m, r.samples_m + 100.0, 1.0), "expected samples on the path"),
-        (lambda r: PlannedRound(r.path_m + [[0], [0], [0], [60]], r.samples_m, 1.0), "within the region"),
+        (lambda r: PlannedRound(np.add(r.path_m, [[0], [0], [0], [60]]), r.samples_m, 1.0), "within the region"),
         (lambda r: "a plan", "expected a PlannedRound, got str"),
     ],
 )
