@@ -1,0 +1,45 @@
+"""What the documentation names exists: files, modules and links."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+FOLDERS = ("he3", "schemas", "services", "benchmarks", "deploy", "tests", "scripts", "examples", "docs")
+PATH = re.compile(rf"`((?!he3/MISSION)(?:{'|'.join(FOLDERS)})/[\w./-]*)`")  # he3/MISSION/... is a key
+MODULE = re.compile(r"`((?:he3|schemas|services|benchmarks)(?:\.\w+)+)`")
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
+
+
+def exists(module: str) -> bool:
+    """Whether it is a module, or a name in one."""
+    package, _, name = module.rpartition(".")
+    try:
+        if importlib.util.find_spec(module) is not None:
+            return True
+    except ModuleNotFoundError:
+        pass
+    try:
+        return hasattr(importlib.import_module(package), name)
+    except ModuleNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_and_module_that_a_page_names_exists(page: Path) -> None:
+    text = page.read_text()
+    missing = [path for path in PATH.findall(text) if not (ROOT / path).exists()]
+    missing += [module for module in MODULE.findall(text) if not exists(module)]
+    assert not missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_within_the_project_leads_to_a_file(page: Path) -> None:
+    targets = [target for target in LINK.findall(page.read_text()) if "://" not in target]
+    assert not [target for target in targets if not (page.parent / target).exists()]
