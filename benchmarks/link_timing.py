@@ -35,9 +35,9 @@ from schemas.codec import decode, encode
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import ClockState, LinkChange, LinkStatus
 from schemas.telemetry import SampleReport
-from schemas.topics import COMMAND, EARTH_CLOCK, LINK_SET, MOON_CLOCK, SAMPLE, Side, Topic
+from schemas.topics import COMMAND, EARTH_CLOCK, MOON_CLOCK, SAMPLE, Side, Topic
 from schemas.wire import Header, Wire
-from services.console.client.session import join_when_up
+from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.scenario import load_scenario
@@ -76,7 +76,7 @@ def run(
     rows: list[Row] = []
     with ExitStack() as ends:
         link = Peer(ends, "services.link", str(path), "--rate", "1", "--log-level", "warning", *where)
-        client = ends.enter_context(join_when_up(endpoints.earth, mission.name, link.check))
+        client = ends.enter_context(MissionClient.when_up(endpoints.earth, mission.name, link.check))
         sides = [
             Peer(ends, "benchmarks.link_timing", side.value, getattr(endpoints, side.value), mission.name)
             for side in Side
@@ -97,9 +97,9 @@ def run(
     return rows
 
 
-def _changed(client: Client, change: LinkChange, check: Callable[[], None]) -> LinkStatus:
+def _changed(client: MissionClient, change: LinkChange, check: Callable[[], None]) -> LinkStatus:
     """The link's word on a change of it."""
-    status: LinkStatus = _once_it_answers(partial(client.query, LINK_SET, change), check)
+    status: LinkStatus = _once_it_answers(partial(client.change_link, change), check)
     return status
 
 

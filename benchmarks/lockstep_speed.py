@@ -23,9 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from he3.errors import He3Error, PeerUnreachable
-from schemas.lockstep import TimeControl, TimeStatus
-from schemas.topics import TIME_CONTROL
-from services.console.client.session import join_when_up
+from schemas.lockstep import TimeStatus
+from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import Launcher, free_endpoints
 from services.console.launch.scenarios import Chosen, choose
 from services.ground.planner_process import PlannerProcess
@@ -33,7 +32,6 @@ from services.mission.in_process import InProcessMission
 from services.runtime.event_log import EventLog, merge_event_logs
 from services.runtime.node import SECOND
 from services.runtime.scheduler import Executor
-from services.runtime.transport.client import Client
 
 Row = dict[str, Any]
 
@@ -95,7 +93,7 @@ def _lockstep(chosen: Chosen, logs: Path) -> Row:
     words = (*chosen.flags, "--lockstep", "--log-level", "warning")
     with (
         Launcher(chosen.path, endpoints, words, service_flags=dict(flags)) as launcher,
-        join_when_up(endpoints.earth, chosen.scenario.name, launcher.check) as client,
+        MissionClient.when_up(endpoints.earth, chosen.scenario.name, launcher.check) as client,
     ):
         started = _when(client, launcher, lambda status: status.step > 0)[0]
         ended, status = _when(client, launcher, lambda status: "ground" in status.finished and status.paused)
@@ -105,12 +103,12 @@ def _lockstep(chosen: Chosen, logs: Path) -> Row:
     return _row("lockstep", count, lasted_s, started - began, ended - started, status.computing_s)
 
 
-def _when(client: Client, launcher: Launcher, wanted: Callable[[TimeStatus], bool]) -> tuple[float, TimeStatus]:
+def _when(client: MissionClient, launcher: Launcher, wanted: Callable[[TimeStatus], bool]) -> tuple[float, TimeStatus]:
     """Wall time and status as soon as the time keeper's status is wanted."""
     while True:
         launcher.check()
         try:
-            status: TimeStatus = client.query(TIME_CONTROL, TimeControl())
+            status = client.control_time()
         except PeerUnreachable:
             time.sleep(LOOK_EVERY_S)
             continue

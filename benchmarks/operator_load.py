@@ -25,7 +25,6 @@ from typing import Any
 from he3.errors import He3Error, PeerUnreachable
 from schemas.topics import MAP_BOX, MAP_LAYER, MAP_POINT, Side
 from services.console.client.mission_client import MissionClient
-from services.console.client.session import join_when_up
 from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
 from services.mission.deployment import deployment
 from services.runtime.transport.client import selector_text
@@ -96,13 +95,14 @@ def _mission(rate: float, seed: int, during: Any) -> dict[str, int]:
     path = deployment("scenarios", f"{SCENARIO}.toml")
     with tempfile.TemporaryDirectory() as logs:
         flags = ("--rate", str(rate), "--seed", str(seed))
-        with Launcher(path, endpoints, flags, logs=Path(logs)) as launcher:
-            join_when_up(endpoints.earth, SCENARIO, launcher.check).close()
-            with MissionClient(endpoints.earth, SCENARIO, "bench") as client:
-                _begun(client)
-                result: dict[str, int] = during(client, endpoints)
-                launcher.check()
-                return result
+        with (
+            Launcher(path, endpoints, flags, logs=Path(logs)) as launcher,
+            MissionClient.when_up(endpoints.earth, SCENARIO, launcher.check, "bench") as client,
+        ):
+            _begun(client)
+            result: dict[str, int] = during(client, endpoints)
+            launcher.check()
+            return result
 
 
 def _begun(client: MissionClient) -> None:

@@ -32,11 +32,10 @@ from he3.errors import He3Error, InvalidInput
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.topics import GROUND_STATUS, MAP_POINT, Side
 from schemas.wire import Header
-from services.console.client.session import join_when_up
+from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.scenario import load_scenario
-from services.runtime.transport.client import Client
 from services.runtime.transport.session import open_session
 
 BARE_KEY = "bench/bare"
@@ -75,7 +74,7 @@ def run(
         waiting = ["--wait-for", "field,rover,ground"]
         link = Peer(ends, "services.link", str(path), *flags, *waiting)
         services = [link, *(Peer(ends, f"services.{name}", str(path), *flags) for name in ("field", "rover", "ground"))]
-        watcher = _Planning(ends.enter_context(join_when_up(endpoints.earth, mission.name, link.check)))
+        watcher = _Planning(ends.enter_context(MissionClient.when_up(endpoints.earth, mission.name, link.check)))
         bare = Peer(ends, "benchmarks.query_latency", endpoints.earth)
         bare.answer()
         session = open_session(Side.EARTH, "client", endpoints.earth)
@@ -96,9 +95,9 @@ def run(
 class _Planning:
     """Whether the ground is computing a plan, as it says itself."""
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: MissionClient) -> None:
         self.status: GroundStatus | None = None
-        client.subscribe(GROUND_STATUS, self._take)
+        client.listen(GROUND_STATUS, self._take)
 
     def _take(self, _header: Header, status: GroundStatus) -> None:
         self.status = status

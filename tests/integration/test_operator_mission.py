@@ -20,7 +20,6 @@ from he3.errors import He3Error, InvalidInput
 from schemas.maps import MapAbout
 from schemas.topics import Side
 from services.console.client.mission_client import MissionClient
-from services.console.client.session import join_when_up
 from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
 from services.runtime.transport.session import open_session
 
@@ -38,8 +37,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Launcher
     scenario = ROOT / "deploy" / "scenarios" / f"{MISSION}.toml"
     logs = tmp_path_factory.mktemp("logs")
     with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
-        join_when_up(endpoints.earth, MISSION, launcher.check).close()
-        with MissionClient(endpoints.earth, MISSION) as client:
+        with MissionClient.when_up(endpoints.earth, MISSION, launcher.check) as client:
             wait_for(lambda: quietly(lambda: len(client.samples()) >= 2), "two samples")
         yield launcher, endpoints
 

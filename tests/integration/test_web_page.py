@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from services.console.client.mission_client import MissionClient
-from services.console.client.session import join_when_up
 from services.console.launch.launcher import Launcher, free_endpoints
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -39,10 +38,11 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MissionClient]
     logs = tmp_path_factory.mktemp("logs")
     quick = ("--set", "rover.drill_s_per_m=600.0", "--set", "rover.analysis_s=30.0", "--set", "rover.speed_m_s=2.0")
     scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "t1-paper.toml"
-    with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
-        join_when_up(endpoints.earth, "t1-paper", launcher.check).close()
-        with MissionClient(endpoints.earth, "t1-paper") as client:
-            yield client
+    with (
+        Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher,
+        MissionClient.when_up(endpoints.earth, "t1-paper", launcher.check) as client,
+    ):
+        yield client
 
 
 @pytest.fixture(scope="module")

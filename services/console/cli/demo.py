@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from he3.errors import He3Error
-from services.console.cli.options import AsJson, Quiet, Seed, Settings
+from services.console.cli.options import MAX_RATE, AsJson, Quiet, Seed, Settings, within
 from services.console.cli.run import run_and_report
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ PUBLISHED = "t1-paper"
 OUT = Path("runs") / "demo"
 
 ABOUT = """Mission '{mission}': rover and field on the Moon, ground station and recorder on Earth, and the link between.
-Each is a process of its own, in virtual time: every delay is exact, and days take as long as planning them does.
-Look in from another terminal with: he3 status, he3 watch, he3 map show mean, he3 link show, he3 time show
+Each is a separate process in virtual time: every delay is exact, and a mission of days takes minutes.
+From another terminal: he3 status, he3 watch, he3 map show mean, he3 link show, he3 time show
 """
 
 EXAMPLES = """\b
@@ -39,19 +39,24 @@ def demo(
     settings: Settings = None,
     rate: Annotated[
         float | None,
-        typer.Option("--rate", metavar="R", help="On the wall clock instead: mission seconds a wall second, say 4000."),
+        typer.Option(
+            "--rate",
+            metavar="R",
+            help="On the wall clock instead: mission seconds a wall second, such as 4000.",
+            callback=within(0, MAX_RATE, above=True),
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything that it leaves.")] = OUT,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report, pictures and recording.")] = OUT,
     compare: Annotated[
         bool,
         typer.Option(
-            "--compare/--no-compare", help="Fly the published protocol on the same seed, too, at low priority."
+            "--compare/--no-compare", help="Also run the published protocol with the same seed, at low priority."
         ),
     ] = True,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """A whole mission: 150 holes on the Moon, five processes, Earth 1.28 s away."""
+    """Run a whole mission: 150 samples, five processes, a one-way light time of 1.28 s."""
     from services.console.launch.baseline import Baseline
     from services.console.launch.scenarios import choose
 

@@ -1,4 +1,4 @@
-"""``he3 link show`` and ``he3 link set``: conditions between Earth and Moon, seen and changed while they hold."""
+"""``he3 link show`` and ``he3 link set``: the conditions between Earth and Moon, shown and changed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson, Earth, Mission
+from services.console.cli.options import AsJson, Earth, Mission, checked, within
 
 if TYPE_CHECKING:
     from schemas.link import LinkStatus
@@ -16,23 +16,63 @@ Examples:
   he3 link show
   he3 link set --light-time 3 --jitter 0.1
   he3 link set --direction down --bit-rate 256000 --loss 0.05
-  he3 link set --contact off              black-out, from now on
-  he3 link set --contact scheduled        windows or duty cycle again
+  he3 link set --contact off              black-out from now on
+  he3 link set --contact scheduled        back to windows or duty cycle
   he3 link set --preset farside-relay
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
+MAX_DELAY_S = 86_400.0
+MIN_BIT_RATE, MAX_BIT_RATE = 1.0, 1e12
+
+_CONTACTS: dict[str, dict[str, Any]] = {
+    "on": {"contact": True},
+    "off": {"contact": False},
+    "scheduled": {"contact_as_scheduled": True},
+}
+
+
+def _one_of(*words: str) -> Any:
+    def check(word: str) -> str:
+        if word not in words:
+            raise typer.BadParameter(f"expected one of {', '.join(words)}; got '{word}'")
+        return word
+
+    return checked(check)
+
+
+def _bit_rate(word: str) -> str:
+    try:
+        rate = MIN_BIT_RATE if word == "unlimited" else float(word)
+    except ValueError:
+        rate = float("nan")
+    if not MIN_BIT_RATE <= rate <= MAX_BIT_RATE:
+        raise typer.BadParameter(f"expected {MIN_BIT_RATE:g} to {MAX_BIT_RATE:g} bit/s or 'unlimited', got '{word}'")
+    return word
+
+
+def _preset(word: str) -> str:
+    from services.mission.link_presets import preset
+
+    preset(word)
+    return word
+
+
+def _share(flag: str, what: str) -> Any:
+    return typer.Option(flag, metavar="P", help=f"Share of the messages that {what} (0 to 1).", callback=within(0, 1))
+
+
+_seconds = within(0, MAX_DELAY_S)
+
 
 @app.command(epilog=EXAMPLES)
 def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
-    """Conditions, counts, and every message that is under way with its arrival."""
-    from schemas.link import LinkChange
-    from schemas.topics import LINK_SET
-    from services.console.client.session import join
+    """Conditions, counts, and every message in flight with its arrival time."""
+    from services.console.client.mission_client import MissionClient
 
-    with join(mission, earth) as client:
-        status: LinkStatus = client.query(LINK_SET, LinkChange())
+    with MissionClient(earth, mission) as client:
+        status = client.link()
     _print(status, json)
 
 
@@ -40,23 +80,44 @@ def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> 
 def change(
     mission: Mission = None,
     earth: Earth = None,
-    preset: Annotated[str | None, typer.Option(metavar="NAME", help="nominal, zero, csa-10s, lossy, mars, ...")] = None,
-    direction: Annotated[str | None, typer.Option(metavar="up|down", help="Only that way; else both.")] = None,
-    light_time: Annotated[float | None, typer.Option(metavar="S", help="One-way light time [s].")] = None,
-    jitter: Annotated[float | None, typer.Option(metavar="S", help="Half width of its variation [s].")] = None,
-    bit_rate: Annotated[str | None, typer.Option(metavar="B", help="Data rate [bit/s], or 'unlimited'.")] = None,
-    loss: Annotated[float | None, typer.Option(metavar="P", help="Share of messages that is lost.")] = None,
-    duplicate: Annotated[float | None, typer.Option(metavar="P", help="Share that comes twice.")] = None,
-    reorder: Annotated[float | None, typer.Option(metavar="P", help="Share that comes out of order.")] = None,
-    corrupt: Annotated[float | None, typer.Option(metavar="P", help="Share that is damaged.")] = None,
-    contact: Annotated[str | None, typer.Option(metavar="on|off|scheduled", help="Contact from now on.")] = None,
-    at_edge: Annotated[str | None, typer.Option(metavar="hold|drop", help="What becomes of what cannot leave.")] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="All conditions anew: nominal, zero, csa-10s, lossy, mars, ...",
+                     callback=checked(_preset)),
+    ] = None,
+    direction: Annotated[
+        str | None,
+        typer.Option(metavar="up|down", help="Only that direction; else both.", callback=_one_of("up", "down")),
+    ] = None,
+    light_time: Annotated[
+        float | None, typer.Option(metavar="S", help="One-way light time [s], up to 86400.", callback=_seconds)
+    ] = None,
+    jitter: Annotated[
+        float | None, typer.Option(metavar="S", help="Half width of its variation [s].", callback=_seconds)
+    ] = None,
+    bit_rate: Annotated[
+        str | None,
+        typer.Option(metavar="B", help="Data rate [bit/s], or 'unlimited'.", callback=checked(_bit_rate)),
+    ] = None,
+    loss: Annotated[float | None, _share("--loss", "are lost")] = None,
+    duplicate: Annotated[float | None, _share("--duplicate", "arrive twice")] = None,
+    reorder: Annotated[float | None, _share("--reorder", "arrive out of order")] = None,
+    corrupt: Annotated[float | None, _share("--corrupt", "are damaged")] = None,
+    contact: Annotated[
+        str | None,
+        typer.Option(metavar="on|off|scheduled", help="Contact from now on.", callback=_one_of(*_CONTACTS)),
+    ] = None,
+    at_edge: Annotated[
+        str | None,
+        typer.Option(metavar="hold|drop", help="Whether messages without contact wait or are lost.",
+                     callback=_one_of("hold", "drop")),
+    ] = None,
     json: AsJson = False,
-) -> None:
-    """Change what is named, for what is sent from now on; everything else stays."""
+) -> None:  # fmt: skip
+    """Change the conditions that are named, for messages sent from now on; the others stay as they are."""
     from he3.errors import InvalidInput
-    from schemas.topics import LINK_SET
-    from services.console.client.session import join
+    from services.console.client.link import link_change
+    from services.console.client.mission_client import MissionClient
 
     values: dict[str, Any] = {
         "direction": direction,
@@ -67,62 +128,21 @@ def change(
         "reorder": reorder,
         "corrupt": corrupt,
         "at_edge": at_edge,
-        **_contact(contact),
-        **_bit_rate(bit_rate),
+        "rate_bit_s": None if bit_rate in (None, "unlimited") else float(bit_rate),
+        "unlimited_rate": True if bit_rate == "unlimited" else None,
+        **({} if contact is None else _CONTACTS[contact]),
     }
     given = {key: value for key, value in values.items() if value is not None}
-    if not given and preset is None:
-        raise InvalidInput("link set: expected something to change, such as --loss 0.1 or --preset lossy")
-    request = _checked(given, preset)
-    with join(mission, earth) as client:
-        status: LinkStatus = client.query(LINK_SET, request)
-    _print(status, json)
-
-
-def _contact(word: str | None) -> dict[str, Any]:
-    from he3.errors import InvalidInput
-
-    known: dict[str | None, dict[str, Any]] = {
-        None: {},
-        "on": {"contact": True},
-        "off": {"contact": False},
-        "scheduled": {"contact_as_scheduled": True},
-    }
-    if word not in known:
-        raise InvalidInput(f"--contact: expected on, off or scheduled, got '{word}'")
-    return known[word]
-
-
-def _bit_rate(word: str | None) -> dict[str, Any]:
-    from he3.errors import InvalidInput
-
-    if word is None:
-        return {}
-    if word == "unlimited":
-        return {"unlimited_rate": True}
-    try:
-        return {"rate_bit_s": float(word)}
-    except ValueError:
-        raise InvalidInput(f"--bit-rate: expected a number of bit/s or 'unlimited', got '{word}'") from None
-
-
-def _checked(given: dict[str, Any], preset: str | None) -> Any:
-    import json as json_format
-
-    from pydantic import ValidationError
-
-    from he3.errors import InvalidInput
-    from schemas.codec import one_line
-    from schemas.link import LinkChange
-
     if preset is not None:
         from services.mission.link_presets import preset as conditions_of
 
         given = {"conditions": conditions_of(preset).model_dump(mode="json"), **given}
-    try:
-        return LinkChange.model_validate_json(json_format.dumps(given))
-    except ValidationError as error:
-        raise InvalidInput(f"link set: {one_line(error)}") from None
+    if not given.keys() - {"direction"}:
+        raise InvalidInput("link set: expected something to change, such as --loss 0.1 or --preset lossy")
+    request = link_change(given)
+    with MissionClient(earth, mission) as client:
+        status = client.change_link(request)
+    _print(status, json)
 
 
 def _print(status: LinkStatus, json: bool) -> None:
@@ -131,10 +151,11 @@ def _print(status: LinkStatus, json: bool) -> None:
 
 def link_lines(status: LinkStatus) -> list[str]:
     """The link's status in aligned lines of plain text."""
-    forced = "" if status.contact_forced is None else " (decided by an operator)"
-    lines = [
-        f"contact        {'yes' if status.contact else 'NO'}{forced}, at the edge: {status.conditions.at_edge.value}"
-    ]
+    from services.console.client.time_format import utc
+
+    forced = "" if status.contact_forced is None else " (set by an operator)"
+    edge = "messages wait" if status.conditions.at_edge.value == "hold" else "messages are lost"
+    lines = [f"contact        {'yes' if status.contact else 'NO'}{forced}; without contact {edge}"]
     if status.conditions.duty_cycle is not None:
         cycle = status.conditions.duty_cycle
         lines.append(f"duty cycle     {cycle.contact_s:g} s of every {cycle.period_s:g} s, offset {cycle.offset_s:g} s")
@@ -148,25 +169,20 @@ def link_lines(status: LinkStatus) -> list[str]:
     for key in type(status.up).model_fields:
         lines.append(f"{key.replace('_', ' '):<22} {getattr(status.up, key):>12} {getattr(status.down, key):>12}")
     if status.in_flight:
-        lines.append("under way:")
+        lines.append("in flight:")
     for message in status.in_flight:
-        end = "waits to leave" if message.arrives_at is None else f"arrives {clock_text(message.arrives_at)}"
+        end = "waits for contact" if message.arrives_at is None else f"arrives {utc(message.arrives_at)}"
         lines.append(
             f"  {message.direction.value:<5} {message.topic:<12} {message.source}/{message.sequence:<6} "
             f"{message.size_bytes:>7} bytes  {end}"
         )
+    if status.dropped:
+        lines.append("lost of late:")
     for dropped in status.dropped[-5:]:
         what = f"{dropped.direction.value:<5} {dropped.topic:<12} {dropped.source}/{dropped.sequence:<6}"
-        lines.append(f"  gone {what} {dropped.why} at {clock_text(dropped.at)}")
+        lines.append(f"  {what} {dropped.why} at {utc(dropped.at)}")
     return lines
 
 
 def _value(value: float | None) -> str:
     return "unlimited" if value is None else f"{value:g}"
-
-
-def clock_text(at_ns: int) -> str:
-    """A mission time [ns] as date and time, to the millisecond."""
-    from datetime import UTC, datetime
-
-    return datetime.fromtimestamp(at_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]

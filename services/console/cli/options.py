@@ -1,38 +1,99 @@
-"""Flags that several commands share, described once."""
+"""Flags and arguments that several commands share, described and checked once.
+
+A value out of its range is refused by its flag's callback: exit code 2 and one line that names the flag and the range.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+MAX_SEED = 2**63 - 1
+MAX_RATE = 100_000.0
+"""Mission seconds a wall second that a scenario accepts."""
+MAX_PPB = 1e6
+MAX_POSITION_M = 1e5
+MAX_WAIT_S = 86_400.0
+
+
+def within(low: float, high: float, *, above: bool = False) -> Callable[[Any], Any]:
+    """A callback that refuses numbers outside `low` to `high`, and NaN; `above`: `low` itself is refused too."""
+
+    def check(value: Any) -> Any:
+        if value is None:
+            return None
+        for number in value if isinstance(value, list | tuple) else (value,):
+            if not low <= number <= high or (above and number == low):
+                raise typer.BadParameter(f"expected {span(low, high, above=above)}, got {number:g}")
+        return value
+
+    return check
+
+
+def span(low: float, high: float, *, above: bool = False) -> str:
+    """The range in words: 0 to 1, above 0 up to 100000, 0 or more."""
+    if high in (math.inf, MAX_SEED):
+        return f"a number above {low:g}" if above else f"{low:g} or more"
+    return f"above {low:g} up to {high:.15g}" if above else f"{low:g} to {high:.15g}"
+
+
+def checked(check: Callable[[str], Any]) -> Callable[[Any], Any]:
+    """A callback that refuses text of which `check` raises InvalidInput, with that text."""
+
+    def callback(value: Any) -> Any:
+        from he3.errors import InvalidInput
+
+        try:
+            return None if value is None else check(value)
+        except InvalidInput as error:
+            raise typer.BadParameter(str(error)) from None
+
+    return callback
+
 
 ScenarioRef = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a shipped one such as t1.")
 ]
-Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed, instead of the scenario's.")]
+Seed = Annotated[
+    int | None,
+    typer.Option("--seed", metavar="N", help="Random seed (0 or more) instead of the scenario's.",
+                 callback=within(0, MAX_SEED)),
+]  # fmt: skip
 Planner = Annotated[
     str | None,
     typer.Option(
-        "--planner", metavar="NAME", help="rrt, rrtstar, informative, tour, or your own module:function, instead."
+        "--planner",
+        metavar="NAME",
+        help="rrt, rrtstar, informative, tour, or a plug-in as module:function, instead of the scenario's.",
     ),
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as ground.pipeline=2 or link.up.loss=0.1."),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Change a scenario value, such as ground.pipeline=2 or link.up.loss=0.1."
+    ),
 ]
-Rate = Annotated[float | None, typer.Option("--rate", metavar="R", help="Mission seconds a wall second.")]
+Rate = Annotated[
+    float | None,
+    typer.Option("--rate", metavar="R", help=f"Simulation speed: mission seconds a wall second, up to {MAX_RATE:g}.",
+                 callback=within(0, MAX_RATE, above=True)),
+]  # fmt: skip
 OutFolder = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder for report.json, map.png, rmse.png and mission.mcap."),
 ]
-ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Where the report goes.")]
+ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="File for the report (JSON).")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on standard error.")]
-Mission = Annotated[str | None, typer.Option("--mission", metavar="NAME", help="Which running mission is meant.")]
+Mission = Annotated[str | None, typer.Option("--mission", metavar="NAME", help="Name of the running mission.")]
 Earth = Annotated[
-    str | None, typer.Option("--earth", metavar="ENDPOINT", help="Its Earth router, such as tcp/10.0.0.2:7448.")
+    str | None,
+    typer.Option("--earth", metavar="ENDPOINT", help="Endpoint of its Earth router, such as tcp/10.0.0.2:7448."),
 ]
 Lockstep = Annotated[
-    bool, typer.Option("--lockstep", help="Separate processes in virtual time: exact, repeatable, as fast as it goes.")
+    bool, typer.Option("--lockstep", help="Separate processes in virtual time: exact, repeatable, as fast as possible.")
 ]

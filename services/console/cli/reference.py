@@ -1,4 +1,4 @@
-"""``he3 reference``: the reference field of a region, as figures, picture or file."""
+"""``he3 reference``: the reference field of a region as figures, as a picture, or as a region file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson
+from services.console.cli.options import MAX_SEED, AsJson, within
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -23,22 +23,24 @@ Examples:
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 RegionName = Annotated[str, typer.Argument(metavar="REGION", help="t1, t2 or an .npz file.")]
-FieldSeed = Annotated[int | None, typer.Option("--field-seed", metavar="N", help="Another variation of the field.")]
+FieldSeed = Annotated[
+    int | None,
+    typer.Option("--field-seed", metavar="N", help="Seed (0 or more) of another variation of t1 or t2.",
+                 callback=within(0, MAX_SEED)),
+]  # fmt: skip
 
 
 @app.command("show", epilog=EXAMPLES)
 def show(
     region: RegionName,
     field_seed: FieldSeed = None,
-    png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture too.")] = None,
+    png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture as well.")] = None,
     json: AsJson = False,
 ) -> None:
-    """What the region is: size, helium-3, slopes, closed ground, and where its data come from."""
+    """Describe a region: size, helium-3, slopes, ground that is not traversable, and the source of its data."""
     import json as json_format
 
-    from services.mission.regions import load_region
-
-    loaded = load_region(region, field_seed)
+    loaded = _loaded(region, field_seed)
     figures = _figures(loaded)
     if png is not None:
         from services.console.report.pictures import region_figure, save
@@ -56,10 +58,24 @@ def show(
         f"mean {figures['he3_mean_ppb']:.2f}, std {figures['he3_std_ppb']:.2f}"
     )
     typer.echo(f"elevation     {figures['relief_m']:.1f} m from lowest to highest")
-    typer.echo(f"slope         median {figures['slope_median_deg']:.1f} deg, most {figures['slope_max_deg']:.1f} deg")
-    typer.echo(f"closed        {figures['untraversable_fraction']:.2%} of the ground")
+    typer.echo(
+        f"slope         median {figures['slope_median_deg']:.1f} deg, maximum {figures['slope_max_deg']:.1f} deg"
+    )
+    typer.echo(f"closed        {figures['untraversable_fraction']:.2%} of the ground is not traversable")
     if png is not None:
         typer.echo(f"written       {png}")
+
+
+def _loaded(region: str, field_seed: int | None) -> Region:
+    """The region; raises InvalidInput for a field seed with a region file, which has one variation only."""
+    from he3.errors import InvalidInput
+    from services.mission.regions import EMBEDDED, load_region
+
+    if field_seed is not None and region not in EMBEDDED:
+        raise InvalidInput(
+            f"--field-seed: expected it with {' or '.join(EMBEDDED)}, got it with {region}, a file of one variation"
+        )
+    return load_region(region, field_seed)
 
 
 def _figures(region: Region) -> dict[str, float | str | int | None]:
@@ -88,20 +104,20 @@ def _figures(region: Region) -> dict[str, float | str | int | None]:
 @app.command("build", epilog=EXAMPLES)
 def build(
     region: RegionName,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.npz", help="Where the finished region goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.npz", help="File for the region.")],
     field_seed: FieldSeed = None,
 ) -> None:
-    """Make a region's reference field and write it as a file that every command takes as a region."""
+    """Compute the reference field of a region and write it as a region file."""
     import numpy as np
 
     from he3.errors import He3Error, InvalidInput
-    from services.mission.regions import MAX_PROVENANCE, load_region
+    from services.mission.regions import MAX_PROVENANCE
 
     if out.suffix != ".npz":
         raise InvalidInput(f"--out {out}: expected a file name that ends in .npz")
     if not out.parent.is_dir():
         raise InvalidInput(f"--out {out}: expected a folder at {out.parent}, got none")
-    loaded = load_region(region, field_seed)
+    loaded = _loaded(region, field_seed)
     degrees = {"origin_lat_deg": loaded.origin_lat_deg, "origin_lon_deg": loaded.origin_lon_deg}
     origin: dict[str, Any] = {key: np.float64(value) for key, value in degrees.items() if value is not None}
     try:

@@ -1,4 +1,4 @@
-"""``he3 replay``: what a recording holds."""
+"""``he3 replay``: the contents of a recording."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ Examples:
 
 FileName = Annotated[Path, typer.Argument(metavar="FILE", help="A recording: mission.mcap.")]
 TopicName = Annotated[
-    str | None, typer.Option("--topic", metavar="NAME", help="Print that topic's messages, one JSON document a line.")
+    str | None,
+    typer.Option("--topic", metavar="NAME", help="Print the messages of that topic, one JSON document a line."),
 ]
 
 
@@ -49,7 +50,7 @@ class _Seen:
 
 
 def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> None:
-    """What a recording holds; a file whose writer was killed is read as far as it goes."""
+    """Summarise a recording; a file whose writer was killed is read as far as it is complete."""
     import json as json_format
 
     from he3.errors import InvalidInput
@@ -77,7 +78,7 @@ def _document(recording: Recording, seen: _Seen) -> dict[str, Any]:
         "mission": recording.mission,
         "complete": recording.torn is None,
         "torn": recording.torn,
-        "mission_over": seen.status is not None and seen.status.phase.value in ("completed", "failed"),
+        "mission_over": seen.status is not None and seen.status.is_over,
         "messages": seen.counts.total(),
         "samples": len(seen.samples),
         "span_s": span_s,
@@ -89,7 +90,8 @@ def _document(recording: Recording, seen: _Seen) -> dict[str, Any]:
 
 
 def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
-    from services.console.report.progress import duration, moment_of, plain_line
+    from services.console.client.time_format import duration
+    from services.console.report.progress import moment_of, plain_line
 
     lines = [
         f"recording  {document['file']}: mission '{document['mission']}', {document['messages']} messages in "
@@ -97,7 +99,7 @@ def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
         f"state      {_state(document)}",
     ]
     if seen.status is not None:
-        lines.append(f"last word  {plain_line(moment_of(seen.status, document['span_s'], 0), 0.0)}")
+        lines.append(f"last       {plain_line(moment_of(seen.status, document['span_s'], 0), 0.0)}")
     lines.append(f"{'topic':<28} {'messages':>9} {'bytes':>12}")
     lines += [f"{name:<28} {row['messages']:>9} {row['bytes']:>12}" for name, row in document["topics"].items()]
     return lines
@@ -106,4 +108,4 @@ def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
 def _state(document: dict[str, Any]) -> str:
     if not document["complete"]:
         return str(document["torn"])
-    return "complete" if document["mission_over"] else "the file is complete; the mission was not over"
+    return "complete" if document["mission_over"] else "complete file of a mission that was not over"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 run t1 --in-process --out runs/t1             here, in virtual time
+  he3 run t1 --in-process --out runs/t1             one process, virtual time
   he3 run t1 --lockstep --out runs/t1               five processes, virtual time
   he3 run t1 --rate 2000 --out runs/t1              five processes, wall clock
   he3 run my.toml --in-process --planner tour --seed 7 --report tour-7.json
@@ -36,10 +36,12 @@ Examples:
 
 EventsFile = Annotated[
     Path | None,
-    typer.Option("--events", metavar="FILE", help="A line for each event, in virtual time: the same for every driver."),
+    typer.Option(
+        "--events", metavar="FILE", help="File for the event log, in virtual time; the same for every driver."
+    ),
 ]
 InProcess = Annotated[
-    bool, typer.Option("--in-process", help="All services in this process, in virtual time: exact, and the fastest.")
+    bool, typer.Option("--in-process", help="All services in this process, in virtual time: exact, and fastest.")
 ]
 
 
@@ -83,8 +85,9 @@ def run_and_report(
 ) -> MissionReport:
     """Run the chosen scenario over that driver: show its progress, write its files, print and return its report.
 
-    Raises He3Error, when all of that is done, for a mission that took no sample: it has nothing to tell of the site.
+    Raises He3Error, when all of that is done, for a mission that took no sample: its map says nothing about the site.
     """
+    from services.console.client.time_format import speed
     from services.console.report.outputs import outputs
     from services.console.report.progress import progress_for
     from services.console.report.summary import summary_lines
@@ -94,7 +97,7 @@ def run_and_report(
     how = {
         "in-process": "in this process, virtual time",
         "lockstep": "separate processes, virtual time",
-        "zenoh": f"separate processes, {mission.rate:g} times as fast as life",
+        "zenoh": f"separate processes, simulation speed {speed(mission.rate)}",
     }[driver]
     title = f"{mission.name} · {mission.region} · {mission.ground.planner} · seed {mission.seed}"
     progress = progress_for(title, how, quiet)

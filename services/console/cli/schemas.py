@@ -1,4 +1,4 @@
-"""``he3 schemas``: what goes over the wire, as JSON Schema."""
+"""``he3 schemas``: the messages on the wire as JSON Schema."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import typer
 
 EXAMPLES = """\b
 Examples:
-  he3 schemas schemas.json.d/        a file a message
-  he3 schemas | jq '."tm.sample"'    one document
+  he3 schemas schemas.json.d/        one file for each message
+  he3 schemas | jq '."tm.sample"'    all in one document
 """
 
 
 def schemas(
-    folder: Annotated[Path | None, typer.Argument(metavar="FOLDER", help="Write a file a message there.")] = None,
+    folder: Annotated[Path | None, typer.Argument(metavar="FOLDER", help="Folder for one file a message.")] = None,
 ) -> None:
     """The JSON Schema of every message on the wire, and of the mission report."""
     import json as json_format

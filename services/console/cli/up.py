@@ -1,4 +1,4 @@
-"""``he3 up``: start the services and stay, until Ctrl-C."""
+"""``he3 up``: start the services and keep them running until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from services.console.cli.options import Lockstep, OutFolder, Planner, Quiet, Ra
 
 EXAMPLES = """\b
 Examples:
-  he3 up t1                           at rate 1, on the endpoints that t1 names
+  he3 up t1                           in real time, at the endpoints of the scenario
   he3 up t1 --rate 100 &              then: he3 status; he3 map at 120 340
   he3 up t1 --lockstep &              in virtual time: he3 time pause; he3 time step; he3 time rate 100
-  he3 up t1 --journal j/              stopped and started again, it goes on
+  he3 up t1 --journal j/              a mission that continues after a restart
 """
 
 LOOK_EVERY_S = 0.2
 
 JournalFolder = Annotated[
-    Path | None, typer.Option("--journal", metavar="DIR", help="Keep journals there, and go on from them.")
+    Path | None,
+    typer.Option("--journal", metavar="DIR", help="Folder of the journals; the mission continues from them."),
 ]
 
 
@@ -35,10 +36,10 @@ def up(
     journal: JournalFolder = None,
     quiet: Quiet = False,
 ) -> None:
-    """Start the services and stay up; Ctrl-C stops all. Without --out nothing is recorded."""
+    """Start the services and keep them running; Ctrl-C stops all. Without --out nothing is recorded."""
     import time
 
-    from services.console.client.session import join_when_up, wait_for_ground
+    from services.console.client.mission_client import MissionClient
     from services.console.launch.launcher import Endpoints
     from services.console.launch.scenarios import choose
     from services.console.launch.separate import checked_region, services_of
@@ -54,8 +55,8 @@ def up(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
     )
     with services as (launcher, _):
-        with join_when_up(endpoints.earth, mission.name, launcher.check) as client:
-            wait_for_ground(client, launcher.check)
+        with MissionClient.when_up(endpoints.earth, mission.name, launcher.check) as client:
+            client.wait_for_ground(launcher.check)
         typer.echo(
             f"mission '{mission.name}' is up: Earth at {endpoints.earth}, Moon at {endpoints.moon}; Ctrl-C stops it",
             err=True,

@@ -1,10 +1,10 @@
-"""``he3 watch``: a running mission over the whole terminal; lines where there is none, JSON lines on request."""
+"""``he3 watch``: a running mission over the whole terminal; plain lines without one, JSON lines on request."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections import deque
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -13,21 +13,19 @@ from he3.errors import He3Error, PeerUnreachable
 from services.console.cli.options import AsJson, Earth, Mission
 
 if TYPE_CHECKING:
-    from schemas.commands import CommandStatus
     from services.console.client.mission_client import MissionClient
-    from services.console.client.session import Watcher
-    from services.runtime.transport.client import Client
+    from services.console.client.mission_state import Happened, MissionState
 
 EXAMPLES = """\b
 Examples:
   he3 watch                 until Ctrl-C, or until the mission is over
-  he3 watch --json          everything that is said, a JSON line each
+  he3 watch --json          every message as a JSON line
 """
 
 DRAWN_EVERY_S = 0.25
 MAP_EVERY_S = 1.0
-SILENT_S = 15.0
-MAX_EVENTS = 40
+EVENTS_SHOWN = 6
+COMMANDS_SHOWN = 3
 
 
 def watch(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
@@ -38,94 +36,76 @@ def watch(mission: Mission = None, earth: Earth = None, json: AsJson = False) ->
         if json:
             _as_json(client)
             return
-        from services.console.client.session import Watcher
-
-        watcher = Watcher(client.client)
-        watcher.catch_up()
-        phase = _on_screen(client, watcher) if sys.stdout.isatty() else _in_lines(client, watcher)
+        state = client.state()
+        phase = _on_screen(client, state) if sys.stdout.isatty() else _in_lines(client, state)
     typer.echo(f"mission '{client.mission}' is over: {phase}")
-
-
-def _over(watcher: Watcher) -> bool:
-    return watcher.status is not None and watcher.status.phase.value in ("completed", "failed")
 
 
 def _as_json(client: MissionClient) -> None:
     import json as json_format
+
+    from schemas.ground import GroundStatus
 
     for news in client.live():
         body = news.body.model_dump(mode="json")
         typer.echo(
             json_format.dumps({"topic": news.topic, "source": news.source, "made_at": news.made_at, "body": body})
         )
-        if news.topic == "earth/ground/status" and body["phase"] in ("completed", "failed"):
+        if isinstance(news.body, GroundStatus) and news.body.is_over:
             return
 
 
-def _in_lines(client: MissionClient, watcher: Watcher) -> str:
+def _in_lines(client: MissionClient, state: MissionState) -> str:
     from services.console.report.progress import progress_for
 
-    with progress_for(f"{client.mission} at {client.earth}", "Ctrl-C leaves; it goes on") as progress:
-        for _ in _news(client, watcher, 0.1):
-            progress.show(watcher.moment)
-    assert watcher.status is not None
-    return watcher.status.phase.value
+    with progress_for(f"{client.mission} at {client.earth}", "Ctrl-C ends the display, not the mission") as progress:
+        for _ in _until_over(client, state, 0.1):
+            progress.show(state.moment)
+    assert state.status is not None
+    return state.status.phase.value
 
 
-def _news(client: MissionClient, watcher: Watcher, every_s: float) -> Any:
-    """Comes back with every news, and now and then, until the mission is over; raises when it has fallen silent."""
-    heard = time.monotonic()
-    while not _over(watcher):
+def _until_over(client: MissionClient, state: MissionState, every_s: float) -> Iterator[None]:
+    """Yield with every change, and every so often, until the mission is over; raises PeerUnreachable when it is silent.
+
+    A mission that says nothing while its clock stands is not silent: heartbeats are still heard.
+    """
+    while state.status is None or not state.status.is_over:
         yield
-        if watcher.changed.wait(every_s):
-            heard = time.monotonic()
-            watcher.changed.clear()
-        elif time.monotonic() - heard > SILENT_S:
-            raise PeerUnreachable(f"mission '{client.mission}' at {client.earth}: nothing heard for {SILENT_S:g} s")
+        state.changed.wait(every_s)
+        state.changed.clear()
+        state.refresh()
+        if state.is_silent:
+            raise PeerUnreachable(
+                f"mission '{client.mission}' at {client.earth}: nothing heard for {state.silent_s:.0f} s"
+            )
 
 
-def _on_screen(client: MissionClient, watcher: Watcher) -> str:
+def _on_screen(client: MissionClient, state: MissionState) -> str:
     from rich.console import Console
     from rich.live import Live
 
-    screen = _Screen(client, watcher)
+    screen = _Screen(client, state)
     with Live(console=Console(), screen=True, auto_refresh=False) as live:
         drawn = 0.0
-        for _ in _news(client, watcher, DRAWN_EVERY_S):
+        for _ in _until_over(client, state, DRAWN_EVERY_S):
             if time.monotonic() - drawn >= DRAWN_EVERY_S:
                 drawn = time.monotonic()
                 live.update(screen.drawn(live.console.width, live.console.height), refresh=True)
-    assert watcher.status is not None
-    return watcher.status.phase.value
+    assert state.status is not None
+    return state.status.phase.value
 
 
 class _Screen:
-    """What the screen shows, kept by the session's threads and drawn by the main one."""
+    """What the screen shows of a mission's state."""
 
-    def __init__(self, client: MissionClient, watcher: Watcher) -> None:
-        from schemas.topics import COMMAND_STATUS, EVENT
-
-        self._mission = client
-        self._watcher = watcher
-        self._events: deque[str] = deque(maxlen=MAX_EVENTS)
-        self._commands: dict[str, CommandStatus] = {}
+    def __init__(self, client: MissionClient, state: MissionState) -> None:
+        self._client = client
+        self._state = state
         self._curve: list[float] = []
         self._map: list[str] = []
         self._map_at = 0.0
-        self._map_of: tuple[int, int, int] = (-1, 0, 0)
-        session: Client = client.client
-        session.subscribe(EVENT, lambda _, body: self._happened(body))
-        session.subscribe(COMMAND_STATUS, lambda _, body: self._commanded(body))
-        for status in client.commands():
-            self._commanded(status)
-
-    def _happened(self, body: Any) -> None:
-        detail = f"  {body.detail}" if body.detail else ""
-        where = f"({body.x_m:.0f}, {body.y_m:.0f}) m"
-        self._events.appendleft(f"{body.kind.value.replace('_', ' '):<20} round {body.round:<3} {where}{detail}")
-
-    def _commanded(self, status: CommandStatus) -> None:
-        self._commands[status.command.command_id] = status
+        self._map_of: tuple[int, int] = (-1, 0)
 
     def drawn(self, width: int, height: int) -> Any:
         """The whole screen."""
@@ -138,18 +118,23 @@ class _Screen:
         map_width = max(20, min(width - 52, (height - 12) * 2))
         layout, left, right = Layout(), Layout(name="map", size=map_width + 4), Layout(name="side")
         upper = Layout(name="upper", ratio=3)
-        layout.split_column(upper, Layout(name="events", size=8))
+        layout.split_column(upper, Layout(name="events", size=EVENTS_SHOWN + 2))
         upper.split_row(left, right)
         picture = Text.from_ansi("\n".join(self._picture(map_width)), no_wrap=True)
-        left.update(Panel(picture, title="helium-3, mean, in ppb", border_style="dim"))
-        commands = command_lines(list(self._commands.values())[-3:])
-        lower = Layout(Panel("\n".join(commands) or "none sent", title="commands", border_style="dim"))
+        left.update(Panel(picture, title="helium-3, mean [ppb]", border_style="dim"))
+        commands = command_lines(self._state.commands[-COMMANDS_SHOWN:])
+        lower = Layout(Panel(Text("\n".join(commands) or "no commands yet"), title="commands", border_style="dim"))
         right.split_column(
-            Layout(Panel(self._figures(), title=f"{self._mission.mission}", border_style="cyan"), size=19), lower
+            Layout(Panel(self._figures(), title=f"{self._client.mission}", border_style="cyan"), size=20), lower
         )
-        events = "\n".join(list(self._events)[:6]) or "nothing yet"
+        events = "\n".join(_event_line(each) for each in reversed(self._state.events[-EVENTS_SHOWN:]))
         layout["events"].update(
-            Panel(events, title="events, newest first", subtitle="Ctrl-C leaves; it goes on", border_style="dim")
+            Panel(
+                Text(events or "no events yet"),
+                title="events, newest first",
+                subtitle="Ctrl-C ends the display, not the mission",
+                border_style="dim",
+            )
         )
         return layout
 
@@ -159,13 +144,27 @@ class _Screen:
         from rich.table import Table
         from rich.text import Text
 
-        from services.console.cli.status import age_s
-        from services.console.report.progress import duration, sparkline
+        from services.console.report.progress import sparkline
 
-        watcher, moment = self._watcher, self._watcher.moment()
-        status, link = watcher.status, watcher.link
+        moment = self._state.moment()
         if moment.rmse_ppb is not None and (not self._curve or self._curve[-1] != moment.rmse_ppb):
             self._curve.append(moment.rmse_ppb)
+        table = Table.grid(padding=(0, 2))
+        for name, text in self._rows():
+            alert = "bold red" if "NO CONTACT" in text or text.startswith("safe") else ""
+            table.add_row(Text(name, style="dim"), Text(text, style=alert, no_wrap=True, overflow="ellipsis"))
+        bar = ProgressBar(total=max(1, moment.samples_total), completed=moment.samples)
+        parts: list[Any] = [bar, Text(""), table]
+        if len(self._curve) > 1:
+            parts.append(Text.assemble(("RMSE  ", "dim"), (sparkline(self._curve, 40), "cyan")))
+        return Group(*parts)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        from services.console.cli.status import queued
+        from services.console.client.time_format import duration
+
+        state, moment = self._state, self._state.moment()
+        status, link = state.status, state.link
         rows = [
             ("time", f"{duration(moment.mission_time_s)} since the beginning"),
             ("phase", f"{moment.phase}{': ' + moment.detail if moment.detail else ''}"),
@@ -176,47 +175,45 @@ class _Screen:
             rover = status.rover
             rows += [
                 ("rover", f"{rover.mode.value} at ({rover.x_m:.1f}, {rover.y_m:.1f}) m"),
-                ("seen", f"as it was {duration(age_s(watcher, status.rover_made_at))} ago"),
+                ("age", f"{duration(state.time.age_s(status.rover_made_at))}"),
+                ("plan", queued(rover.rounds_on_board)),
                 ("driven", f"{rover.driven_m:,.0f} m, drilled {rover.drilled_m:.1f} m"),
                 ("battery", f"{rover.energy_wh:,.0f} of {rover.capacity_wh:,.0f} Wh"),
-                ("queue", f"{rover.queue_depth} messages wait for Earth"),
+                ("queue", f"{rover.queue_depth} messages not yet acknowledged"),
             ]
         if link is not None:
             light = link.conditions.down.one_way_light_time_s
-            contact = "contact" if link.contact else "NO CONTACT"
+            contact = "in contact" if link.contact else "NO CONTACT"
             rows += [
-                ("link", f"{contact}, {light:g} s one way"),
+                ("link", f"{contact}, one-way light time {light:g} s"),
                 ("", f"up {link.up.in_flight} in flight, {link.up.waiting} waiting"),
                 ("", f"down {link.down.in_flight} in flight, {link.down.waiting} waiting"),
             ]
-        table = Table.grid(padding=(0, 2))
-        for name, text in rows:
-            alert = "bold red" if "NO CONTACT" in text or text.startswith("safe") else ""
-            table.add_row(Text(name, style="dim"), Text(text, style=alert, no_wrap=True, overflow="ellipsis"))
-        bar = ProgressBar(total=max(1, moment.samples_total), completed=moment.samples)
-        parts: list[Any] = [bar, Text(""), table]
-        if len(self._curve) > 1:
-            parts.append(Text.assemble(("RMSE  ", "dim"), (sparkline(self._curve, 40), "cyan")))
-        return Group(*parts)
+        return rows
 
     def _picture(self, width: int) -> list[str]:
-        """The map as lines, asked for anew when it has changed, at most once a second."""
-        status = self._watcher.status
-        wanted = (0 if status is None else status.map_revision, width, 0)
+        """The map as lines, asked for again when it has changed, at most once a second."""
+        status = self._state.status
+        wanted = (0 if status is None else status.map_revision, width)
         if wanted == self._map_of or time.monotonic() - self._map_at < MAP_EVERY_S:
             return self._map
-        from schemas.maps import MapLayer, MapLayerQuery
-        from schemas.topics import MAP_LAYER
         from services.console.cli.terminal import drawn
         from services.console.report.mission_report import array_of
 
         self._map_at = time.monotonic()
         try:
-            raster = self._mission.client.query(MAP_LAYER, MapLayerQuery(layer=MapLayer.MEAN, step=2), timeout_s=2.0)
+            raster = self._client.raster("mean", step=2, timeout_s=2.0)
         except He3Error as error:
             return self._map or [str(error)]
         self._map, self._map_of = drawn(array_of(raster), raster, width, colours=True), wanted
         return self._map
+
+
+def _event_line(happened: Happened) -> str:
+    event = happened.event
+    detail = f"  {event.detail}" if event.detail else ""
+    where = f"({event.x_m:.0f}, {event.y_m:.0f}) m"
+    return f"{event.kind.value.replace('_', ' '):<20} round {event.round:<3} {where}{detail}"
 
 
 def _ppb(value: float | None) -> str:

@@ -1,4 +1,4 @@
-"""Where a running mission lives: a small file a run, in a folder of this user's alone, so that commands find it."""
+"""Run files: each running mission has a small file in a folder of this user, so that commands find it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from pathlib import Path
 
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 
+MAX_FILE_BYTES = 65_536
+MAX_PORT = 65_535
+_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,47}")
 _ENDPOINT = re.compile(r"(?:tcp|tls|quic)/[^\s/]+:\d{1,5}(?:[?#]\S*)?|unixsock-stream/\S+")
 
 
@@ -31,7 +34,7 @@ class RunningMission:
 
 
 def folder() -> Path:
-    """The folder of the run files, made for this user alone."""
+    """The folder of the run files; only this user may read it."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and Path(runtime).is_dir():
         place = Path(runtime) / "he3-seeker"
@@ -39,13 +42,13 @@ def folder() -> Path:
         place = Path(tempfile.gettempdir()) / f"he3-seeker-{os.getuid()}"
     place.mkdir(mode=0o700, exist_ok=True)
     if place.stat().st_uid != os.getuid() or place.is_symlink():
-        raise He3Error(f"{place}: expected a folder of this user's, got somebody else's")
+        raise He3Error(f"{place}: expected a folder of this user, got one of another user")
     return place
 
 
 @contextmanager
 def announced(running: RunningMission) -> Iterator[Path]:
-    """The run file, there for as long as the mission runs."""
+    """The run file, which exists while the mission runs."""
     import json
 
     path = folder() / f"{running.mission}-{running.pid}.json"
@@ -65,8 +68,11 @@ def running_missions() -> list[RunningMission]:
     found: list[tuple[float, RunningMission]] = []
     for path in folder().glob("*.json"):
         with suppress(OSError):
+            if not path.is_file():
+                continue
             try:
-                running = RunningMission(**json.loads(path.read_text()))
+                with path.open("rb") as stream:
+                    running = RunningMission(**json.loads(stream.read(MAX_FILE_BYTES)))
             except (ValueError, TypeError):
                 continue
             if _alive(running.pid):
@@ -79,20 +85,24 @@ def running_missions() -> list[RunningMission]:
 def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str]:
     """Earth endpoint and name of the mission that is meant: as given, else as announced on this machine.
 
-    Raises InvalidInput for an endpoint that is none, or when several run and none was named; PeerUnreachable when none
-    runs.
+    A name stands for a mission only if one mission of that name runs. Raises InvalidInput for an endpoint or a name
+    that is none, or when several missions fit; PeerUnreachable when none does.
     """
     if earth is not None and not _ENDPOINT.fullmatch(earth):
         raise InvalidInput(
-            f"--earth: expected an endpoint as PROTO/HOST:PORT, such as tcp/10.0.0.2:7448, got '{earth}'"
+            f"--earth: expected an endpoint as PROTO/HOST:PORT, such as tcp/10.0.0.2:7448, got '{earth[:100]}'"
         )
+    port = re.search(r":(\d+)(?:[?#]|$)", earth or "")
+    if port is not None and not 0 < int(port[1]) <= MAX_PORT:
+        raise InvalidInput(f"--earth: expected a port from 1 to {MAX_PORT}, got '{earth}'")
+    if mission is not None and not _NAME.fullmatch(mission):
+        raise InvalidInput(f"--mission: expected at most 48 of a-z, 0-9, '-' and '_', got '{mission[:80]}'")
     if mission is not None and earth is not None:
         return earth, mission
     running = [each for each in running_missions() if mission in (None, each.mission) and earth in (None, each.earth)]
     if not running and earth is not None:
         raise PeerUnreachable(
-            f"nobody answers at {earth}: no mission of this machine is there, and another machine's needs its name, "
-            f"with --mission"
+            f"no mission of this machine is at {earth}; for a mission of another machine give its name with --mission"
         )
     if not running:
         wanted = f"mission '{mission}'" if mission else "mission"
@@ -100,10 +110,20 @@ def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str
             f"no running {wanted} found on this machine: start one with 'he3 up t1', "
             f"or name another machine's with --earth and --mission"
         )
-    names = {each.mission for each in running}
-    if len(names) > 1:
-        raise InvalidInput(f"several missions run ({', '.join(sorted(names))}): expected one of them with --mission")
+    if len(running) > 1:
+        raise _ambiguous(running)
     return running[0].earth, running[0].mission
+
+
+def _ambiguous(running: list[RunningMission]) -> InvalidInput:
+    listed = ", ".join(sorted(f"'{each.mission}' at {each.earth}" for each in running))
+    if len({each.mission for each in running}) == len(running):
+        flag = "--mission"
+    elif len({each.earth for each in running}) == len(running):
+        flag = "--earth"
+    else:
+        flag = "--earth and --mission"
+    return InvalidInput(f"expected one mission, got {len(running)}: choose one with {flag} ({listed})")
 
 
 def _alive(pid: int) -> bool:

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from he3.errors import He3Error
-from schemas.ground import MissionPhase
+from schemas.commands import NoParameters
+from schemas.ground import MissionPhase, MissionTrack
+from schemas.link import LinkChange, LinkStatus
+from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
+from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK
 from services.console.report.mission_report import Run, gather
 from services.console.report.outputs import Outputs, clear_for, write_outcome
 from services.console.report.progress import Moment, Progress, moment_of
@@ -48,14 +52,37 @@ def run_in_process(
         stack.enter_context(progress)
         end = mission.run(lambda: progress.show(lambda: _moment(mission)))
         if log is not None and events is not None:
-            log.close()  # what is asked below for the report is no part of the mission
+            log.close()  # the queries for the report are no part of the mission
             merge_event_logs([events], events)
         if mission.status is None or end is not MissionPhase.COMPLETED:
             raise He3Error(f"the mission failed {mission.mission_time_s:.0f} s after its beginning: {mission.why()}")
         run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
-        outcome = gather(mission.ask, scenario, mission.status, run)
+        outcome = gather(_Asked(mission), scenario, mission.status, run)
     files = write_outcome(outcome, region, where)
     return outcome.report, files if events is None else [*files, events]
+
+
+class _Asked:
+    """The queries for the report, put to a mission in this process."""
+
+    def __init__(self, mission: InProcessMission) -> None:
+        self._mission = mission
+
+    def track(self) -> MissionTrack:
+        track: MissionTrack = self._mission.ask(TRACK, NoParameters())
+        return track
+
+    def link(self) -> LinkStatus:
+        status: LinkStatus = self._mission.ask(LINK_SET, LinkChange())
+        return status
+
+    def raster(self, layer: MapLayer) -> MapRaster:
+        raster: MapRaster = self._mission.ask(MAP_LAYER, MapLayerQuery(layer=layer))
+        return raster
+
+    def score(self) -> MapScore:
+        score: MapScore = self._mission.ask(MAP_SCORE, NoParameters())
+        return score
 
 
 def _moment(mission: InProcessMission) -> Moment:

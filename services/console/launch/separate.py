@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase
+from services.console.client.mission_client import MissionClient
+from services.console.client.mission_state import MissionState
 from services.console.client.run_file import RunningMission, announced
-from services.console.client.session import Watcher, join_when_up
 from services.console.launch.launcher import SERVICES, Endpoints, Launcher, endpoints_near
 from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, clear_for, make_folder, write_outcome
@@ -28,10 +29,10 @@ if TYPE_CHECKING:
     from services.mission.scenario import Scenario
 
 ACTING = tuple(name for name in SERVICES if name != "recorder")
-"""The services whose events make the mission; the recorder only looks on."""
+"""The services whose events make the mission; the recorder only listens."""
 
 LOOK_EVERY_S = 0.1
-"""How long the end of a service or of the mission may go unnoticed."""
+"""Wall time [s] within which the end of a service or of the mission is noticed."""
 
 
 def run_separate(
@@ -62,20 +63,19 @@ def _run_separate(
         endpoints_near(wanted) as near,
         services_of(chosen, where, near, lockstep=lockstep, events=events) as (launcher, endpoints),
     ):
-        with join_when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
+        with MissionClient.when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
             try:
-                watcher = Watcher(client, scenario.start_ns)
-                watcher.catch_up()
-                status = _watched_to_its_end(watcher, launcher, progress)
+                state = client.state(start_ns=scenario.start_ns)
+                status = _watched_to_its_end(state, launcher, progress)
                 wall_time_s = time.monotonic() - began
                 if status.phase is not MissionPhase.COMPLETED:
-                    at = f"{watcher.status_time_s:.0f} s after its beginning"
+                    at = f"{state.status_time_s:.0f} s after its beginning"
                     raise He3Error(f"the mission failed {at}: {status.detail}")
                 driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
-                run = Run(driver, rate, region.provenance, watcher.status_time_s, wall_time_s)
-                outcome: Outcome = gather(client.query, scenario, status, run)
+                run = Run(driver, rate, region.provenance, state.status_time_s, wall_time_s)
+                outcome: Outcome = gather(client, scenario, status, run)
             finally:
-                launcher.tell_to_end()  # they end while this session closes, which takes a second if a router is gone
+                launcher.tell_to_end()  # they end while this session closes, which takes a second without a router
     return outcome.report, write_outcome(outcome, region, where)
 
 
@@ -131,7 +131,7 @@ def services_of(
 def _service_flags(
     lockstep: bool, pace: float | None, events: Path | None, journal: Path | None
 ) -> dict[str, Sequence[str]]:
-    """What only some services are told: who ends the mission in lockstep, who writes what of events and journals."""
+    """Flags that differ from service to service: the end of the mission in lockstep, event logs, journals."""
     flags: dict[str, list[str]] = {name: [] for name in ACTING}
     if lockstep:
         flags["link"] += ["--stop-when", "ground"]
@@ -146,12 +146,12 @@ def _service_flags(
     return dict(flags)
 
 
-def _watched_to_its_end(watcher: Watcher, launcher: Launcher, progress: Progress) -> GroundStatus:
+def _watched_to_its_end(state: MissionState, launcher: Launcher, progress: Progress) -> GroundStatus:
     while True:
-        status = watcher.status
-        if status is not None and status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED):
+        status = state.status
+        if status is not None and status.is_over:
             return status
         launcher.check()
-        progress.show(watcher.moment)
-        watcher.changed.wait(LOOK_EVERY_S)
-        watcher.changed.clear()
+        progress.show(state.moment)
+        state.changed.wait(LOOK_EVERY_S)
+        state.changed.clear()

@@ -1,31 +1,36 @@
-"""The mission's report from what operators can ask: the same questions to one process and to many."""
+"""The mission's report from what operators can query: the same queries to one process and to several."""
 
 from __future__ import annotations
 
 import base64
 import platform
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import He3Error
-from schemas.commands import NoParameters
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
-from schemas.link import LinkChange, LinkStatus
-from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
+from schemas.link import LinkStatus
+from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MessageCounts, MissionReport, ReportSample
-from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK, Topic
-from schemas.wire import Wire
 from services.mission.scenario import Scenario
 from services.runtime.heartbeat import software_version
 from services.runtime.node import SECOND
 
-Ask = Callable[[Topic, Wire], Any]
-"""Puts a question to the running mission; raises He3Error with the refusal."""
+
+class Answers(Protocol):
+    """A mission that answers an operator's queries, such as `MissionClient`; each method raises He3Error if refused."""
+
+    def track(self) -> MissionTrack: ...
+
+    def link(self) -> LinkStatus: ...
+
+    def raster(self, layer: MapLayer) -> MapRaster: ...
+
+    def score(self) -> MapScore: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +58,11 @@ class Outcome:
     resolution_m: float
 
 
-def gather(ask: Ask, scenario: Scenario, status: GroundStatus, run: Run) -> Outcome:
-    """Report and map of the mission that answers `ask`; raises He3Error when it refuses a question."""
-    track: MissionTrack = ask(TRACK, NoParameters())
-    link: LinkStatus = ask(LINK_SET, LinkChange())
-    mean: MapRaster = ask(MAP_LAYER, MapLayerQuery(layer=MapLayer.MEAN))
-    std: MapRaster = ask(MAP_LAYER, MapLayerQuery(layer=MapLayer.STD))
-    score: MapScore | None = ask(MAP_SCORE, NoParameters()) if scenario.ground.score else None
+def gather(mission: Answers, scenario: Scenario, status: GroundStatus, run: Run) -> Outcome:
+    """Report and map of a mission that is over; raises He3Error when it refuses a query."""
+    track, link = mission.track(), mission.link()
+    mean, std = mission.raster(MapLayer.MEAN), mission.raster(MapLayer.STD)
+    score = mission.score() if scenario.ground.score else None
     report = build_report(scenario, run, status, track, link, score)
     return Outcome(report, track, array_of(mean), array_of(std), mean.resolution_m)
 

@@ -1,4 +1,4 @@
-"""A mission's progress on standard error: a live panel on a terminal, plain lines anywhere else."""
+"""A mission's progress on standard error: a live panel on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, TextIO
 
+from services.console.client.time_format import duration
+
 if TYPE_CHECKING:
     from schemas.ground import GroundStatus
 
@@ -18,7 +20,7 @@ PLAIN_EVERY_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A mission at one moment, as far as its progress matters."""
+    """The figures of a mission's progress at one moment."""
 
     phase: str = "starting"
     round: int = 0
@@ -30,12 +32,12 @@ class Moment:
     driven_m: float = 0.0
     mission_time_s: float = 0.0
     in_flight: int = 0
-    rover: str = "not heard of yet"
+    rover: str = "no report yet"
     detail: str = ""
 
 
 def moment_of(status: GroundStatus | None, mission_time_s: float, in_flight: int) -> Moment:
-    """The moment that the ground's last word, the clock and the link make together."""
+    """The progress at one moment, from the ground's newest status, the clock and the link."""
     if status is None:
         return Moment(mission_time_s=mission_time_s, in_flight=in_flight)
     rover = status.rover
@@ -50,21 +52,9 @@ def moment_of(status: GroundStatus | None, mission_time_s: float, in_flight: int
         driven_m=status.driven_m,
         mission_time_s=mission_time_s,
         in_flight=in_flight,
-        rover="not heard of yet" if rover is None else f"{rover.mode.value} at ({rover.x_m:.0f}, {rover.y_m:.0f}) m",
+        rover="no report yet" if rover is None else f"{rover.mode.value} at ({rover.x_m:.0f}, {rover.y_m:.0f}) m",
         detail=status.detail,
     )
-
-
-def duration(seconds: float) -> str:
-    """A duration as people say it: 12 s, 3 min 05 s, 4 h 02 min, 2 d 07 h."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    if whole < 86_400:
-        return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
-    return f"{whole // 86_400} d {whole % 86_400 // 3600:02d} h"
 
 
 def time_left_s(moment: Moment, elapsed_s: float) -> float | None:
@@ -86,10 +76,10 @@ def plain_line(moment: Moment, elapsed_s: float) -> str:
 
 
 class Progress(Protocol):
-    """Shows how a mission goes on; cheap to call as often as one likes."""
+    """Shows how a mission goes on; cheap to call in every pass of a loop."""
 
     def show(self, now: Callable[[], Moment]) -> None:
-        """Show the moment, if it is time to show anything."""
+        """Show the moment, if it is time to redraw."""
 
     def __enter__(self) -> Self: ...
 
@@ -100,7 +90,7 @@ class Progress(Protocol):
 
 @dataclass
 class PlainProgress:
-    """A line a round, and one every so often in between."""
+    """A line a round, and one every `every_s` in between."""
 
     stream: TextIO = field(default_factory=lambda: sys.stderr)
     clock: Callable[[], float] = time.monotonic
@@ -151,7 +141,7 @@ class SilentProgress:
 
 
 class LiveProgress:
-    """A panel that is drawn again and again in one place of a terminal."""
+    """A panel that is redrawn in place on a terminal."""
 
     def __init__(self, title: str, note: str) -> None:
         from rich.console import Console
@@ -190,7 +180,7 @@ class LiveProgress:
 
 
 def panel(title: str, note: str, moment: Moment, elapsed_s: float, rmse_curve: list[float]) -> Any:
-    """The panel: what a person wants to know while a mission runs."""
+    """The panel: the figures of a running mission."""
     from rich import box
     from rich.console import Group
     from rich.panel import Panel
@@ -231,7 +221,7 @@ def sparkline(values: list[float], width: int) -> str:
 
 
 def progress_for(title: str, note: str, quiet: bool = False) -> Progress:
-    """What suits standard error: a panel on a terminal, lines elsewhere, nothing when asked for quiet."""
+    """The display that suits standard error: a panel on a terminal, lines elsewhere, nothing with --quiet."""
     if quiet:
         return SilentProgress()
     return LiveProgress(title, note) if sys.stderr.isatty() else PlainProgress()

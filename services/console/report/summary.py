@@ -1,4 +1,4 @@
-"""A report on the terminal: the figures that somebody asks for first."""
+"""A report on the terminal: the main figures in a few lines."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.console.report.progress import duration
+from services.console.client.time_format import duration
 
 if TYPE_CHECKING:
     from schemas.report import MissionReport
@@ -42,7 +42,7 @@ def _end(report: MissionReport) -> tuple[str, str]:
 
 def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
     if report.rmse_ppb is None or report.coverage_68 is None or report.coverage_95 is None:
-        return [("RMSE", "not known: nobody has compared the map with the truth")]
+        return [("RMSE", "not known: the map was not compared with a reference field")]
     one, two = f"{report.coverage_68:.1%} within 1 std", f"{report.coverage_95:.1%} within 2 std"
     within = f"{one} (nominal 68.3 %), {two} (nominal 95.4 %)"
     return [("RMSE", f"{report.rmse_ppb:.4f} ppb over all cells"), ("coverage", within)]

@@ -1,6 +1,4 @@
-"""What an operator must not miss, and what each has acknowledged: raised by conditions and events, kept until both
-the cause is gone and somebody has said that they saw it.
-"""
+"""Alarms: raised by conditions and events, kept until the cause is gone and an operator has acknowledged them."""
 
 from __future__ import annotations
 
@@ -11,15 +9,12 @@ from enum import StrEnum
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import LinkStatus
 from schemas.telemetry import EventKind, RoverEvent, RoverMode
+from services.console.client.staleness import stale_after_s
+from services.console.client.time_format import duration
 from services.runtime.node import SECOND, MissionTime
 
 LOW_ENERGY_SHARE = 0.25
-"""Of the capacity; the rover goes safe at its reserve, 0.2 by default, and somebody should know before."""
-STALE_STATES = 3.0
-"""Reports of its state that may be missed, beyond the light time, before what we see of the rover is called stale."""
-
-COMPUTERS_TAKE_S = 1.0
-"""Wall time [s] that a message may spend in queues of busy computers."""
+"""Of the capacity; the rover enters safe mode at its reserve, 0.2 by default, and the alarm comes before that."""
 
 
 class AlarmKind(StrEnum):
@@ -42,7 +37,7 @@ class Alarm:
     active: bool = True
     acknowledged: bool = False
     times: int = 1
-    """How often it was raised since somebody last acknowledged it."""
+    """How often it was raised since it was last acknowledged."""
 
     def document(self) -> dict[str, object]:
         """As the page reads it."""
@@ -73,14 +68,13 @@ class Alarms:
     def look(self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float = 1.0) -> bool:
         """Compare conditions with what is known; whether an alarm has changed.
 
-        rate: mission seconds a wall second; what comes may be late by what computers take, and at a fast pace that
-        is much mission time.
+        rate: mission seconds a wall second, see `stale_after_s`.
         """
         changes = [self._set(kind, text, now) for kind, text in self._conditions(status, link, now, rate).items()]
         return any(changes)
 
     def happened(self, event: RoverEvent) -> bool:
-        """Take an event of the rover; whether an alarm has changed."""
+        """Handle an event of the rover; whether an alarm has changed."""
         where = f"at ({event.x_m:.0f}, {event.y_m:.0f}) m"
         about = f": {event.detail}" if event.detail else ""
         if event.kind is EventKind.BLOCKED:
@@ -88,7 +82,7 @@ class Alarms:
         if event.kind in (EventKind.ROUND_STARTED, EventKind.ROUND_COMPLETED):
             return self._set(AlarmKind.BLOCKED, None, event.at)
         if event.kind is EventKind.SAFE_MODE_ENTERED:
-            return self._set(AlarmKind.SAFE_MODE, f"the rover went into safe mode {where}{about}", event.at)
+            return self._set(AlarmKind.SAFE_MODE, f"the rover entered safe mode {where}{about}", event.at)
         if event.kind is EventKind.SAFE_MODE_LEFT:
             return self._set(AlarmKind.SAFE_MODE, None, event.at)
         if event.kind is EventKind.LOW_ENERGY:
@@ -96,7 +90,7 @@ class Alarms:
         return False
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """Somebody saw it; whether there was such an alarm to acknowledge."""
+        """An operator has seen it; whether there was such an alarm to acknowledge."""
         alarm = self._alarms.get(alarm_id)
         if alarm is None or alarm.acknowledged:
             return False
@@ -107,17 +101,15 @@ class Alarms:
         self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float
     ) -> dict[AlarmKind, str | None]:
         found: dict[AlarmKind, str | None] = {}
-        over = status is not None and status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED)
+        over = status is not None and status.is_over
         if status is not None and status.rover is not None and status.rover_made_at is not None:
             rover, age_s = status.rover, (now - status.rover_made_at) / SECOND
-            light_s = 0.0 if link is None else link.conditions.down.one_way_light_time_s
-            patience_s = STALE_STATES * self._state_period_s + light_s + COMPUTERS_TAKE_S * rate
-            stale = age_s > patience_s and not over
-            found[AlarmKind.STALE] = f"nothing new of the rover for {age_s:.0f} s" if stale else None
+            stale = age_s > stale_after_s(self._state_period_s, link, rate) and not over
+            found[AlarmKind.STALE] = f"no report of the rover for {duration(age_s)}" if stale else None
             share = rover.energy_wh / rover.capacity_wh
             low = f"the rover's battery is at {share:.0%}" if share < LOW_ENERGY_SHARE else None
             found[AlarmKind.LOW_ENERGY] = low
-            # The state says it too: the event may be the one message that is still on its way.
+            # The state says it too: the event may still be in flight.
             safe = rover.mode is RoverMode.SAFE
             found[AlarmKind.SAFE_MODE] = "the rover is in safe mode" if safe else None
         if link is not None:
@@ -136,7 +128,7 @@ class Alarms:
         if active is not None:
             return False
         before = next((alarm for alarm in self._alarms.values() if alarm.kind is kind), None)
-        if before is not None:  # it is over and nobody has seen it yet
+        if before is not None:  # its cause is gone, and it is not acknowledged
             self._keep(replace(before, raised_at=at, text=text, active=True, times=before.times + 1))
             return True
         self._counter += 1

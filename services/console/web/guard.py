@@ -1,8 +1,9 @@
-"""Who may talk to the page's server: this page, from the names that the server goes by, and nobody else's page.
+"""Which requests the page's server answers: those of this page itself, under a name or address of this server.
 
-A page of somebody else's in the same browser must not command a rover. It could try in two ways: send requests here
-across sites, or bind its own name to this address (DNS rebinding). The first carry an Origin or Sec-Fetch-Site that is
-not ours and lack a header that no cross-site form can set; the second carry a Host that is not ours.
+A page of another site in the same browser must not command a rover. It could try in two ways: send requests here across
+sites, or bind its own name to this address (DNS rebinding). The first carry an Origin or Sec-Fetch-Site of another site
+and lack a header that no cross-site form can set; the second carry a Host that is not a name of this server. A Host
+that is the very IP address that the connection came to is always ours: no name was looked up.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from collections.abc import Iterable
 
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from services.console.web.address import address_of, normal_host
 
 TOKEN_HEADER = b"x-he3-console"
 MAX_BODY_BYTES = 65_536
@@ -28,18 +31,19 @@ _HEADERS = (
 
 
 class Guard:
-    """Lets requests through that come to one of `hosts` (names without port) and from this page itself."""
+    """Lets requests through that come to one of `hosts` (as `normal_host` spells them) and from this page itself."""
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str]) -> None:
         self._app = app
-        self._hosts = frozenset(host.lower() for host in hosts)
+        self._hosts = frozenset(hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             return await self._app(scope, receive, send)
-        why = self._objection(scope)
-        if why is not None:
-            response = JSONResponse({"error": why}, status_code=403)
+        objection = self._objection(scope)
+        if objection is not None:
+            why, code = objection
+            response = JSONResponse({"error": why}, status_code=code)
             return await response(scope, receive, send)
 
         async def with_headers(message: Message) -> None:
@@ -49,29 +53,32 @@ class Guard:
 
         return await self._app(scope, receive, with_headers)
 
-    def _objection(self, scope: Scope) -> str | None:
+    def _objection(self, scope: Scope) -> tuple[str, int] | None:
+        """Why the request is refused, and the status code; None for a request that is answered."""
         headers = {bytes(name).lower(): bytes(value).decode("latin-1") for name, value in scope["headers"]}
         host = headers.get(b"host", "")
-        if _name(host) not in self._hosts:
-            return (
-                f"expected one of the hosts {', '.join(sorted(self._hosts))} (see he3 web --allow-host), got '{host}'"
-            )
+        if not self._is_ours(host, scope):
+            known = ", ".join(sorted(self._hosts))
+            return f"expected one of the hosts {known} (see he3 web --allow-host), got '{host[:100]}'", 403
         if headers.get(b"sec-fetch-site", "none") not in ("same-origin", "none"):
-            return "expected a request of this page's own, got one from another site"
+            return "expected a request of this page, got one of another site", 403
         if scope["method"] in ("GET", "HEAD"):
             return None
         origin = headers.get(b"origin", "")
         if origin.partition("://")[2].lower() != host.lower():
-            return f"expected the origin {host}, got '{origin}'"
+            return f"expected the origin {host}, got '{origin[:100]}'", 403
         if TOKEN_HEADER not in headers or not headers.get(b"content-type", "").startswith("application/json"):
-            return "expected JSON and the header that this page sends"
-        if int(headers.get(b"content-length", "0") or 0) > MAX_BODY_BYTES or b"transfer-encoding" in headers:
-            return f"expected at most {MAX_BODY_BYTES} bytes with their length said, got more"
+            return "expected JSON and the header that this page sends, got another request", 403
+        length = headers.get(b"content-length", "0").strip() or "0"
+        if b"transfer-encoding" in headers or not length.isascii() or not length.isdigit():
+            return "expected a body of a stated length, got one without", 411
+        if len(length) > 9 or int(length) > MAX_BODY_BYTES:
+            return f"expected at most {MAX_BODY_BYTES} bytes, got {length[:20]}", 413
         return None
 
-
-def _name(host: str) -> str:
-    """The host without its port."""
-    if host.startswith("["):
-        return host[: host.find("]") + 1].lower()
-    return host.partition(":")[0].lower()
+    def _is_ours(self, host: str, scope: Scope) -> bool:
+        name = normal_host(host)
+        if name is None:
+            return False
+        here = scope.get("server")
+        return name in self._hosts or (here is not None and address_of(name) == address_of(here[0]) is not None)

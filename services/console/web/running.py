@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 from he3.errors import He3Error
 from services.console.client.mission_client import MissionClient
+from services.console.web.address import listening, own_names, url_of
 from services.console.web.hub import Hub
-
-OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 
 def serve(
@@ -20,17 +19,19 @@ def serve(
     other_hosts: tuple[str, ...],
     say: Callable[[str], None],
 ) -> None:
-    """Serve until Ctrl-C; `say` gets the address. Raises He3Error when the port is taken or packages are missing."""
+    """Serve until Ctrl-C; `say` gets the line with the page's address.
+
+    other_hosts: further names of this server, each in the spelling of `host_name`. Raises InvalidInput for an address
+    that is not this machine's, He3Error when the port is taken or packages are missing.
+    """
     try:
         import uvicorn
 
         from services.console.web.server import page
     except ImportError as error:
         raise He3Error(f"he3 web needs {error.name}: pip install 'he3-seeker[console]'") from None
-    listening = _listening(bind, port)
-    hosts = {*OWN_NAMES, *other_hosts}
-    if bind not in ("0.0.0.0", "::"):
-        hosts.add(bind)
+    listener = listening(bind, port)
+    hosts = own_names(listener, bind) | frozenset(other_hosts)
     hub = Hub(mission, authority)
     hub.begin()
     config = uvicorn.Config(
@@ -43,25 +44,10 @@ def serve(
             await super().shutdown(sockets)
 
     server = PageServer(config)
-    shown = "127.0.0.1" if bind in ("0.0.0.0", "::") else bind
-    say(
-        f"mission '{mission.mission}' at http://{shown}:{listening.getsockname()[1]}/ "
-        f"{'with command authority' if authority else '(looking on; --authority lets it command)'}; Ctrl-C stops it"
-    )
+    role = "with command authority" if authority else "read-only; --authority lets it command"
+    say(f"mission '{mission.mission}' at {url_of(listener, bind)} ({role}); Ctrl-C stops it")
     try:
-        server.run(sockets=[listening])
+        server.run(sockets=[listener])
     finally:
         hub.close()
-        listening.close()
-
-
-def _listening(bind: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in bind else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((bind, port))
-    except OSError as error:
-        listening.close()
-        raise He3Error(f"cannot listen at {bind}:{port}: {error.strerror}; expected a free port (--port)") from None
-    return listening
+        listener.close()

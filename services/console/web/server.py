@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import re
 from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -20,11 +21,15 @@ from starlette.types import ASGIApp
 from he3.colour_maps import OF_LAYER, stops
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, TRACK, Topic
+from services.console.client.link import link_change
 from services.console.web.guard import Guard
 from services.console.web.hub import Hub, Viewer
+from services.console.web.requests import AcknowledgeRequest, CommandRequest, InterestRequest, document, parsed
 
 STATIC = Path(__file__).parent / "static"
 KEEP_ALIVE_S = 15.0
+BODY_WITHIN_S = 10.0
+"""How long a request's body may take to arrive."""
 
 ASKED = {
     "point": MAP_POINT,
@@ -34,7 +39,15 @@ ASKED = {
     "track": TRACK,
     "history": MAP_HISTORY,
 }
-"""Questions of the map that the page passes on as they are."""
+"""Queries of the map that the page passes on as they are."""
+
+LINK_FIELDS = frozenset(
+    {"direction", "one_way_light_time_s", "loss", "rate_bit_s", "unlimited_rate", "jitter_s", "contact"}
+    | {"contact_as_scheduled"}
+)
+"""What of the link the page may change."""
+
+_PARAMETER = re.compile(r"[a-z_]{1,40}")
 
 
 def page(hub: Hub, hosts: Sequence[str]) -> ASGIApp:
@@ -43,40 +56,57 @@ def page(hub: Hub, hosts: Sequence[str]) -> ASGIApp:
         Route("/", lambda _: FileResponse(STATIC / "index.html")),
         Route("/api/stream", partial(_stream, hub)),
         Route("/api/colours", _colours),
-        Route("/api/interest", _told(partial(_interests, hub)), methods=["GET"]),
-        *(Route(f"/api/map/{name}", _told(partial(_ask, hub, topic))) for name, topic in ASKED.items()),
-        Route("/api/command", _told(partial(_command, hub)), methods=["POST"]),
-        Route("/api/link", _told(partial(_link, hub)), methods=["POST"]),
-        Route("/api/interest", _told(partial(_interest, hub)), methods=["POST"]),
-        Route("/api/acknowledge", _told(partial(_acknowledge, hub)), methods=["POST"]),
+        Route("/api/interest", _answered(partial(_interests, hub)), methods=["GET"]),
+        *(Route(f"/api/map/{name}", _answered(partial(_ask, hub, topic))) for name, topic in ASKED.items()),
+        Route("/api/command", _answered(partial(_command, hub)), methods=["POST"]),
+        Route("/api/link", _answered(partial(_link, hub)), methods=["POST"]),
+        Route("/api/interest", _answered(partial(_interest, hub)), methods=["POST"]),
+        Route("/api/acknowledge", _answered(partial(_acknowledge, hub)), methods=["POST"]),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
-    return Starlette(routes=routes, middleware=[Middleware(Guard, hosts=hosts)])
+    return Starlette(
+        routes=routes, middleware=[Middleware(Guard, hosts=hosts)], exception_handlers={HTTPException: _http_error}
+    )
 
 
-def _told(answer: Callable[[Request, Any], Response]) -> Callable[[Request], Any]:
-    """The answer, made in a thread, as nothing of the mission may be waited for in the loop; errors in one line."""
+def _answered(answer: Callable[[Request, bytes], Response]) -> Callable[[Request], Any]:
+    """The answer, made in a thread because the event loop must not wait for the mission; errors as one line of JSON."""
 
-    async def told(request: Request) -> Response:
-        body = await request.body() if request.method == "POST" else b""
+    async def answered(request: Request) -> Response:
         try:
-            document = json.loads(body) if body else None
-        except ValueError:
-            return JSONResponse({"error": "expected JSON, got something else"}, status_code=400)
+            async with asyncio.timeout(BODY_WITHIN_S):
+                body = await request.body() if request.method == "POST" else b""
+        except TimeoutError:
+            return _error(f"expected the whole request within {BODY_WITHIN_S:g} s, got a part of it", 408)
+        except ClientDisconnect:
+            return _error("the client went away", 400)
         try:
-            response: Response = await asyncio.to_thread(answer, request, document)
+            return await asyncio.to_thread(answer, request, body)
         except PeerUnreachable as error:
-            return JSONResponse({"error": str(error)}, status_code=503)
+            return _error(str(error), 503)
         except He3Error as error:
-            return JSONResponse({"error": str(error)}, status_code=400)
-        return response
+            return _error(str(error), 400)
 
-    return told
+    return answered
 
 
-def _ask(hub: Hub, topic: Topic, request: Request, _: Any) -> Response:
-    payload, about = hub.mission.client.fetch(topic, dict(request.query_params), timeout_s=30.0)
-    binary = bool(about) and request.query_params.get("format", "json") != "json"
+async def _http_error(_: Request, error: Exception) -> Response:
+    """No such path, or a method that it does not have."""
+    assert isinstance(error, HTTPException), "registered for that class alone"
+    return _error(str(error.detail), error.status_code)
+
+
+def _error(why: str, code: int) -> Response:
+    return JSONResponse({"error": why}, status_code=code)
+
+
+def _ask(hub: Hub, topic: Topic, request: Request, _: bytes) -> Response:
+    parameters = dict(request.query_params)
+    for name in parameters:
+        if not _PARAMETER.fullmatch(name):
+            raise InvalidInput(f"expected parameters such as x and as_of, got {name[:40]!r}")
+    payload, about = hub.mission.passed_on(topic, parameters)
+    binary = bool(about) and parameters.get("format", "json") != "json"
     headers = {"cache-control": "no-store"}
     if about:
         headers["x-map-about"] = about.decode()
@@ -84,67 +114,48 @@ def _ask(hub: Hub, topic: Topic, request: Request, _: Any) -> Response:
     return Response(payload, media_type=media_type, headers=headers)
 
 
-def _command(hub: Hub, _: Request, document: Any) -> Response:
+def _command(hub: Hub, _: Request, body: bytes) -> Response:
     _must_have_authority(hub)
-    wanted = _fields(document, {"kind", "target_m", "area_id", "polygon_m", "expires_in_s"})
-    if not isinstance(wanted.get("kind"), str):
-        raise InvalidInput("command: expected a kind, got none")
-    for key in ("target_m", "polygon_m"):
-        if wanted.get(key) is not None:
-            wanted[key] = _places(key, wanted[key])
-    issued = hub.mission.command(**wanted)
+    wanted = parsed(CommandRequest, body)
+    issued = hub.mission.command(
+        wanted.kind,
+        target_m=wanted.target_m,
+        area_id=wanted.area_id,
+        polygon_m=wanted.polygon_m,
+        expires_in_s=wanted.expires_in_s,
+    )
     return JSONResponse(issued.status.model_dump(mode="json"))
 
 
-def _link(hub: Hub, _: Request, document: Any) -> Response:
+def _link(hub: Hub, _: Request, body: bytes) -> Response:
     _must_have_authority(hub)
-    allowed = {"direction", "one_way_light_time_s", "loss", "rate_bit_s", "unlimited_rate", "jitter_s", "contact"}
-    return JSONResponse(
-        hub.mission.set_link_from_json(_fields(document, allowed | {"contact_as_scheduled"})).model_dump(mode="json")
-    )
+    wanted = document(body)
+    if not wanted.keys() <= LINK_FIELDS:
+        raise InvalidInput(f"link: expected some of {', '.join(sorted(LINK_FIELDS))}; got another")
+    return JSONResponse(hub.mission.change_link(link_change(wanted)).model_dump(mode="json"))
 
 
-def _interest(hub: Hub, _: Request, document: Any) -> Response:
+def _interest(hub: Hub, _: Request, body: bytes) -> Response:
     _must_have_authority(hub)
-    wanted = _fields(document, {"area_id", "polygon_m", "weight"})
-    polygon = wanted.get("polygon_m")
-    weight = wanted.get("weight", 2.0)
-    if not isinstance(weight, int | float):
-        raise InvalidInput("interest: expected a number as weight, got something else")
-    areas = hub.mission.set_interest(
-        wanted.get("area_id"), None if polygon is None else _places("polygon_m", polygon), weight
-    )
+    wanted = parsed(InterestRequest, body)
+    return _areas(hub.mission.set_interest(wanted.area_id, wanted.polygon_m, wanted.weight))
+
+
+def _interests(hub: Hub, _: Request, __: bytes) -> Response:
+    return _areas(hub.mission.set_interest())
+
+
+def _areas(areas: Sequence[Any]) -> Response:
     return JSONResponse({"areas": [area.model_dump(mode="json") for area in areas]})
 
 
-def _interests(hub: Hub, _: Request, __: Any) -> Response:
-    return JSONResponse({"areas": [area.model_dump(mode="json") for area in hub.mission.set_interest()]})
-
-
-def _acknowledge(hub: Hub, _: Request, document: Any) -> Response:
-    alarm_id = _fields(document, {"id"}).get("id")
-    return JSONResponse({"acknowledged": hub.acknowledge(str(alarm_id))})
+def _acknowledge(hub: Hub, _: Request, body: bytes) -> Response:
+    return JSONResponse({"acknowledged": hub.acknowledge(parsed(AcknowledgeRequest, body).id)})
 
 
 def _must_have_authority(hub: Hub) -> None:
     if not hub.authority:
-        raise InvalidInput("this page only looks on: start it with he3 web --authority to command")
-
-
-def _fields(document: Any, allowed: set[str]) -> dict[str, Any]:
-    if not isinstance(document, dict) or not document.keys() <= allowed:
-        raise InvalidInput(f"expected an object with some of {', '.join(sorted(allowed))}")
-    return document
-
-
-def _places(key: str, value: Any) -> Any:
-    try:
-        if key == "target_m":
-            x, y = value
-            return float(x), float(y)
-        return [(float(x), float(y)) for x, y in value]
-    except (TypeError, ValueError):
-        raise InvalidInput(f"{key}: expected places as [x, y], got something else") from None
+        raise InvalidInput("this page is read-only: start it with he3 web --authority to command")
 
 
 async def _colours(_: Request) -> Response:
@@ -162,7 +173,7 @@ async def _stream(hub: Hub, _: Request) -> Response:
                 try:
                     text = await asyncio.wait_for(viewer.queue.get(), KEEP_ALIVE_S)
                 except TimeoutError:
-                    yield ": here\n\n"
+                    yield ": keep-alive\n\n"
                     continue
                 if text is None:
                     return

@@ -82,17 +82,56 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a contact that is neither": (SCENARIO, ["link", "set", "--contact", "maybe"], ("--contact", "maybe")),
     "no such layer": (SCENARIO, ["map", "show", "gold"], ("gold", "mean")),
     "an exceedance of nothing": (SCENARIO, ["map", "show", "exceedance"], ("--threshold",)),
-    "a map of no time": (SCENARIO, ["map", "at", "1", "2", "--as-of", "yesterday"], ("as_of", "yesterday")),
+    "a map of no time": (SCENARIO, ["map", "at", "1", "2", "--as-of", "yesterday"], ("--as-of", "yesterday", "2030")),
     "a place that is no number": (SCENARIO, ["map", "at", "here", "3"], ("X", "number")),
     "an export of unknown kind": (SCENARIO, ["map", "export", "map.xyz"], (".xyz", ".npz")),
     "a keep-out of two corners": (SCENARIO, ["command", "keep-out", "a", "1,1", "2,2"], ("polygon", "3")),
     "a corner that is none": (SCENARIO, ["command", "keep-out", "a", "1;1"], ("1;1",)),
     "an expiry that is past": (SCENARIO, ["command", "pause", "--expires-in", "-5"], ("--expires-in", "-5")),
-    "an area of one corner": (SCENARIO, ["map", "resource", "100,100"], ("three corners", "1")),
+    "an area of one corner": (SCENARIO, ["map", "resource", "100,100"], ("3 corners", "1")),
     "an endpoint that is none": (SCENARIO, ["status", "--earth", "foo"], ("--earth", "PROTO/HOST:PORT", "foo")),
     "an endpoint without a port": (
         SCENARIO, ["status", "--mission", "m", "--earth", "tcp/moon"], ("--earth", "PROTO/HOST:PORT", "tcp/moon"),
     ),
+    "an endpoint with a port out of range": (
+        SCENARIO, ["status", "--mission", "m", "--earth", "tcp/127.0.0.1:99999"], ("--earth", "65535", "99999"),
+    ),
+    "a mission of a name that none can have": (SCENARIO, ["status", "--mission", "My"], ("--mission", "a-z", "My")),
+    "a page on a port out of range": (SCENARIO, ["web", "--port", "99999"], ("--port", "0 to 65535", "99999")),
+    "a page on a negative port": (SCENARIO, ["web", "--port", "-1"], ("--port", "0 to 65535", "-1")),
+    "a page of a host that is a URL": (SCENARIO, ["web", "--allow-host", "http://x/"], ("--allow-host", "http://x/")),
+    "a region's variation of a negative seed": (
+        SCENARIO, ["reference", "show", "t1", "--field-seed", "-1"], ("--field-seed", "0 or more", "-1"),
+    ),
+    "a variation of a region file": (
+        SCENARIO, ["reference", "show", "x.npz", "--field-seed", "1"], ("--field-seed", "x.npz", "t1 or t2"),
+    ),
+    "a rate above the largest": (SCENARIO, ["run", "mine.toml", "--rate", "1e6"], ("--rate", "100000", "1e+06")),
+    "a demonstration at no rate": (SCENARIO, ["demo", "--rate", "-2"], ("--rate", "above 0", "-2")),
+    "a place beyond every site": (SCENARIO, ["map", "at", "1e9", "0"], ("X", "-100000 to 100000", "1e+09")),
+    "a threshold that is no number": (SCENARIO, ["map", "at", "1", "1", "--threshold", "nan"], ("--threshold", "nan")),
+    "a threshold without exceedance": (SCENARIO, ["map", "show", "mean", "--threshold", "9"], ("--threshold", "mean")),
+    "a drawing without width": (SCENARIO, ["map", "show", "mean", "--width", "0"], ("--width", "10 to 250", "0")),
+    "a cell without a side": (
+        SCENARIO, ["map", "box", "mean", "0", "0", "9", "9", "--resolution", "0"], ("--resolution", "above 0", "got 0"),
+    ),
+    "a probability of one": (SCENARIO, ["map", "resource", "--probability", "1"], ("--probability", "got 1")),
+    "a cut-off that is no number": (SCENARIO, ["map", "resource", "--cutoff", "nan"], ("--cutoff", "nan")),
+    "a feed of negative length": (SCENARIO, ["map", "follow", "--seconds", "-1"], ("--seconds", "0 to 86400", "-1")),
+    "a light time that is negative": (SCENARIO, ["link", "set", "--light-time", "-1"], ("--light-time", "86400", "-1")),
+    "a jitter that is not finite": (SCENARIO, ["link", "set", "--jitter", "inf"], ("--jitter", "86400", "inf")),
+    "a data rate of nothing": (SCENARIO, ["link", "set", "--bit-rate", "0"], ("--bit-rate", "1 to 1e+12", "0")),
+    "no such direction": (SCENARIO, ["link", "set", "--direction", "left"], ("--direction", "up, down", "left")),
+    "no such edge": (SCENARIO, ["link", "set", "--at-edge", "jump"], ("--at-edge", "hold, drop", "jump")),
+    "no such preset": (SCENARIO, ["link", "set", "--preset", "fog"], ("--preset", "nominal", "fog")),
+    "an id with a space": (SCENARIO, ["command", "pause", "--id", "a b"], ("--id", "a b")),
+    "an area without a name": (SCENARIO, ["command", "keep-out", ""], ("AREA", "letter or digit first")),
+    "a wait of negative length": (SCENARIO, ["command", "pause", "--timeout", "-1"], ("--timeout", "0 to 86400", "-1")),
+    "a corner that is a flag": (SCENARIO, ["command", "keep-out", "a", "--fast"], ("X,Y", "--fast")),
+    "no step": (SCENARIO, ["time", "step", "0"], ("[N]", "1 to 1000000", "got 0")),
+    "a time that is none": (SCENARIO, ["time", "until", "soon"], ("TIME", "15min", "soon")),
+    "a time beyond all times": (SCENARIO, ["time", "until", "999999999d"], ("TIME", "2262", "999999999d")),
+    "a speed of nothing": (SCENARIO, ["time", "rate", "0"], ("R", "above 0 up to 1000000000", "got 0")),
     "no such stage": (SCENARIO, ["command", "pause", "--wait", "soon"], ("soon", "completed")),
 }  # fmt: skip
 
@@ -132,4 +171,4 @@ def test_an_endpoint_without_a_mission_is_a_failure_that_names_it(
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert main(["status", "--earth", "tcp/127.0.0.1:9"]) == 1
-    assert capfd.readouterr().err.startswith("he3: nobody answers at tcp/127.0.0.1:9: ")
+    assert capfd.readouterr().err.startswith("he3: no mission of this machine is at tcp/127.0.0.1:9; ")

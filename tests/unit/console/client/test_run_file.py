@@ -37,9 +37,20 @@ def test_flags_alone_are_enough_for_a_mission_on_another_machine() -> None:
 
 def test_with_several_missions_one_must_be_named() -> None:
     with announced(mission("a")), announced(mission("b", earth="tcp/127.0.0.1:3")):
-        with pytest.raises(InvalidInput, match=r"several missions run \(a, b\)"):
+        with pytest.raises(
+            InvalidInput,
+            match=r"expected one mission, got 2: choose one with --mission \('a' at tcp/127.0.0.1:1, 'b' at",
+        ):
             find()
         assert find("b") == ("tcp/127.0.0.1:3", "b")
+
+
+def test_of_two_missions_of_one_name_the_endpoint_must_be_named() -> None:
+    with announced(mission(pid=os.getpid())), announced(mission(pid=os.getppid(), earth="tcp/127.0.0.1:3")):
+        for name in (None, "m"):
+            with pytest.raises(InvalidInput, match="choose one with --earth"):
+                find(name)
+        assert find(earth="tcp/127.0.0.1:3") == ("tcp/127.0.0.1:3", "m")
 
 
 def test_nobody_is_found_where_nothing_runs() -> None:

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import pytest
 from rich.console import Console
 
-from services.console.report.progress import Moment, PlainProgress, duration, panel, plain_line, sparkline, time_left_s
+from services.console.client.time_format import duration
+from services.console.report.progress import Moment, PlainProgress, panel, plain_line, sparkline, time_left_s
 
 MOMENT = Moment(
     phase="executing", round=3, rounds=30, samples=15, samples_total=150, rmse_ppb=0.98765, mean_std_ppb=0.9,

@@ -1,0 +1,43 @@
+"""``he3 map follow``: the map's feed, a line for each change."""
+
+from __future__ import annotations
+
+import json as json_format
+import time
+from typing import Annotated
+
+import typer
+
+from services.console.cli.map.options import joined
+from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, Mission, within
+
+
+def follow(
+    limit_s: Annotated[
+        float | None,
+        typer.Option("--seconds", metavar="S", help="End after so many seconds of wall time; else on Ctrl-C.",
+                     callback=within(0, MAX_WAIT_S)),
+    ] = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    json: AsJson = False,
+) -> None:  # fmt: skip
+    """The map's feed: a line for each change as it comes, the present map first."""
+    began = time.monotonic()
+    with joined(mission, earth) as client:
+        for current in client.maps(timeout_s=limit_s):
+            figures = {
+                "revision": current.revision,
+                "samples": current.samples,
+                "mean_ppb": float(current.mean_ppb.mean(dtype=float)),
+                "mean_std_ppb": float(current.std_ppb.mean(dtype=float)),
+                "checksum": f"{current.checksum():08x}",
+                "mission_time_ns": current.mission_time_ns,
+            }
+            if json:
+                typer.echo(json_format.dumps(figures))
+            else:
+                typer.echo(
+                    f"{time.monotonic() - began:8.2f} s  revision {current.revision}, {current.samples} samples, "
+                    f"mean {figures['mean_ppb']:.4f} ppb, std {figures['mean_std_ppb']:.4f} ppb, {figures['checksum']}"
+                )

@@ -1,0 +1,89 @@
+"""``he3 map show`` and ``he3 map box``: a layer, or a part of one, in the terminal or as a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from services.console.cli.coordinates import XMax, XMin, YMax, YMin
+from services.console.cli.map.files import form_of, indented, written
+from services.console.cli.map.options import AsOf, LayerName, Threshold, Width, check_threshold, joined
+from services.console.cli.options import MAX_POSITION_M, AsJson, Earth, Mission, within
+
+if TYPE_CHECKING:
+    from schemas.maps import MapRaster
+
+
+def show(
+    layer: LayerName,
+    png: Annotated[
+        Path | None, typer.Option("--png", metavar="FILE", help="Write a picture with samples and paths instead.")
+    ] = None,
+    width: Width = 72,
+    threshold: Threshold = None,
+    as_of: AsOf = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    json: AsJson = False,
+) -> None:
+    """A whole layer in the terminal; with --png as a picture, with --json as the reply itself."""
+    check_threshold(layer, threshold)
+    with joined(mission, earth) as client:
+        raster = client.raster(layer, threshold=threshold, as_of=as_of)
+        track = client.track(as_of) if png is not None else None
+    if png is not None and track is not None:
+        from services.console.report.pictures import layer_figure, save
+
+        save(layer_figure(raster, track), png)
+        typer.echo(f"written to {png}")
+    elif json:
+        typer.echo(raster.model_dump_json(indent=2))
+    else:
+        _draw(raster, width)
+
+
+def box(
+    layer: LayerName,
+    x_min: XMin,
+    y_min: YMin,
+    x_max: XMax,
+    y_max: YMax,
+    resolution: Annotated[
+        float | None,
+        typer.Option("--resolution", metavar="M", help="Side of a cell [m]; the map's own if not given.",
+                     callback=within(0, MAX_POSITION_M, above=True)),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="File to write: .npy, .png, .tif or .csv.")
+    ] = None,
+    width: Width = 60,
+    threshold: Threshold = None,
+    as_of: AsOf = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    json: AsJson = False,
+) -> None:  # fmt: skip
+    """A part of a layer in the terminal, as a file, or as the reply itself."""
+    from schemas.maps import MapRaster
+
+    check_threshold(layer, threshold)
+    form = "json" if out is None else form_of(out)
+    with joined(mission, earth) as client:
+        payload, _ = client.box_picture(
+            layer, (x_min, x_max), (y_min, y_max), form, resolution_m=resolution, threshold=threshold, as_of=as_of
+        )
+    if out is not None:
+        typer.echo(written(out, payload))
+    elif json:
+        typer.echo(indented(payload))
+    else:
+        _draw(MapRaster.model_validate_json(payload), width)
+
+
+def _draw(raster: MapRaster, width: int) -> None:
+    from services.console.cli.terminal import drawn
+    from services.console.report.mission_report import array_of
+
+    typer.echo("\n".join(drawn(array_of(raster), raster, width)))

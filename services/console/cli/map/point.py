@@ -1,0 +1,52 @@
+"""``he3 map at`` and ``he3 map score``: the belief at a place, and how good the whole map is."""
+
+from __future__ import annotations
+
+import typer
+
+from services.console.cli.coordinates import X, Y
+from services.console.cli.map.options import AsOf, Threshold, joined
+from services.console.cli.options import AsJson, Earth, Mission
+
+
+def at(
+    x: X,
+    y: Y,
+    threshold: Threshold = None,
+    as_of: AsOf = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    json: AsJson = False,
+) -> None:
+    """The belief at one place: helium-3 abundance with its uncertainty."""
+    with joined(mission, earth) as client:
+        point = client.point(x, y, threshold, as_of)
+    if json:
+        typer.echo(point.model_dump_json(indent=2))
+        return
+    low, high = point.mean_ppb - 1.96 * point.std_ppb, point.mean_ppb + 1.96 * point.std_ppb
+    rows = [
+        ("helium-3", f"{point.mean_ppb:.3f} ppb, std {point.std_ppb:.3f} ppb (95 %: {low:.3f} to {high:.3f} ppb)"),
+        ("place", f"({point.x_m:g}, {point.y_m:g}) m, {'traversable' if point.traversable else 'not traversable'}"),
+    ]
+    if point.exceedance is not None:
+        rows.append(("exceedance", f"more than {threshold:g} ppb with probability {point.exceedance:.3f}"))
+    if point.information_nats is not None:
+        rows.append(("information", f"{point.information_nats:.3f} nat from one sample"))
+    rows.append(("map", f"revision {point.revision}, {point.samples} samples"))
+    typer.echo("\n".join(f"{name:<11} {text}" for name, text in rows))
+
+
+def score(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+    """Error of the map against the reference field, which only a simulated Moon can tell."""
+    with joined(mission, earth) as client:
+        figures = client.score()
+    if json:
+        typer.echo(figures.model_dump_json(indent=2))
+        return
+    typer.echo(f"RMSE        {figures.rmse_ppb:.4f} ppb over all cells, mean std {figures.mean_std_ppb:.4f} ppb")
+    typer.echo(
+        f"coverage    {figures.coverage_68:.1%} within 1 std (nominal 68.3 %), "
+        f"{figures.coverage_95:.1%} within 2 std (nominal 95.4 %)"
+    )
+    typer.echo(f"map         revision {figures.revision}, {figures.samples} samples")

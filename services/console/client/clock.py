@@ -1,0 +1,108 @@
+"""Mission time as an operator's session knows it: asked for, followed, and controlled."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from pydantic import ValidationError
+
+from he3.errors import InvalidInput
+from schemas.codec import one_line
+from schemas.link import ClockChange, ClockMode, ClockState
+from schemas.lockstep import TimeControl, TimeStatus
+from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL
+from schemas.wire import Header
+from services.runtime.clock import mission_time
+from services.runtime.node import SECOND, MissionTime
+from services.runtime.transport.client import Client
+
+MAX_CLOCK_RATE = 100_000.0
+"""Mission seconds a wall second that a mission on the wall clock accepts."""
+
+
+def time_shown(header: Header, clock: ClockState) -> MissionTime:
+    """Mission time [ns] now, according to that clock message; in lockstep the time at which the message was made."""
+    if clock.mode is ClockMode.LOCKSTEP:
+        return header.made_at
+    return mission_time(clock, time.time_ns())
+
+
+class MissionClock:
+    """Mission time from the newest clock state and from what has been heard since; never runs backwards."""
+
+    def __init__(self, start_ns: MissionTime | None = None) -> None:
+        """start_ns: beginning of the mission, where it is known before a clock state arrives."""
+        self.state: ClockState | None = None
+        self._start_ns = start_ns
+        self._heard: MissionTime = 0
+
+    @property
+    def start_ns(self) -> MissionTime | None:
+        return self._start_ns if self.state is None else self.state.start_ns
+
+    @property
+    def rate(self) -> float:
+        """Mission seconds a wall second; 0 in lockstep, 1 while it is not known."""
+        if self.state is None:
+            return 1.0
+        return 0.0 if self.state.mode is ClockMode.LOCKSTEP else self.state.rate
+
+    def hear(self, at: MissionTime) -> None:
+        """A message was made on Earth at that mission time."""
+        self._heard = max(self._heard, at)
+
+    def now(self) -> MissionTime:
+        """Mission time [ns]; 0 while it is not known."""
+        if self.state is None or self.state.mode is ClockMode.LOCKSTEP:
+            return self._heard
+        return max(self._heard, mission_time(self.state, time.time_ns()))
+
+    def since_start_s(self, at: MissionTime) -> float:
+        """Mission time of `at` since the mission's beginning [s]; 0 while the beginning is not known."""
+        return 0.0 if self.start_ns is None else max(0.0, (at - self.start_ns) / SECOND)
+
+    def elapsed_s(self) -> float | None:
+        """Mission time since the mission's beginning [s]; None while the beginning is not known."""
+        return None if self.start_ns is None else self.since_start_s(self.now())
+
+    def age_s(self, made_at: MissionTime) -> float:
+        """Mission time since `made_at` [s]."""
+        return max(0.0, (self.now() - made_at) / SECOND)
+
+
+class ClockQueries:
+    """The part of `MissionClient` that concerns mission time."""
+
+    _session: Client
+
+    def clock(self) -> ClockState:
+        """The mission's clock."""
+        state: ClockState = self._session.latest(EARTH_CLOCK)[1]
+        return state
+
+    def now(self) -> MissionTime:
+        """Mission time [ns]; in lockstep that of the last step."""
+        return time_shown(*self._session.latest(EARTH_CLOCK))
+
+    def set_clock_rate(self, rate: float) -> ClockState:
+        """Let mission time run at `rate` mission seconds a wall second (0 pauses it); for a mission on the wall clock.
+
+        Raises InvalidInput for a rate that the mission does not accept.
+        """
+        if not 0 <= rate <= MAX_CLOCK_RATE:
+            raise InvalidInput(f"rate: expected 0 to {MAX_CLOCK_RATE:g} on the wall clock, got {rate:g}")
+        state: ClockState = self._session.query(CLOCK_SET, ClockChange(rate=rate))
+        return state
+
+    def control_time(self, **change: Any) -> TimeStatus:
+        """Change how virtual time goes on, for a mission in lockstep; returns its status (without a change: only that).
+
+        change: fields of `TimeControl`, such as ``paused=True``, ``steps=10`` or ``until=...`` [ns].
+        """
+        try:
+            wanted = TimeControl(**change)
+        except ValidationError as error:
+            raise InvalidInput(f"time: {one_line(error)}") from None
+        status: TimeStatus = self._session.query(TIME_CONTROL, wanted)
+        return status

@@ -1,0 +1,157 @@
+"""Telecommands: how one is issued, and the handle that follows it through its stages."""
+
+from __future__ import annotations
+
+import queue
+import time
+import uuid
+from typing import Any
+
+from pydantic import ValidationError
+
+from he3.errors import InvalidInput, PeerUnreachable
+from schemas.codec import one_line
+from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
+from schemas.topics import COMMAND_STATUS, ISSUE_COMMAND, LIST_COMMANDS
+from schemas.wire import Header
+from services.console.client.clock import ClockQueries
+from services.console.client.map_queries import Polygon
+from services.runtime.node import seconds
+from services.runtime.transport.client import Client
+
+ASK_AGAIN_S = 1.0
+"""Wall time without a report after which the list of commands is asked for: a report may be lost on a busy session."""
+
+
+class CommandHandle:
+    """A telecommand that was issued."""
+
+    def __init__(self, session: Client, status: CommandStatus) -> None:
+        self._session = session
+        self.status = status
+        """The command and the stages that it has passed, as last heard."""
+
+    @property
+    def command_id(self) -> str:
+        return self.status.command.command_id
+
+    @property
+    def stages(self) -> tuple[CommandStage, ...]:
+        """The stages passed so far, as last heard."""
+        return tuple(report.stage for report in self.status.stages)
+
+    def wait(self, stage: CommandStage | str = CommandStage.COMPLETED, timeout_s: float = 60.0) -> CommandStatus:
+        """The status once the command has reached that stage or a later one, or has ended; see `CommandStatus.end`.
+
+        timeout_s: wall time. Raises PeerUnreachable when it runs out, InvalidInput for a stage that does not exist.
+        """
+        wanted = stage_named(stage)
+        deadline = time.monotonic() + timeout_s
+        heard: queue.SimpleQueue[CommandStatus] = queue.SimpleQueue()
+
+        def keep(_: Header, status: CommandStatus) -> None:
+            if status.command.command_id == self.command_id:
+                heard.put(status)
+
+        end = self._session.subscribe(COMMAND_STATUS, keep)
+        try:
+            self._ask()  # a report between the issue and the subscription is in the list
+            while not self.status.has_reached(wanted):
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    raise PeerUnreachable(
+                        f"command {self.command_id}: expected {wanted.value} within {timeout_s:g} s, got "
+                        f"{self.stages[-1].value if self.stages else 'no report'} so far"
+                    )
+                try:
+                    self._take(heard.get(timeout=min(ASK_AGAIN_S, left)))
+                except queue.Empty:
+                    self._ask()
+        finally:
+            end()
+        return self.status
+
+    def _ask(self) -> None:
+        listed: CommandList = self._session.query(LIST_COMMANDS, NoParameters())
+        for status in listed.commands:
+            if status.command.command_id == self.command_id:
+                self._take(status)
+
+    def _take(self, status: CommandStatus) -> None:
+        if len(status.stages) >= len(self.status.stages):  # reports are only ever added
+            self.status = status
+
+
+class Commanding(ClockQueries):
+    """The part of `MissionClient` that sends telecommands."""
+
+    _session: Client
+
+    def command(
+        self,
+        kind: CommandKind | str,
+        *,
+        target_m: tuple[float, float] | None = None,
+        area_id: str | None = None,
+        polygon_m: Polygon | None = None,
+        expires_in_s: float | None = None,
+        command_id: str | None = None,
+    ) -> CommandHandle:
+        """Send a telecommand; the handle follows it through its stages. Equal ids execute once.
+
+        expires_in_s: mission time from now after which the rover does not execute it any more. Raises InvalidInput or
+        He3Error, in one line, for a command that cannot be sent.
+        """
+        command = telecommand(
+            kind, target_m=target_m, area_id=area_id, polygon_m=polygon_m, command_id=command_id
+        )  # checked before the clock is asked
+        if expires_in_s is not None:
+            expires_at = self.now() + seconds(expires_in_s)
+            command = _checked(command.model_dump() | {"expires_at": expires_at})
+        return CommandHandle(self._session, self._session.query(ISSUE_COMMAND, command))
+
+    def commands(self) -> tuple[CommandStatus, ...]:
+        """All commands with the stages they passed, oldest first."""
+        listed: CommandList = self._session.query(LIST_COMMANDS, NoParameters())
+        return listed.commands
+
+
+def telecommand(
+    kind: CommandKind | str,
+    *,
+    target_m: tuple[float, float] | None = None,
+    area_id: str | None = None,
+    polygon_m: Polygon | None = None,
+    command_id: str | None = None,
+) -> Telecommand:
+    """The telecommand of those values, with a new id if none is given; raises InvalidInput with one line."""
+    try:
+        known = CommandKind(str(kind).replace("-", "_"))
+    except ValueError:
+        kinds = ", ".join(each.value for each in CommandKind)
+        raise InvalidInput(f"command: expected one of {kinds}; got '{kind}'") from None
+    return _checked(
+        {
+            "command_id": command_id or f"op-{uuid.uuid4().hex[:10]}",
+            "kind": known,
+            "target_m": None if target_m is None else tuple(map(float, target_m)),
+            "area_id": area_id,
+            "polygon_m": None if polygon_m is None else tuple((float(x), float(y)) for x, y in polygon_m),
+        }
+    )
+
+
+def _checked(values: dict[str, Any]) -> Telecommand:
+    try:
+        return Telecommand(**values)
+    except ValidationError as error:
+        raise InvalidInput(f"command: {one_line(error)}") from None
+
+
+def stage_named(stage: CommandStage | str) -> CommandStage:
+    """The stage of that name; raises InvalidInput with the names that there are."""
+    try:
+        return CommandStage(stage)
+    except ValueError:
+        known = ", ".join(each.value for each in CommandStage)
+        raise InvalidInput(f"expected a stage out of {known}; got '{stage}'") from None

@@ -1,0 +1,46 @@
+"""The link between Earth and Moon, seen and changed by an operator."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from pydantic import ValidationError
+
+from he3.errors import InvalidInput
+from schemas.codec import one_line
+from schemas.link import LinkChange, LinkStatus
+from schemas.topics import LINK_SET
+from services.runtime.transport.client import Client
+
+
+class LinkControl:
+    """The part of `MissionClient` that concerns the link."""
+
+    _session: Client
+
+    def link(self) -> LinkStatus:
+        """The link as it is now, with the messages that are in flight."""
+        return self.change_link(LinkChange())
+
+    def set_link(self, **change: Any) -> LinkStatus:
+        """Change conditions, such as ``one_way_light_time_s=3`` or ``loss=0.1``; returns the link as it is then."""
+        return self.change_link(link_change(change))
+
+    def change_link(self, change: LinkChange) -> LinkStatus:
+        """The same for a change that is checked already."""
+        status: LinkStatus = self._session.query(LINK_SET, change)
+        return status
+
+
+def link_change(values: dict[str, Any]) -> LinkChange:
+    """The change of those values as JSON has them, where enumerations are words; raises InvalidInput with one line."""
+    try:
+        return LinkChange.model_validate_json(json.dumps(values))
+    except ValidationError as error:
+        raise InvalidInput(f"link: {one_line(error)}") from None
+
+
+def in_flight(link: LinkStatus) -> int:
+    """Messages between the two sides, those included that wait to leave."""
+    return link.up.in_flight + link.down.in_flight + link.up.waiting + link.down.waiting

@@ -1,0 +1,77 @@
+"""What a mission says, as it comes: an iterator of news, callbacks, and which processes are alive."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from schemas.topics import COMMAND_STATUS, EVENT, GROUND_STATUS, LINK_STATUS, SAMPLE, STATE, Side, Topic
+from schemas.wire import Header, Wire
+from services.runtime.node import MissionTime
+from services.runtime.transport.client import Client
+
+NEWS: tuple[Topic, ...] = (GROUND_STATUS, SAMPLE, EVENT, STATE, COMMAND_STATUS, LINK_STATUS)
+MAX_HELD = 10_000
+"""News that a slow reader of `live` may be behind; the oldest are dropped then."""
+ALIVE_WITHIN_S = 0.3
+"""Wall time that the list of living processes may take to arrive."""
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """A message: its topic, who made it, when [ns of mission time], and its body."""
+
+    topic: str
+    source: str
+    made_at: MissionTime
+    body: Wire
+
+
+class LiveNews:
+    """The part of `MissionClient` that listens."""
+
+    _session: Client
+
+    def live(self, *topics: Topic, timeout_s: float | None = None) -> Iterator[News]:
+        """What is said from now on, as it comes; ends after `timeout_s` of wall time, never without one.
+
+        topics: what to listen to (`NEWS` without any). A slow reader misses the oldest news and delays no other client.
+        """
+        heard: queue.Queue[News] = queue.Queue(maxsize=MAX_HELD)
+
+        def keep(name: str, header: Header, body: Wire) -> None:
+            while True:
+                try:
+                    heard.put_nowait(News(name, header.source, header.made_at, body))
+                    return
+                except queue.Full:
+                    heard.get_nowait()
+
+        ends = [self._session.subscribe(topic, partial(keep, topic.name)) for topic in topics or NEWS]
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        try:
+            while deadline is None or time.monotonic() < deadline:
+                try:
+                    yield heard.get(timeout=0.2)
+                except queue.Empty:
+                    continue
+        finally:
+            for end in ends:
+                end()
+
+    def listen(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> Callable[[], None]:
+        """Call `on_message(header, body)`, in another thread, with each message from now on; what returns ends that."""
+        return self._session.subscribe(topic, on_message)
+
+    def alive_on_earth(self) -> tuple[str, ...]:
+        """Names of the processes that are alive on the Earth side, in alphabetical order."""
+        alive: dict[str, bool] = {}
+        self._session.watch_alive(Side.EARTH, alive.__setitem__)
+        deadline = time.monotonic() + ALIVE_WITHIN_S
+        while not {"link", "ground"} <= alive.keys() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return tuple(sorted(name for name, here in alive.items() if here))

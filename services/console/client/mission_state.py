@@ -1,0 +1,273 @@
+"""The newest facts of a mission, kept for a display: status, link, clock, rover, commands, events, heartbeats.
+
+Messages may be overtaken, repeated, or come from a process that is gone. A fact replaces an older one of its topic only
+if it is newer (`supersedes`). When the mission itself is started anew at the same endpoint, which shows in another link
+process and an earlier mission time, everything that was known is forgotten.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from he3.errors import He3Error
+from schemas.commands import CommandStatus, NoParameters
+from schemas.ground import GroundStatus, Presence
+from schemas.link import ClockState, LinkStatus
+from schemas.telemetry import RoverEvent, RoverState
+from schemas.topics import (
+    COMMAND_STATUS,
+    EARTH_CLOCK,
+    EARTH_PRESENCE,
+    EVENT,
+    GROUND_STATUS,
+    LINK_STATUS,
+    LIST_COMMANDS,
+    STATE,
+    Topic,
+)
+from schemas.wire import Header
+from services.console.client.clock import MissionClock, time_shown
+from services.console.client.link import in_flight
+from services.console.client.staleness import SILENT_S
+from services.console.report.progress import Moment, moment_of
+from services.runtime.node import MissionTime, seconds
+from services.runtime.transport.client import Client
+
+MAX_EVENTS = 300
+KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
+"""Topics whose last message can be asked for."""
+FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS)
+TIMEKEEPER = "link"
+"""The process that keeps mission time; its process id tells one instance of a mission from the next."""
+SET_BACK_S = 1.0
+"""Wall time by which mission time must be behind what was heard to count as another mission's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """The newest message of a topic."""
+
+    header: Header
+    body: Any
+
+    @property
+    def made_at(self) -> MissionTime:
+        return self.header.made_at
+
+
+@dataclass(frozen=True, slots=True)
+class Happened:
+    """An event of the rover, and when it reached this session."""
+
+    event: RoverEvent
+    received_at: MissionTime
+    key: tuple[str, int, int]
+    """Source, incarnation and sequence: the same for every repetition."""
+
+
+def supersedes(header: Header, last: Header) -> bool:
+    """Whether a message is newer than the last of its topic.
+
+    Within one start of a process mission time decides, then the sequence; a later start counts more, as does a message
+    of an earlier start that was made later (the wall clock that numbers the starts may have been set back).
+    """
+    if header.incarnation == last.incarnation:
+        return (header.made_at, header.sequence) >= (last.made_at, last.sequence)
+    return header.incarnation > last.incarnation or header.made_at > last.made_at
+
+
+class MissionState:
+    """What a running mission says of itself, kept up to date by the session's threads.
+
+    on_change: called, in those threads and without a lock, with the topic whose newest fact has changed; None: all of
+    them, as the mission was started anew.
+    """
+
+    def __init__(
+        self,
+        session: Client,
+        on_change: Callable[[Topic | None], None] | None = None,
+        start_ns: MissionTime | None = None,
+    ) -> None:
+        self._session = session
+        self._on_change = on_change
+        self._start_ns = start_ns
+        self._lock = threading.Lock()
+        self.changed = threading.Event()
+        """Set with every change; a reader that waits for it clears it."""
+        self._heard_wall = time.monotonic()
+        self._process: tuple[str, int, int] | None = None
+        self._other_timekeeper = False
+        self._forget()
+
+    def _forget(self) -> None:
+        self.time = MissionClock(self._start_ns)
+        self._facts: dict[Topic, Fact] = {}
+        self._events: deque[Happened] = deque(maxlen=MAX_EVENTS)
+        self._commands: dict[str, CommandStatus] = {}
+        self._presence: dict[str, tuple[float, Presence]] = {}
+
+    def follow(self, timeout_s: float = 2.0) -> None:
+        """Listen from now on, and ask for what was said before; a process that does not answer is left out.
+
+        timeout_s: wall time for each question.
+        """
+        with suppress(He3Error):  # the clock first: other facts are placed on the time since the mission's beginning
+            self._take(EARTH_CLOCK, *self._session.latest(EARTH_CLOCK, timeout_s))
+        for topic in FOLLOWED:
+            self._session.subscribe(topic, self._keeper(topic))
+        self.catch_up(timeout_s)
+
+    def catch_up(self, timeout_s: float = 2.0) -> None:
+        """Ask for the newest facts that can be asked for."""
+        for topic in KEPT:
+            with suppress(He3Error):
+                self._take(topic, *self._session.latest(topic, timeout_s))
+        with suppress(He3Error):
+            for status in self._session.query(LIST_COMMANDS, NoParameters(), timeout_s).commands:
+                self._take(COMMAND_STATUS, None, status)
+
+    def refresh(self) -> None:
+        """Find out whether the mission was started anew, if another process keeps its time; then forget and ask again.
+
+        Call it now and then from a thread that may wait.
+        """
+        if not self._other_timekeeper:
+            return
+        try:
+            header, clock = self._session.latest(EARTH_CLOCK, 2.0)
+        except He3Error:
+            return  # it is still starting; the next call asks again
+        self._other_timekeeper = False
+        if time_shown(header, clock) < self.time.now() - seconds(SET_BACK_S * max(1.0, self.time.rate)):
+            with self._lock:
+                self._forget()
+            self.changed.set()
+            if self._on_change is not None:
+                self._on_change(None)
+        self.catch_up()
+
+    # --- what is known ----------------------------------------------------------------------------------------------
+
+    def fact(self, topic: Topic) -> Fact | None:
+        """The newest message of that topic; None while there is none."""
+        return self._facts.get(topic)
+
+    @property
+    def status(self) -> GroundStatus | None:
+        status: GroundStatus | None = self._body(GROUND_STATUS)
+        return status
+
+    @property
+    def link(self) -> LinkStatus | None:
+        link: LinkStatus | None = self._body(LINK_STATUS)
+        return link
+
+    @property
+    def clock(self) -> ClockState | None:
+        return self.time.state
+
+    @property
+    def rover(self) -> RoverState | None:
+        rover: RoverState | None = self._body(STATE)
+        return rover
+
+    @property
+    def commands(self) -> tuple[CommandStatus, ...]:
+        """All commands with their stages, oldest first."""
+        with self._lock:
+            return tuple(sorted(self._commands.values(), key=lambda each: each.stages[0].at if each.stages else 0))
+
+    @property
+    def events(self) -> tuple[Happened, ...]:
+        """The last events of the rover, oldest first, each once."""
+        with self._lock:
+            return tuple(self._events)
+
+    @property
+    def presence(self) -> dict[str, tuple[float, Presence]]:
+        """Of each process on Earth: wall time [s, monotonic] and content of its last heartbeat."""
+        with self._lock:
+            return dict(self._presence)
+
+    @property
+    def status_time_s(self) -> float:
+        """Mission time since the beginning [s] at which the ground's last status was made."""
+        fact = self._facts.get(GROUND_STATUS)
+        return 0.0 if fact is None else self.time.since_start_s(fact.made_at)
+
+    def moment(self) -> Moment:
+        """The mission as a display of its progress needs it."""
+        link = self.link
+        return moment_of(self.status, self.time.elapsed_s() or 0.0, 0 if link is None else in_flight(link))
+
+    @property
+    def silent_s(self) -> float:
+        """Wall time since anything was heard [s]."""
+        return time.monotonic() - self._heard_wall
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the mission has said nothing for longer than its heartbeats allow."""
+        return self.silent_s > SILENT_S
+
+    @property
+    def knows_nothing(self) -> bool:
+        """Whether no process has answered or said anything."""
+        return not self._facts and not self._presence
+
+    def _body(self, topic: Topic) -> Any:
+        fact = self._facts.get(topic)
+        return None if fact is None else fact.body
+
+    # --- what comes, in the session's threads -----------------------------------------------------------------------
+
+    def _keeper(self, topic: Topic) -> Callable[[Header, Any], None]:
+        return lambda header, body: self._take(topic, header, body)
+
+    def _take(self, topic: Topic, header: Header | None, body: Any) -> None:
+        """Keep what is new; header: None for an entry of the list of commands."""
+        with self._lock:
+            self._heard_wall = time.monotonic()
+            if header is not None and topic not in (STATE, EVENT):  # those were made on the Moon, a light time ago
+                self.time.hear(header.made_at)
+            new = self._is_kept(topic, header, body)
+        self.changed.set()
+        if new and self._on_change is not None:
+            self._on_change(topic)
+
+    def _is_kept(self, topic: Topic, header: Header | None, body: Any) -> bool:
+        if topic is COMMAND_STATUS:
+            name = body.command.command_id
+            known = self._commands.get(name)
+            if known is not None and len(known.stages) > len(body.stages):
+                return False  # stages are only ever added
+            self._commands[name] = body
+            return True
+        assert header is not None, "only the list of commands comes without headers"
+        if topic is EARTH_PRESENCE:
+            self._presence[body.name] = (time.monotonic(), body)
+            if body.name == TIMEKEEPER:
+                process = (body.host, body.pid, body.incarnation)
+                self._other_timekeeper |= self._process not in (None, process)
+                self._process = process
+            return True
+        if topic is EVENT:
+            key = (header.source, header.incarnation, header.sequence)
+            if any(each.key == key for each in self._events):
+                return False  # repeated, as custody does until it is acknowledged
+            self._events.append(Happened(body, self.time.now(), key))
+            return True
+        last = self._facts.get(topic)
+        if last is not None and not supersedes(header, last.header):
+            return False
+        self._facts[topic] = Fact(header, body)
+        if topic is EARTH_CLOCK:
+            self.time.state = body
+        return True

@@ -1,0 +1,75 @@
+"""What the page may send to its server: each request a model, so that anything else is refused with one line."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from he3.errors import InvalidInput
+from schemas.codec import one_line
+from schemas.commands import CommandKind
+from schemas.wire import Identifier, PositionM
+
+MAX_EXPIRY_S = 1e9
+
+Place = tuple[PositionM, PositionM]
+Corners = Annotated[tuple[Place, ...], Field(min_length=3, max_length=256)]
+Request = TypeVar("Request", bound="PageRequest")
+
+
+class PageRequest(BaseModel):
+    """Root of the page's requests: no unknown fields, finite numbers, no conversion between types."""
+
+    # JSON has arrays where the models have tuples, and words where they have enumerations: `model_validate_json`.
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class CommandRequest(PageRequest):
+    """A telecommand, and how long it stays valid."""
+
+    kind: CommandKind
+    target_m: Place | None = None
+    area_id: Identifier | None = None
+    polygon_m: Corners | None = None
+    expires_in_s: Annotated[float, Field(gt=0, le=MAX_EXPIRY_S)] | None = None
+
+
+class InterestRequest(PageRequest):
+    """An area of interest with its weight, or its removal."""
+
+    area_id: Identifier | None = None
+    polygon_m: Corners | None = None
+    weight: Annotated[float, Field(ge=0, le=1000)] = 2.0
+
+
+class AcknowledgeRequest(PageRequest):
+    """An alarm that the operator has seen."""
+
+    id: Annotated[str, Field(max_length=100)]
+
+
+def parsed(kind: type[Request], body: bytes) -> Request:
+    """The request in that JSON; raises InvalidInput with one line for anything else."""
+    document(body)
+    try:
+        return kind.model_validate_json(body)
+    except ValidationError as error:
+        raise InvalidInput(one_line(error)) from None
+
+
+def document(body: bytes) -> dict[str, Any]:
+    """The JSON object of a request's body; raises InvalidInput for anything else."""
+    try:
+        found = json.loads(body, parse_constant=_no_constant)
+        json.dumps(found, ensure_ascii=False).encode()  # half a surrogate pair is no text
+    except (ValueError, RecursionError):
+        raise InvalidInput("expected a JSON object in UTF-8, got something else") from None
+    if not isinstance(found, dict):
+        raise InvalidInput(f"expected a JSON object, got {type(found).__name__}")
+    return found
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(name)
