@@ -36,8 +36,8 @@ def normal_host(header: str) -> str | None:
         return None
     host = found["host"].lower().removesuffix(".")
     if host.startswith("["):
-        address = address_of(host[1:-1])
-        return str(address) if isinstance(address, ipaddress.IPv6Address) else None
+        address = address_of(host[1:-1]) if ":" in host else None
+        return None if address is None else str(address)
     address = address_of(host)
     if address is not None:
         return str(address)
@@ -45,10 +45,12 @@ def normal_host(header: str) -> str | None:
 
 
 def address_of(text: str) -> Address | None:
-    """The IP address of that text, an IPv4 address in IPv6 clothes as IPv4; None for text that is no address."""
+    """The IP address of that text, an IPv4-mapped one as IPv4; None for other text and for addresses with a zone."""
     try:
         address = ipaddress.ip_address(text)
     except ValueError:
+        return None
+    if "%" in text:
         return None
     if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is not None:
         return address.ipv4_mapped
