@@ -56,11 +56,11 @@ def _as_json(client: MissionClient) -> None:
 
 
 def _in_lines(client: MissionClient, state: MissionState) -> str:
-    from services.console.report.progress import progress_for
+    from services.console.report.progress import moment_now, progress_for
 
     with progress_for(f"{client.mission} at {client.earth}", "Ctrl-C ends the display, not the mission") as progress:
         for _ in _until_over(client, state, 0.1):
-            progress.show(state.moment)
+            progress.show(lambda: moment_now(state))
     assert state.status is not None
     return state.status.phase.value
 
@@ -144,9 +144,9 @@ class _Screen:
         from rich.table import Table
         from rich.text import Text
 
-        from services.console.report.progress import sparkline
+        from services.console.report.progress import moment_now, sparkline
 
-        moment = self._state.moment()
+        moment = moment_now(self._state)
         if moment.rmse_ppb is not None and (not self._curve or self._curve[-1] != moment.rmse_ppb):
             self._curve.append(moment.rmse_ppb)
         table = Table.grid(padding=(0, 2))
@@ -162,8 +162,9 @@ class _Screen:
     def _rows(self) -> list[tuple[str, str]]:
         from services.console.cli.status import queued
         from services.console.client.time_format import duration
+        from services.console.report.progress import moment_now
 
-        state, moment = self._state, self._state.moment()
+        state, moment = self._state, moment_now(self._state)
         status, link = state.status, state.link
         rows = [
             ("time", f"{duration(moment.mission_time_s)} since the beginning"),

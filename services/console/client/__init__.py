@@ -3,5 +3,5 @@
 `mission_client` joins a mission and combines `map_queries`, `commands`, `link`, `clock`, `live` and `feed`, each a
 class over one Zenoh session. `mission_state` keeps the newest facts of a mission for a display. `run_file` finds the
 missions that run on this machine. Command line, page, notebooks and benchmarks reach a mission through this package
-only. It may import `schemas` and `services.runtime`, and nothing of the console but `report`.
+only. It may import `schemas` and `services.runtime`, and nothing else of the console.
 """

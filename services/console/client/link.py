@@ -39,8 +39,3 @@ def link_change(values: dict[str, Any]) -> LinkChange:
         return LinkChange.model_validate_json(json.dumps(values))
     except ValidationError as error:
         raise InvalidInput(f"link: {one_line(error)}") from None
-
-
-def in_flight(link: LinkStatus) -> int:
-    """Messages between the two sides, those included that wait to leave."""
-    return link.up.in_flight + link.down.in_flight + link.up.waiting + link.down.waiting

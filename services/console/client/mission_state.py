@@ -33,9 +33,7 @@ from schemas.topics import (
 )
 from schemas.wire import Header
 from services.console.client.clock import MissionClock, time_shown
-from services.console.client.link import in_flight
 from services.console.client.staleness import SILENT_S
-from services.console.report.progress import Moment, moment_of
 from services.runtime.node import MissionTime, seconds
 from services.runtime.transport.client import Client
 
@@ -201,11 +199,6 @@ class MissionState:
         """Mission time since the beginning [s] at which the ground's last status was made."""
         fact = self._facts.get(GROUND_STATUS)
         return 0.0 if fact is None else self.time.since_start_s(fact.made_at)
-
-    def moment(self) -> Moment:
-        """The mission as a display of its progress needs it."""
-        link = self.link
-        return moment_of(self.status, self.time.elapsed_s() or 0.0, 0 if link is None else in_flight(link))
 
     @property
     def silent_s(self) -> float:

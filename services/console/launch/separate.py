@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from services.console.client.run_file import RunningMission, announced
 from services.console.launch.launcher import SERVICES, Endpoints, Launcher, endpoints_near
 from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, clear_for, make_folder, write_outcome
-from services.console.report.progress import Progress
+from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
 from services.mission.regions import load_region
 from services.runtime.event_log import merge_event_logs
@@ -152,6 +153,6 @@ def _watched_to_its_end(state: MissionState, launcher: Launcher, progress: Progr
         if status is not None and status.is_over:
             return status
         launcher.check()
-        progress.show(state.moment)
+        progress.show(partial(moment_now, state))
         state.changed.wait(LOOK_EVERY_S)
         state.changed.clear()

@@ -13,6 +13,7 @@ from services.console.client.time_format import duration
 
 if TYPE_CHECKING:
     from schemas.ground import GroundStatus
+    from services.console.client.mission_state import MissionState
 
 REDRAW_S = 0.1
 PLAIN_EVERY_S = 10.0
@@ -55,6 +56,13 @@ def moment_of(status: GroundStatus | None, mission_time_s: float, in_flight: int
         rover="no report yet" if rover is None else f"{rover.mode.value} at ({rover.x_m:.0f}, {rover.y_m:.0f}) m",
         detail=status.detail,
     )
+
+
+def moment_now(state: MissionState) -> Moment:
+    """The progress now, as far as an operator's session knows."""
+    link = state.link
+    in_flight = 0 if link is None else sum(each.in_flight + each.waiting for each in (link.up, link.down))
+    return moment_of(state.status, state.time.elapsed_s() or 0.0, in_flight)
 
 
 def time_left_s(moment: Moment, elapsed_s: float) -> float | None:
