@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
 from schemas.wire import MissionTimeNs, PositionM, Wire
+
+MAX_CELLS: Final = 4_000_000
+"""Of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
 
 Count = Annotated[int, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, le=1)]
@@ -85,7 +88,7 @@ RASTERS: tuple[MapLayer, ...] = tuple(MapLayer)[:5]
 
 
 class MapLayerQuery(Wire):
-    """A whole layer, or every `step`-th cell of it."""
+    """A whole layer, or every `step`-th cell of it from the south-west corner on."""
 
     layer: MapLayer
     step: Annotated[int, Field(ge=1, le=500)] = 1
@@ -96,7 +99,7 @@ class MapLayerQuery(Wire):
 
 
 class MapBoxQuery(Wire):
-    """A part of a layer, its edges in metres, at the resolution that is wanted (the map's own if none is given)."""
+    """A part of a layer, its edges in metres, in cells from its south-west corner on whose centres lie in it."""
 
     layer: MapLayer
     x_min: PositionM
@@ -104,7 +107,7 @@ class MapBoxQuery(Wire):
     x_max: PositionM
     y_max: PositionM
     resolution_m: Annotated[float, Field(gt=0, le=1e5)] | None = None
-    """Side of a cell of the answer; each holds the map's value at its centre."""
+    """Side of a cell of the answer, whose value is the map's at its centre; None: the map's own."""
     threshold: Ppb | None = None
     as_of: AsOf | None = None
     format: MapFormat = MapFormat.JSON
@@ -114,8 +117,8 @@ class MapRaster(Wire):
     """A layer as numbers: base64 of little-endian values, row 0 in the south, [row, column] = [y, x]."""
 
     layer: MapLayer
-    rows: Annotated[int, Field(ge=1, le=4096)]
-    columns: Annotated[int, Field(ge=1, le=4096)]
+    rows: Annotated[int, Field(ge=1, le=MAX_CELLS)]
+    columns: Annotated[int, Field(ge=1, le=MAX_CELLS)]
     resolution_m: Annotated[float, Field(gt=0)]
     dtype: Literal["<f4", "|u1"]
     data_base64: Annotated[str, Field(max_length=24_000_000)]
@@ -124,7 +127,9 @@ class MapRaster(Wire):
     samples: Count
     mission_time_ns: MissionTimeNs
     x_min_m: float = 0.0
+    """West edge of the first column; its cells' centres lie half a cell further east."""
     y_min_m: float = 0.0
+    """South edge of the first row."""
     threshold_ppb: float | None = None
 
 

@@ -17,13 +17,13 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
 from he3.terrain import relief_m, slope_deg, traversable
+from schemas.maps import MAX_CELLS
 
 # Name of a region -> its coarse rasters in this package. They are synthetic stand-ins, and their file names say so.
 EMBEDDED: Final[Mapping[str, str]] = {
     "t1": "t1_taurus_littrow_synthetic_standin.npz",
     "t2": "t2_hadley_rille_synthetic_standin.npz",
 }
-MAX_CELLS: Final = 4_000_000  # a region of 2 km at 1 m; more would not be a region but a mistake
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
 MAX_LATITUDE_DEG: Final = 89.0  # beyond it a region is no plane of east and north
 MAX_PROVENANCE: Final = 500  # characters

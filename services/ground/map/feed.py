@@ -23,13 +23,12 @@ from pydantic import ValidationError
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, Float32Array
 from schemas.codec import one_line
-from schemas.maps import FrameKind, MapFrame
+from schemas.maps import MAX_CELLS, FrameKind, MapFrame
 from services.runtime.node import MissionTime
 
 MAGIC: Final = b"HE3F"
 _LENGTH: Final = struct.Struct("<I")
 MAX_HEAD_BYTES: Final = 4096
-MAX_CELLS: Final = 4_000_000
 LEVEL: Final = 1  # of zlib: the numbers are noise below, zeros above; more effort gains 2 %
 
 

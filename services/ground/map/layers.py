@@ -1,4 +1,8 @@
-"""Layers and parts of layers, computed from one snapshot."""
+"""Layers and parts of layers, computed from one snapshot.
+
+Every answer is a raster of square cells, and the value of each is the map's at the centre of the cell: between the
+map's own cells nothing is interpolated.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from he3.errors import InvalidInput, OutsideRegion
-from he3.frames import SiteGrid
-from schemas.maps import RASTERS, MapBoxQuery, MapLayer, MapLayerQuery
+from he3.frames import FloatArray
+from schemas.maps import MAX_CELLS, RASTERS, MapBoxQuery, MapLayer, MapLayerQuery
 from services.ground.map.snapshot import MapSnapshot
 
 UNITS = {
@@ -22,8 +26,8 @@ UNITS = {
     MapLayer.INFORMATION: "nat",
     MapLayer.EXCEEDANCE: "1",
 }
-MAX_CELLS = 4_000_000
-"""Of one answer: 16 MB of float32, a site of 2 km at 1 m."""
+EDGE_CELLS = 1e-6
+"""A place so little [cells of the map] south or west of an edge lies on it: coordinates are rounded on their way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,8 +37,11 @@ class Cells:
     layer: MapLayer
     values: NDArray[Any]
     resolution_m: float
+    """Side of a cell."""
     x_min_m: float
+    """West edge of the first column."""
     y_min_m: float
+    """South edge of the first row."""
     threshold_ppb: float | None
 
     @property
@@ -42,23 +49,36 @@ class Cells:
         return UNITS[self.layer]
 
     @property
-    def grid(self) -> SiteGrid:
-        return SiteGrid(self.values.shape[0], self.values.shape[1], self.resolution_m)
+    def x_m(self) -> FloatArray:
+        """(columns,) east coordinates of the centres."""
+        return centres(self.x_min_m, self.values.shape[1], self.resolution_m)
+
+    @property
+    def y_m(self) -> FloatArray:
+        """(rows,) north coordinates of the centres."""
+        return centres(self.y_min_m, self.values.shape[0], self.resolution_m)
 
 
 def whole_layer(request: MapLayerQuery, snapshot: MapSnapshot) -> Cells:
-    """The layer, or every `step`-th cell of it from the south-west corner on."""
+    """The layer, or every `step`-th cell of it from the south-west corner on.
+
+    With a step the cells of the answer are that many times as large, about the same centres: the first ones reach out
+    of the site to the south and west.
+    """
     check_threshold(request.layer, request.threshold)
-    step = request.step
+    step, cell_m = request.step, snapshot.grid.resolution_m
     part = (slice(None, None, step), slice(None, None, step))
     values = _values(request.layer, request.threshold, snapshot, part)
-    return Cells(request.layer, values, snapshot.grid.resolution_m * step, 0.0, 0.0, request.threshold)
+    edge = 0.5 * (1 - step) * cell_m
+    return Cells(request.layer, values, cell_m * step, edge, edge, request.threshold)
 
 
 def box(request: MapBoxQuery, snapshot: MapSnapshot) -> Cells:
-    """The part of a layer between those edges: cells of the resolution asked for, each the map's at its centre.
+    """The part of a layer between those edges, in cells of the resolution asked for from its south-west corner on.
 
-    Raises OutsideRegion for a box that is not within the site, InvalidInput for an empty one or one of too many cells.
+    They are as many as have their centre in the box. Without a resolution they are as large as the map's, but never
+    larger than the box. Raises OutsideRegion for a box that is not within the site, InvalidInput for an empty one, one
+    that holds no centre, or one of too many cells.
     """
     check_threshold(request.layer, request.threshold)
     grid = snapshot.grid
@@ -72,17 +92,23 @@ def box(request: MapBoxQuery, snapshot: MapSnapshot) -> Cells:
         raise InvalidInput(
             f"map box: expected x_min < x_max and y_min < y_max, got {x[0]:g}..{x[1]:g} and {y[0]:g}..{y[1]:g}"
         )
-    resolution = request.resolution_m or grid.resolution_m
-    # A hair less, so that 0.3 / 0.1 is 3 cells and not 4.
-    columns, rows = (max(1, math.ceil((edge[1] - edge[0]) / resolution - 1e-9)) for edge in (x, y))
-    if rows * columns > MAX_CELLS or max(rows, columns) > 4096:
+    sides = (x[1] - x[0], y[1] - y[0])
+    resolution = request.resolution_m or min(grid.resolution_m, *sides)
+    # A centre on the far edge is left out, so that rounding cannot put it outside.
+    columns, rows = (math.ceil(side / resolution - 0.5 - EDGE_CELLS) for side in sides)
+    if min(rows, columns) < 1:
         raise InvalidInput(
-            f"map box: expected at most {MAX_CELLS} cells and 4096 on a side, got {columns} x {rows}: "
+            f"map box: expected a resolution_m below {2 * min(sides):g}, so that the box holds the centre of a cell, "
+            f"got {resolution:g}"
+        )
+    if rows * columns > MAX_CELLS:
+        raise InvalidInput(
+            f"map box: expected at most {MAX_CELLS} cells, got {columns} x {rows}: "
             f"ask for a smaller box or a resolution_m above {resolution:g}"
         )
     part = np.ix_(
-        _nearest(y[0], rows, resolution, grid.rows, grid.resolution_m),
-        _nearest(x[0], columns, resolution, grid.columns, grid.resolution_m),
+        cell_indices(centres(y[0], rows, resolution), grid.rows, grid.resolution_m),
+        cell_indices(centres(x[0], columns, resolution), grid.columns, grid.resolution_m),
     )
     values = _values(request.layer, request.threshold, snapshot, part)
     return Cells(request.layer, values, resolution, x[0], y[0], request.threshold)
@@ -111,9 +137,17 @@ def check_threshold(layer: MapLayer, threshold_ppb: float | None) -> None:
         )
 
 
-def _nearest(start_m: float, count: int, resolution_m: float, cells: int, cell_m: float) -> NDArray[np.intp]:
-    centres = start_m + (np.arange(count) + 0.5) * resolution_m
-    return np.clip((centres / cell_m).astype(np.intp), 0, cells - 1)
+def centres(edge_m: float, count: int, cell_m: float) -> FloatArray:
+    """Coordinates of the centres of so many cells, the first of which begins at the edge."""
+    return np.asarray(edge_m + (np.arange(count) + 0.5) * cell_m, dtype=np.float64)
+
+
+def cell_indices(places_m: FloatArray, cells: int, cell_m: float) -> NDArray[np.intp]:
+    """Index of the cell of the map in which each coordinate of the site lies, along an axis of that many cells.
+
+    On an edge between two cells that is the one to the north or east.
+    """
+    return np.clip((places_m / cell_m + EDGE_CELLS).astype(np.intp), 0, cells - 1)
 
 
 def _values(layer: MapLayer, threshold_ppb: float | None, snapshot: MapSnapshot, part: Any) -> NDArray[Any]:

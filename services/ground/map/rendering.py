@@ -140,13 +140,12 @@ def tiff(cells: Cells, snapshot: MapSnapshot) -> bytes:
 
 
 def csv_of_cells(cells: Cells) -> bytes:
-    """One line a cell: x and y of its centre [m], and its value."""
-    grid = cells.grid
-    x = [f"{value:.10g}" for value in grid.x_m + cells.x_min_m]
+    """One line a cell: x and y of its centre [m], and its value with all digits that a float32 has."""
+    x = [f"{value:.10g}" for value in cells.x_m]
     lines = [f"x_m,y_m,{_column(cells)}"]
-    for y, row in zip(grid.y_m + cells.y_min_m, cells.values.tolist(), strict=True):
+    for y, row in zip(cells.y_m, cells.values.tolist(), strict=True):
         middle = f",{y:.10g},"
-        lines.extend(east + middle + f"{value:.7g}" for east, value in zip(x, row, strict=True))
+        lines.extend(east + middle + f"{value:.9g}" for east, value in zip(x, row, strict=True))
     return ("\n".join(lines) + "\n").encode()
 
 

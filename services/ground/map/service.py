@@ -27,7 +27,7 @@ from schemas.maps import (
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
 from schemas.wire import Wire
 from services.ground.map.history import as_of, revisions
-from services.ground.map.layers import Cells, box, whole_layer
+from services.ground.map.layers import EDGE_CELLS, Cells, box, whole_layer
 from services.ground.map.resources import estimate
 from services.ground.map.snapshot import MapSnapshot
 
@@ -61,8 +61,8 @@ def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
             f"map: expected a place within 0..{grid.width_m:g} m east and 0..{grid.height_m:g} m north, "
             f"got ({x:g}, {y:g})"
         )
-    row = min(int(y / grid.resolution_m), grid.rows - 1)
-    column = min(int(x / grid.resolution_m), grid.columns - 1)
+    row = min(int(y / grid.resolution_m + EDGE_CELLS), grid.rows - 1)
+    column = min(int(x / grid.resolution_m + EDGE_CELLS), grid.columns - 1)
     mean, std = snapshot.mean_ppb.item(row, column), snapshot.std_ppb.item(row, column)
     above = None
     if request.threshold is not None:
