@@ -124,7 +124,7 @@ class Host:
             return False
         if topic in self._interface.receives_raw:
             return side is origin(topic)
-        return topic in self._interface.subscribes or (self._custody is not None and topic is self._custody.hears)
+        return topic in self._interface.subscribes or (self._custody is not None and topic is self._custody.ack_topic)
 
     def heard_topics(self) -> list[tuple[Topic, Side]]:
         """Everything that reaches this node, and where."""
@@ -132,7 +132,7 @@ class Host:
         topics = [
             *interface.subscribes,
             *interface.receives_raw,
-            *([self._custody.hears] if self._custody is not None else []),
+            *([self._custody.ack_topic] if self._custody is not None else []),
         ]
         return [(topic, side) for side in interface.sides for topic in topics if self.hears(topic, side)]
 
@@ -179,7 +179,7 @@ class Host:
                 actions = self._handle(Computed(job, result, error), now, what)
         if self._custody is not None:
             actions += self._report_queue_depth(self._custody.depth, now)
-            actions += self._custody.timer()
+            actions += self._custody.move_timer()
         return actions
 
     # --- inside -------------------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ class Host:
         self._sequences = {}
         self._asked = {}
         if self._custody is not None:
-            self._custody.starts(self._mission, incarnation)
+            self._custody.start(self._mission, incarnation)
         return self._handle(Started(incarnation), now, f"started {incarnation}")
 
     def _message(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
@@ -204,11 +204,11 @@ class Host:
         endpoint = self._custody
         if endpoint is None or topic.direction is None:
             return self._handle(Received(topic, header, body), now, what)
-        if topic is endpoint.hears:
+        if topic is endpoint.ack_topic:
             return endpoint.acknowledged(body, header, now)
         deliveries, actions = endpoint.received(topic, header, body, len(payload), now)
         for delivery in deliveries:
-            actions += self._handle(Received(*delivery), now, what)
+            actions += self._handle(Received(delivery.topic, delivery.header, delivery.body), now, what)
         return actions
 
     def _query(self, topic: Topic, payload: bytes, token: int, now: MissionTime) -> list[Action]:
@@ -247,7 +247,7 @@ class Host:
 
     def _timer(self, timer: str, now: MissionTime) -> list[Action]:
         if self._custody is not None and timer == CUSTODY_TIMER:
-            return self._custody.due(now)
+            return self._custody.timer_elapsed(now)
         return self._handle(TimerFired(timer), now, f"due {timer}")
 
     def _handle(self, event: Event, now: MissionTime, what: str) -> list[Action]:

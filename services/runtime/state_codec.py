@@ -41,7 +41,7 @@ _LENGTH_BYTES: Final = 8
 _NUMERIC: Final = frozenset("biufc")
 """Kinds of the arrays that are encoded: booleans and numbers, no objects."""
 
-State = dict[str, Any]
+SavedState = dict[str, Any]
 """What an object keeps of itself: named parts, each of which the codec can encode."""
 
 

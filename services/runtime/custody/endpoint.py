@@ -1,26 +1,38 @@
-"""Custody at one end of the link: a host's outbox and inbox together, speaking in actions.
+"""Custody at one end of the link: a node's sender and receiver together, in terms of actions.
 
-What the node sends under custody is kept until the other side has it; what comes is handed up once and in order, and
-acknowledged. Each side hears the acknowledgements that the other sends its way.
+What the node sends under custody is kept until the other side has it. What arrives is delivered once and in order, and
+acknowledged. Each side receives the acknowledgements that the other one sends.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Final
 
 from schemas.codec import encode
 from schemas.link import Acknowledgement, Direction, LinkConditions
-from schemas.topics import ACK_DOWN, ACK_UP, Side, Topic
+from schemas.topics import ACK_DOWN, ACK_UP, TOPICS, Side, Topic
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish
-from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, under_custody
-from services.runtime.custody.receiver import Ack, CustodyReceiver, Delivery
+from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, State, under_custody
+from services.runtime.custody.receiver import Arrival, CustodyReceiver, Delivery
 from services.runtime.custody.sender import CustodySender, Transmit
+from services.runtime.custody.stream import Transmission
 from services.runtime.node import Interface, Level, LogRecord, MissionTime, SetTimer
+from services.runtime.state_codec import SavedState
 
-CUSTODY_TIMER = "@custody"
-"""Name of the host's own timer; nodes name theirs without '@'."""
+CUSTODY_TIMER: Final = "@custody"
+"""Name of the host's own timer; the names of a node's timers do not begin with '@'."""
+
+STATE_TYPES: Final[tuple[type, ...]] = (
+    Arrival,
+    Delivery,
+    Header,
+    State,
+    Transmission,
+    *{topic.payload for topic in TOPICS if under_custody(topic)},
+)
+"""What the state of custody is made of, beside plain values."""
 
 
 def custody_config(link: LinkConditions, interface: Interface) -> CustodyConfig:
@@ -29,58 +41,59 @@ def custody_config(link: LinkConditions, interface: Interface) -> CustodyConfig:
 
 
 class CustodyEndpoint:
-    """The outbox and the inbox of one node."""
+    """The custody of one node on its side of the link."""
 
     def __init__(self, name: str, side: Side, config: CustodyConfig | None) -> None:
-        self.hears = ACK_UP if side is Side.MOON else ACK_DOWN
-        """The acknowledgements that concern this side: on the Moon they come up, on Earth they come down."""
+        up_and_down = ACK_UP, ACK_DOWN
+        self.ack_topic, self._own_ack_topic = up_and_down if side is Side.MOON else reversed(up_and_down)
+        """Topic of the acknowledgements that come to this side; those that it sends go the other way."""
         self._name = name
         self._side = side
         self._mission = ""
+        self._incarnation = 0
         self._sender = CustodySender(name, config)
         self._receiver = CustodyReceiver(config)
-        self._wakes_at: MissionTime | None = None
-        self._acks = 0
-        self._incarnation = 0
+        self._acks_sent = 0
+        self._timer_at: MissionTime | None = None
         self._newest: dict[tuple[str, str], tuple[int, int]] = {}
 
     @property
     def depth(self) -> int:
-        """Messages that wait for the other side's acknowledgement."""
+        """Messages that await the other side's acknowledgement."""
         return self._sender.depth
 
     @property
     def retransmitted(self) -> int:
         """Messages sent again so far."""
-        return self._sender.counts.repeated
+        return self._sender.retransmitted
 
-    def starts(self, mission: str, incarnation: int) -> None:
-        """Acknowledgements made from now on carry this mission and incarnation."""
+    def start(self, mission: str, incarnation: int) -> None:
+        """The process has started: acknowledgements carry this mission and incarnation from now on."""
         self._mission = mission
         self._incarnation = incarnation
-        self._acks = 0
+        self._acks_sent = 0
 
     def offer(self, topic: Topic, header: Header, body: Wire, now: MissionTime) -> list[Action]:
         """Keep a message of this node, and send what may be sent."""
-        kept_from = self._sender.held_from(topic, header.incarnation, header.sequence)
-        header = header.model_copy(update={"held_from": kept_from})
+        held_from = self._sender.held_from(topic, header.incarnation, header.sequence)
+        header = header.model_copy(update={"held_from": held_from})
         try:
-            return self._sent(self._sender.offer(topic, header, encode(header, body), now))
+            return self._publish(self._sender.offer(topic, header, encode(header, body), now))
         except CustodyQueueFull as error:
             return [LogRecord(Level.ERROR, str(error))]
 
     def received(
         self, topic: Topic, header: Header, body: Any, size_bytes: int, now: MissionTime
     ) -> tuple[list[Delivery], list[Action]]:
-        """What to hand up of a message that crossed the link, and what to send."""
-        actions = self._sent(self._sender.heard(now))
+        """What to deliver upon a message that crossed the link, and what to do."""
+        actions = self._publish(self._sender.contact(now))
         if not under_custody(topic):
-            return [Delivery(topic, header, body)] if self._is_news(topic, header) else [], actions
+            return [Delivery(topic, header, body)] if self._is_newest(topic, header) else [], actions
         deliveries, acks = self._receiver.received(topic, header, body, size_bytes, now)
-        return deliveries, actions + self._acknowledged(acks, now)
+        return deliveries, actions + self._acknowledge(acks, now)
 
-    def _is_news(self, topic: Topic, header: Header) -> bool:
-        """Of what is never repeated only the newest counts: one that was overtaken on the way is passed over."""
+    def _is_newest(self, topic: Topic, header: Header) -> bool:
+        """Of a topic that is never repeated only the newest message counts; one that was overtaken is dropped."""
         number = (header.incarnation, header.sequence)
         if number <= self._newest.get((topic.name, header.source), (-1, -1)):
             return False
@@ -88,42 +101,64 @@ class CustodyEndpoint:
         return True
 
     def acknowledged(self, ack: Acknowledgement, header: Header, now: MissionTime) -> list[Action]:
-        """Let go what the other side has, and send again what it misses."""
-        return self._sent(self._sender.acknowledged(ack, header, now))
+        """Drop what the other side has, and repeat what it misses."""
+        return self._publish(self._sender.acknowledged(ack, header, now))
 
-    def due(self, now: MissionTime) -> list[Action]:
-        """Send again what nobody acknowledged in time, and the acknowledgements that waited."""
-        self._wakes_at = None
+    def timer_elapsed(self, now: MissionTime) -> list[Action]:
+        """Repeat what was not acknowledged in time, and send the acknowledgements that waited."""
+        self._timer_at = None
         actions: list[Action] = []
-        sender_due, receiver_due = self._sender.next_due(), self._receiver.next_due()
-        if sender_due is not None and sender_due <= now:
-            actions += self._sent(self._sender.due(now))
-        if receiver_due is not None and receiver_due <= now:
-            actions += self._acknowledged(self._receiver.due(now), now)
+        repeat_at, acknowledge_at = self._sender.next_timer(), self._receiver.next_timer()
+        if repeat_at is not None and repeat_at <= now:
+            actions += self._publish(self._sender.timer_elapsed(now))
+        if acknowledge_at is not None and acknowledge_at <= now:
+            actions += self._acknowledge(self._receiver.timer_elapsed(now), now)
         return actions
 
-    def timer(self) -> list[Action]:
-        """The host's timer, where it has to be moved."""
-        times = [at for at in (self._sender.next_due(), self._receiver.next_due()) if at is not None]
-        wakes_at = min(times) if times else None
-        if wakes_at == self._wakes_at:
+    def move_timer(self) -> list[Action]:
+        """The change of the host's timer, if it has to move."""
+        times = [at for at in (self._sender.next_timer(), self._receiver.next_timer()) if at is not None]
+        timer_at = min(times, default=None)
+        if timer_at == self._timer_at:
             return []
-        self._wakes_at = wakes_at
-        return [SetTimer(CUSTODY_TIMER, wakes_at)]
+        self._timer_at = timer_at
+        return [SetTimer(CUSTODY_TIMER, timer_at)]
 
-    def _sent(self, transmits: Iterable[Transmit]) -> list[Action]:
+    def _publish(self, transmits: Iterable[Transmit]) -> list[Action]:
         return [Publish(transmit.topic, self._side, transmit.payload) for transmit in transmits]
 
-    def _acknowledged(self, acks: Iterable[Ack], now: MissionTime) -> list[Action]:
+    def _acknowledge(self, acks: Iterable[Acknowledgement], now: MissionTime) -> list[Action]:
         actions: list[Action] = []
-        for topic, body in acks:
+        for ack in acks:
             header = Header(
                 mission=self._mission,
                 source=self._name,
                 incarnation=self._incarnation,
-                sequence=self._acks,
+                sequence=self._acks_sent,
                 made_at=now,
             )
-            self._acks += 1
-            actions.append(Publish(topic, self._side, encode(header, body)))
+            self._acks_sent += 1
+            actions.append(Publish(self._own_ack_topic, self._side, encode(header, ack)))
         return actions
+
+    # --- checkpoints --------------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> SavedState:
+        """Both halves, as named parts."""
+        return {
+            "mission": self._mission,
+            "incarnation": self._incarnation,
+            "sender": self._sender.checkpoint(),
+            "receiver": self._receiver.checkpoint(),
+            "acks_sent": self._acks_sent,
+            "timer_at": self._timer_at,
+            "newest": dict(self._newest),
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the endpoint that had this state."""
+        self._mission, self._incarnation = state["mission"], state["incarnation"]
+        self._sender.restore(state["sender"])
+        self._receiver.restore(state["receiver"])
+        self._acks_sent, self._timer_at = state["acks_sent"], state["timer_at"]
+        self._newest = state["newest"]

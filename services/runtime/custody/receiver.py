@@ -1,175 +1,178 @@
-"""The receiver's half of custody: each message once and in the order of its stream, and acknowledgements back.
+"""The receiver's half of custody: delivers each message once and in the order of its stream, and acknowledges it.
 
-A stream is a topic, its source and that source's incarnation. What comes out of turn is held until what is missing
-has come; what came before is absorbed; both are acknowledged, so that the sender knows what to repeat. A message is
-promised as delivered only when it was handed up: what is merely held may be forgotten in a restart, and the sender
-keeps it until then. Rebuilt from a journal with `delivered`.
+A stream is a topic, its source and that source's incarnation. A message that comes out of turn is held until the
+missing ones have come; one that was delivered or is held already is a duplicate. Both are acknowledged, so the sender
+knows what to repeat. Only a delivered message is acknowledged for good: one that is held may be forgotten in a restart,
+so the sender keeps it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from schemas.link import Acknowledgement
 from schemas.topics import Topic
-from schemas.wire import Header
-from services.runtime.custody.protocol import MAX_GAPS, CustodyConfig, acknowledged_on
+from schemas.wire import Header, Wire
+from services.runtime.custody.protocol import MAX_GAPS, CustodyConfig
 from services.runtime.node import MissionTime, seconds
+from services.runtime.state_codec import SavedState
 
 MAX_STREAMS: Final = 1_024
-"""Streams that are remembered; the one whose turn is longest past is forgotten first."""
+"""Streams that are remembered; the one unused for longest is forgotten first."""
 
 
-class Delivery(NamedTuple):
-    """A message to be handed up."""
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """A message to be delivered to the node."""
 
     topic: Topic
     header: Header
     body: Any
 
 
-class Ack(NamedTuple):
-    """An acknowledgement to be sent on that topic."""
-
-    topic: Topic
-    body: Acknowledgement
-
-
 @dataclass(frozen=True, slots=True)
-class ReceiverCounts:
-    """What became of the messages since the start."""
+class Arrival:
+    """Which message of a stream arrived last, and when."""
 
-    delivered: int
-    repeated: int
-    """Absorbed, as they had been delivered or were held."""
-    held: int
-    overflowed: int
-    """Neither held nor acknowledged, for want of room."""
+    sequence: int
+    repetition: int
+    at: MissionTime
 
 
 @dataclass(slots=True)
 class _Stream:
     next: int = 0
-    """Everything below it was handed up."""
+    """Every message below it is delivered."""
     held: dict[int, tuple[Delivery, int]] = field(default_factory=dict)
+    """Messages out of turn with their size in bytes, by sequence."""
     held_bytes: int = 0
-    last: tuple[int, int, MissionTime] | None = None
-    """Sequence, repetition and time of the latest arrival."""
+    last: Arrival | None = None
     acknowledged_at: MissionTime | None = None
-    ack_due: MissionTime | None = None
+    ack_at: MissionTime | None = None
+    """When the next acknowledgement is to be sent; None: there is nothing new to acknowledge."""
+
+    def release(self, sequence: int) -> Delivery:
+        """The held message of that sequence, no longer held."""
+        delivery, size_bytes = self.held.pop(sequence)
+        self.held_bytes -= size_bytes
+        return delivery
+
+    def release_next(self) -> list[Delivery]:
+        """The held messages whose turn it is now."""
+        ready = []
+        while self.next in self.held:
+            ready.append(self.release(self.next))
+            self.next += 1
+        return ready
+
+    def skip_to(self, held_from: int) -> list[Delivery]:
+        """The held messages that may be delivered, as the source no longer keeps what is missing below `held_from`.
+
+        Those were acknowledged before a restart of which nothing is remembered here.
+        """
+        ready = [self.release(sequence) for sequence in sorted(self.held) if sequence < held_from]
+        self.next = held_from
+        return [*ready, *self.release_next()]
 
 
 class CustodyReceiver:
-    """What comes from the other side under custody."""
+    """The messages under custody that come from the other side."""
 
     def __init__(self, config: CustodyConfig | None = None) -> None:
         self._config = config or CustodyConfig()
         self._pause = seconds(self._config.ack_pause_s)
         self._streams: dict[tuple[Topic, str, int], _Stream] = {}
-        self._delivered = self._repeated = self._overflowed = 0
-
-    @property
-    def counts(self) -> ReceiverCounts:
-        held = sum(len(stream.held) for stream in self._streams.values())
-        return ReceiverCounts(self._delivered, self._repeated, held, self._overflowed)
-
-    def delivered(self, topic: Topic, header: Header) -> None:
-        """Notes that this message was handed up in an earlier life; it is not handed up again."""
-        stream = self._stream(topic, header)
-        stream.next = max(stream.next, header.sequence + 1)
 
     def received(
-        self, topic: Topic, header: Header, body: Any, size_bytes: int, now: MissionTime
-    ) -> tuple[list[Delivery], list[Ack]]:
-        """What is now to be handed up, in order, and the acknowledgements to send once that is safe in the journal."""
+        self, topic: Topic, header: Header, body: Wire | None, size_bytes: int, now: MissionTime
+    ) -> tuple[list[Delivery], list[Acknowledgement]]:
+        """What is to be delivered now, in order, and the acknowledgements to send once that is in the journal."""
         stream = self._stream(topic, header)
         ready: list[Delivery] = []
         if header.held_from is not None and header.held_from > stream.next:
-            ready += self._skips_to(stream, header.held_from)
+            ready += stream.skip_to(header.held_from)
         sequence = header.sequence
-        if sequence < stream.next or sequence in stream.held:
-            self._repeated += 1
-        elif sequence == stream.next:
+        if sequence == stream.next:
             ready.append(Delivery(topic, header, body))
             stream.next += 1
-            ready += self._follow(stream)
-        elif self._has_room(stream, size_bytes):
+            ready += stream.release_next()
+        elif sequence > stream.next and sequence not in stream.held:
+            if not self._has_room(stream, size_bytes):
+                return ready, []
             stream.held[sequence] = (Delivery(topic, header, body), size_bytes)
             stream.held_bytes += size_bytes
-        else:
-            self._overflowed += 1
-            return ready, []
-        self._delivered += len(ready)
-        stream.last = (sequence, header.repetition, now)
+        stream.last = Arrival(sequence, header.repetition, now)
         if stream.acknowledged_at is None or stream.acknowledged_at + self._pause <= now:
-            return ready, [self._acknowledges(topic, header.source, header.incarnation, stream, now)]
-        stream.ack_due = stream.acknowledged_at + self._pause
+            return ready, [_acknowledge(topic, header.source, header.incarnation, stream, now)]
+        stream.ack_at = stream.acknowledged_at + self._pause
         return ready, []
 
-    def next_due(self) -> MissionTime | None:
-        """When `due` wants to be called next."""
-        return min((stream.ack_due for stream in self._streams.values() if stream.ack_due is not None), default=None)
+    def next_timer(self) -> MissionTime | None:
+        """When `timer_elapsed` is to be called; None if no acknowledgement waits."""
+        return min((stream.ack_at for stream in self._streams.values() if stream.ack_at is not None), default=None)
 
-    def due(self, now: MissionTime) -> list[Ack]:
+    def timer_elapsed(self, now: MissionTime) -> list[Acknowledgement]:
         """The acknowledgements whose pause is over."""
         return [
-            self._acknowledges(topic, source, incarnation, stream, now)
+            _acknowledge(topic, source, incarnation, stream, now)
             for (topic, source, incarnation), stream in self._streams.items()
-            if stream.ack_due is not None and stream.ack_due <= now
+            if stream.ack_at is not None and stream.ack_at <= now
         ]
 
     def _stream(self, topic: Topic, header: Header) -> _Stream:
         key = (topic, header.source, header.incarnation)
         stream = self._streams.pop(key, None) or _Stream()
-        self._streams[key] = stream  # now the last one, forgotten last
+        self._streams[key] = stream  # at the end, so it is forgotten last
         if len(self._streams) > MAX_STREAMS:
             del self._streams[next(iter(self._streams))]
         return stream
-
-    def _skips_to(self, stream: _Stream, held_from: int) -> Iterable[Delivery]:
-        """The source no longer has what is missing below, as it was acknowledged in a life that is forgotten here."""
-        ready = []
-        for sequence in sorted(sequence for sequence in stream.held if sequence < held_from):
-            delivery, size = stream.held.pop(sequence)
-            stream.held_bytes -= size
-            ready.append(delivery)
-        stream.next = held_from
-        return [*ready, *self._follow(stream)]
-
-    def _follow(self, stream: _Stream) -> Iterable[Delivery]:
-        """What was held and now has its turn."""
-        ready = []
-        while stream.next in stream.held:
-            delivery, size = stream.held.pop(stream.next)
-            stream.held_bytes -= size
-            ready.append(delivery)
-            stream.next += 1
-        return ready
 
     def _has_room(self, stream: _Stream, size_bytes: int) -> bool:
         config = self._config
         return len(stream.held) < config.max_held and stream.held_bytes + size_bytes <= config.max_held_bytes
 
-    def _acknowledges(self, topic: Topic, source: str, incarnation: int, stream: _Stream, now: MissionTime) -> Ack:
-        stream.acknowledged_at, stream.ack_due = now, None
-        edges = [stream.next - 1, *sorted(stream.held)]
-        gaps = [(before + 1, after - 1) for before, after in pairwise(edges) if after > before + 1]
-        complete = edges[-1] + 1
-        if len(gaps) > MAX_GAPS:  # say nothing of what lies beyond the last gap that can be told
-            complete = gaps[MAX_GAPS][0]
-            gaps = gaps[:MAX_GAPS]
-        sequence, repetition, at = stream.last if stream.last is not None else (None, 0, None)
-        body = Acknowledgement(
-            stream=topic.name,
-            source=source,
-            incarnation=incarnation,
-            next_sequence=complete,
-            gaps=tuple(gaps),
-            last_sequence=sequence,
-            last_repetition=repetition,
-            last_received_at=at,
-        )
-        return Ack(acknowledged_on(topic), body)
+    # --- checkpoints --------------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> SavedState:
+        """Every stream, the one unused for longest first, as named parts."""
+        return {
+            "streams": {
+                key: {
+                    "next": stream.next,
+                    "held": dict(stream.held),
+                    "held_bytes": stream.held_bytes,
+                    "last": stream.last,
+                    "acknowledged_at": stream.acknowledged_at,
+                    "ack_at": stream.ack_at,
+                }
+                for key, stream in self._streams.items()
+            }
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the receiver that had this state."""
+        self._streams = {key: _Stream(**parts) for key, parts in state["streams"].items()}
+
+
+def _acknowledge(topic: Topic, source: str, incarnation: int, stream: _Stream, now: MissionTime) -> Acknowledgement:
+    """What the stream has, from now on acknowledged."""
+    stream.acknowledged_at, stream.ack_at = now, None
+    edges = [stream.next - 1, *sorted(stream.held)]
+    gaps = [(before + 1, after - 1) for before, after in pairwise(edges) if after > before + 1]
+    complete = edges[-1] + 1
+    if len(gaps) > MAX_GAPS:  # nothing is said of what lies beyond the last gap that fits
+        complete = gaps[MAX_GAPS][0]
+        gaps = gaps[:MAX_GAPS]
+    last = stream.last
+    return Acknowledgement(
+        stream=topic.name,
+        source=source,
+        incarnation=incarnation,
+        next_sequence=complete,
+        gaps=tuple(gaps),
+        last_sequence=None if last is None else last.sequence,
+        last_repetition=0 if last is None else last.repetition,
+        last_received_at=None if last is None else last.at,
+    )

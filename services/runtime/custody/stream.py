@@ -1,31 +1,36 @@
-"""What an outbox remembers of the messages that it keeps, and what an acknowledgement says of them."""
+"""The sender's streams: the messages of one topic and incarnation, and what an acknowledgement says of them."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Final
 
 from schemas.link import Acknowledgement
 from schemas.topics import Topic
-from services.runtime.custody.protocol import MAX_GAPS, State
+from services.runtime.custody.protocol import MAX_GAPS, Signal, State, next_state
 from services.runtime.node import MissionTime
+from services.runtime.state_codec import SavedState
+
+REMEMBERED_TRANSMISSIONS: Final = 8
+"""Transmissions of one message whose times are known: the first and the latest."""
 
 
-class Sending(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Transmission:
     """One time that a message was sent."""
 
     number: int
-    """Counts the sendings of all messages."""
+    """Counts the transmissions of all messages, from 1."""
     at: MissionTime
     last_bit_at: MissionTime
-    """When it should have left at the known rate."""
+    """When the last bit leaves, at the known rate."""
 
 
 @dataclass(slots=True, eq=False)
-class Kept:
-    """A message and where it stands."""
+class KeptMessage:
+    """A message that is not yet acknowledged, and where it stands."""
 
     topic: Topic
     incarnation: int
@@ -33,84 +38,141 @@ class Kept:
     payload: bytes
     priority: int
     order: int
+    """Counts the messages offered."""
     state: State = State.WAITING
     repetitions: int = 0
-    """How often it was sent; what was restored counts as sent once in its earlier life."""
-    sendings: dict[int, Sending] = field(default_factory=dict)
-    """The first and the latest, by repetition."""
+    """How often it was sent."""
+    transmissions: dict[int, Transmission] = field(default_factory=dict)
+    """By repetition, in order."""
     queued: bool = False
+    """Whether it is in the window's queue."""
 
     @property
     def turn(self) -> tuple[int, int]:
+        """Messages are sent in this order."""
         return self.priority, self.order
 
     @property
-    def last_sending(self) -> int:
-        return next(reversed(self.sendings.values())).number if self.sendings else 0
+    def last_transmission(self) -> int:
+        """Number of its last transmission; 0 if it has not been sent."""
+        return next(reversed(self.transmissions.values())).number if self.transmissions else 0
 
     @property
     def last_sent_at(self) -> MissionTime:
-        return next(reversed(self.sendings.values())).at if self.sendings else 0
+        return next(reversed(self.transmissions.values())).at if self.transmissions else 0
+
+    def signal(self, signal: Signal) -> None:
+        """Make the transition of the table."""
+        self.state = next_state(self.state, signal)
+
+    def transmitted(self, transmission: Transmission) -> None:
+        """Note that it was sent once more."""
+        if len(self.transmissions) >= REMEMBERED_TRANSMISSIONS:
+            del self.transmissions[list(self.transmissions)[1]]  # the first is the most likely to have arrived first
+        self.transmissions[self.repetitions] = transmission
+        self.repetitions += 1
+        self.signal(Signal.TRANSMITTED)
 
 
 @dataclass(slots=True, eq=False)
-class Stream:
+class SendStream:
     """The messages of one topic and incarnation that are not yet acknowledged."""
 
-    kept: dict[int, Kept] = field(default_factory=dict)
-    """By sequence, rising."""
-    sent: dict[int, Kept] = field(default_factory=dict)
+    kept: dict[int, KeptMessage] = field(default_factory=dict)
+    """By sequence, ascending."""
+    sent: dict[int, KeptMessage] = field(default_factory=dict)
     """Those under way, in the order of sending."""
-    held: dict[int, Kept] = field(default_factory=dict)
-    """Those that the receiver has out of turn."""
+    held: dict[int, KeptMessage] = field(default_factory=dict)
+    """Those that the receiver holds out of turn."""
     in_turn: bool = True
-    """False while an earlier incarnation of the topic has messages left, or what was restored is not yet sorted out."""
+    """False while an earlier incarnation of the topic has messages left."""
     doublings: int = 0
-    in_vain: int = 0
-    """Repetitions since the other side was last heard."""
+    """How often the wait has been doubled."""
+    unanswered: int = 0
+    """Repetitions since the last message from the other side."""
     waits_since: MissionTime = 0
     newest_ack: tuple[int, int] = (-1, -1)
+    """Incarnation and sequence of the newest acknowledgement."""
 
     @property
-    def oldest_sent(self) -> Kept | None:
-        """The message whose time is up first."""
+    def oldest_sent(self) -> KeptMessage | None:
+        """The message whose timer runs: the one longest under way, else one that is held."""
         return next(iter(self.sent.values()), None) or next(iter(self.held.values()), None)
 
-    def witness(self, ack: Acknowledgement) -> int:
-        """Number of the latest sending that is known to have come, as far as this acknowledgement shows; 0: none."""
-        witness = 0
-        for sequence, kept in self.kept.items():
-            if sequence >= ack.next_sequence:
-                break
-            if kept.state is State.SENT and len(kept.sendings) == 1 and not missing(ack, sequence):
-                witness = max(witness, kept.last_sending)
-        sending = self.last_to_come(ack)
-        return max(witness, sending.number) if sending is not None else witness
+    def latest_arrival(self, ack: Acknowledgement) -> int:
+        """Number of the latest transmission known to have arrived, by this acknowledgement; 0 if none is."""
+        latest = 0
+        for sequence in below(self.kept, ack.next_sequence):
+            message = self.kept[sequence]
+            if message.state is State.SENT and len(message.transmissions) == 1 and not missing(ack, sequence):
+                latest = max(latest, message.last_transmission)
+        transmission = self.acknowledged_transmission(ack)
+        return max(latest, transmission.number) if transmission is not None else latest
 
-    def last_to_come(self, ack: Acknowledgement) -> Sending | None:
-        """The sending whose arrival brought this acknowledgement about, if it is of this life and still remembered."""
-        kept = self.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
-        sending = kept.sendings.get(ack.last_repetition) if kept is not None else None
-        if sending is None or ack.last_received_at is None or sending.at > ack.last_received_at:
+    def acknowledged_transmission(self, ack: Acknowledgement) -> Transmission | None:
+        """The transmission whose arrival led to this acknowledgement, if it is of this start and still remembered."""
+        message = self.kept.get(ack.last_sequence) if ack.last_sequence is not None else None
+        transmission = message.transmissions.get(ack.last_repetition) if message is not None else None
+        if transmission is None or ack.last_received_at is None or transmission.at > ack.last_received_at:
             return None
-        return sending
+        return transmission
+
+    # --- checkpoints --------------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "kept": [_kept(message) for message in self.kept.values()],
+            "sent": list(self.sent),
+            "held": list(self.held),
+            "in_turn": self.in_turn,
+            "doublings": self.doublings,
+            "unanswered": self.unanswered,
+            "waits_since": self.waits_since,
+            "newest_ack": self.newest_ack,
+        }
+
+    @classmethod
+    def restored(cls, state: SavedState) -> SendStream:
+        """The stream that had this state."""
+        kept = {message["sequence"]: KeptMessage(**message) for message in state["kept"]}
+        return cls(
+            kept=kept,
+            sent={sequence: kept[sequence] for sequence in state["sent"]},
+            held={sequence: kept[sequence] for sequence in state["held"]},
+            in_turn=state["in_turn"],
+            doublings=state["doublings"],
+            unanswered=state["unanswered"],
+            waits_since=state["waits_since"],
+            newest_ack=state["newest_ack"],
+        )
 
 
-def turn(kept: Kept) -> tuple[int, int]:
-    """What messages are sorted by in a queue."""
-    return kept.turn
+def _kept(message: KeptMessage) -> SavedState:
+    return {
+        "topic": message.topic,
+        "incarnation": message.incarnation,
+        "sequence": message.sequence,
+        "payload": message.payload,
+        "priority": message.priority,
+        "order": message.order,
+        "state": message.state,
+        "repetitions": message.repetitions,
+        "transmissions": dict(message.transmissions),
+        "queued": message.queued,
+    }
 
 
 def missing(ack: Acknowledgement, sequence: int) -> bool:
     """Whether the receiver says that it does not have that sequence."""
     if sequence >= ack.next_sequence:
-        return len(ack.gaps) < MAX_GAPS  # one that is full of gaps says nothing of what lies beyond
+        return len(ack.gaps) < MAX_GAPS  # an acknowledgement full of gaps says nothing of what lies beyond
     index = bisect_right(ack.gaps, sequence, key=lambda gap: gap[0]) - 1
     return index >= 0 and ack.gaps[index][0] <= sequence <= ack.gaps[index][1]
 
 
-def below(kept: dict[int, Kept], limit: int) -> Iterator[int]:
-    """The sequences below that limit, rising."""
+def below(kept: dict[int, KeptMessage], limit: int) -> Iterator[int]:
+    """The sequences below that limit, ascending."""
     for sequence in kept:
         if sequence >= limit:
             return

@@ -17,23 +17,24 @@ from schemas.codec import Refused, decode, encode
 from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
 from schemas.link import Acknowledgement, AtEdge, Direction, DirectionConditions, LinkChange, LinkConditions
 from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import COMMAND, COMMAND_REPORT, EVENT, MEASURE, PLAN, STATE, Topic
+from schemas.topics import ACK_DOWN, ACK_UP, COMMAND, COMMAND_REPORT, EVENT, MEASURE, PLAN, STATE, Topic
 from schemas.wire import Header, Wire
 from services.link.relay import Relay
 from services.mission.link_presets import PRESETS
+from services.runtime.custody.endpoint import STATE_TYPES
 from services.runtime.custody.protocol import (
     TRANSITIONS,
     CustodyConfig,
     CustodyQueueFull,
-    RoundTrip,
     Signal,
     State,
-    acknowledged_on,
-    following,
+    next_state,
     under_custody,
 )
-from services.runtime.custody.receiver import Ack, CustodyReceiver
+from services.runtime.custody.receiver import CustodyReceiver
+from services.runtime.custody.retransmission import RoundTrip
 from services.runtime.custody.sender import CustodySender, Transmit
+from services.runtime.state_codec import StateCodec
 
 START = 1_893_456_000_000_000_000
 S = 1_000_000_000
@@ -48,33 +49,42 @@ def body_of(topic: Topic, number: int, size: int = 0) -> Wire:
     return RoverEvent(kind=EventKind.PARKED, at=START, x_m=0.0, y_m=0.0, round=number, detail="x" * size)
 
 
+CODEC = StateCodec(STATE_TYPES)
+
+
 @dataclass
 class Station:
-    """One side: an outbox, an inbox, and a journal that survives both."""
+    """One side: a sender, a receiver, and what was offered and delivered over all its starts."""
 
     name: str
     sends: Direction
     config: CustodyConfig
     publish: Callable[[Topic, bytes], None]
     incarnation: int = 0
-    journal_sent: list[tuple[Topic, Header, bytes]] = field(default_factory=list)
-    journal_got: list[tuple[Topic, Header, Any]] = field(default_factory=list)
-    repeated: int = 0
+    offered: list[tuple[Topic, Header, bytes]] = field(default_factory=list)
+    delivered: list[tuple[Topic, Header, Any]] = field(default_factory=list)
     sent: int = 0
 
-    def start(self, now: int) -> None:
-        if self.incarnation:
-            self.sent += self.sender.counts.sent
-            self.repeated += self.sender.counts.repeated
+    def start(self) -> None:
+        """The first start, or one that forgets everything but what waits to be acknowledged."""
         self.incarnation += 1
         self.sequences: Counter[str] = Counter()
-        self.sender = CustodySender(self.name, self.config)
         self.receiver = CustodyReceiver(self.config)
-        for topic, header, payload in self.journal_sent:
-            self.sender.restore(topic, header, payload)
-        for topic, header, _ in self.journal_got:
-            self.receiver.delivered(topic, header)
-        self.transmit(self.sender.resume(now))
+        if self.incarnation == 1:
+            self.sender = CustodySender(self.name, self.config)
+
+    def restart(self) -> None:
+        """A start that goes on from a checkpoint."""
+        self.incarnation += 1
+        self.sequences = Counter()
+        self.reload()
+
+    def reload(self) -> None:
+        """Put a sender and a receiver in place that were restored from a checkpoint."""
+        sender, receiver = CODEC.decode(CODEC.encode((self.sender.checkpoint(), self.receiver.checkpoint())))
+        self.sender, self.receiver = CustodySender(self.name, self.config), CustodyReceiver(self.config)
+        self.sender.restore(sender)
+        self.receiver.restore(receiver)
 
     def header(self, topic: Topic, now: int, held_from: int | None = None) -> Header:
         sequence = self.sequences[topic.name]
@@ -91,17 +101,19 @@ class Station:
     def offer(self, topic: Topic, now: int, size: int = 0) -> None:
         held_from = self.sender.held_from(topic, self.incarnation, self.sequences[topic.name])
         header = self.header(topic, now, held_from)
-        payload = encode(header, body_of(topic, len(self.journal_sent), size))
-        self.journal_sent.append((topic, header, payload))
+        payload = encode(header, body_of(topic, len(self.offered), size))
+        self.offered.append((topic, header, payload))
         self.transmit(self.sender.offer(topic, header, payload, now))
 
     def transmit(self, transmits: list[Transmit]) -> None:
+        self.sent += len(transmits)
         for transmit in transmits:
             self.publish(transmit.topic, transmit.payload)
 
-    def acknowledge(self, acks: list[Ack], now: int) -> None:
-        for topic, body in acks:
-            self.publish(topic, encode(self.header(topic, now), body))
+    def acknowledge(self, acks: list[Acknowledgement], now: int) -> None:
+        topic = ACK_UP if self.sends is Direction.UP else ACK_DOWN
+        for ack in acks:
+            self.publish(topic, encode(self.header(topic, now), ack))
 
     def receive(self, topic: Topic, payload: bytes, now: int) -> None:
         try:
@@ -111,21 +123,21 @@ class Station:
         if isinstance(body, Acknowledgement):
             self.transmit(self.sender.acknowledged(body, header, now))
             return
-        self.transmit(self.sender.heard(now))
+        self.transmit(self.sender.contact(now))
         if under_custody(topic):
             deliveries, acks = self.receiver.received(topic, header, body, len(payload), now)
-            self.journal_got += [(delivery.topic, delivery.header, delivery.body) for delivery in deliveries]
+            self.delivered += [(delivery.topic, delivery.header, delivery.body) for delivery in deliveries]
             self.acknowledge(acks, now)
 
-    def next_due(self) -> int | None:
-        times = [time for time in (self.sender.next_due(), self.receiver.next_due()) if time is not None]
+    def next_timer(self) -> int | None:
+        times = [time for time in (self.sender.next_timer(), self.receiver.next_timer()) if time is not None]
         return min(times, default=None)
 
-    def due(self, now: int) -> None:
-        if (time := self.sender.next_due()) is not None and time <= now:
-            self.transmit(self.sender.due(now))
-        if (time := self.receiver.next_due()) is not None and time <= now:
-            self.acknowledge(self.receiver.due(now), now)
+    def timer_elapsed(self, now: int) -> None:
+        if (time := self.sender.next_timer()) is not None and time <= now:
+            self.transmit(self.sender.timer_elapsed(now))
+        if (time := self.receiver.next_timer()) is not None and time <= now:
+            self.acknowledge(self.receiver.timer_elapsed(now), now)
 
 
 class World:
@@ -136,21 +148,21 @@ class World:
         self.now = START
         self.seed = seed
         self.relay = Relay(self.link, START, seed)
-        self.published = 0
+        self.published: list[tuple[Topic, bytes]] = []
         up, down = (config or CustodyConfig.over(self.link, way) for way in (Direction.UP, Direction.DOWN))
         self.ground = Station("ground", Direction.UP, up, self.publish)
         self.rover = Station("rover", Direction.DOWN, down, self.publish)
         self.state_period: int | None = None
         self.state_at = START
         for station in self.stations:
-            station.start(self.now)
+            station.start()
 
     @property
     def stations(self) -> tuple[Station, Station]:
         return self.ground, self.rover
 
     def publish(self, topic: Topic, payload: bytes) -> None:
-        self.published += 1
+        self.published.append((topic, payload))
         self.relay.offer(topic, payload, self.now)
 
     def lose_link(self) -> None:
@@ -159,7 +171,7 @@ class World:
         self.relay = Relay(self.link, START, self.seed)
 
     def instant(self) -> int | None:
-        times = [self.relay.next_event(), *(station.next_due() for station in self.stations)]
+        times = [self.relay.next_event(), *(station.next_timer() for station in self.stations)]
         times.append(self.state_at if self.state_period else None)
         return min((time for time in times if time is not None), default=None)
 
@@ -174,17 +186,17 @@ class World:
                 self.state_at = self.now + self.state_period
                 self.publish(STATE, b'{"header":{"source":"rover"}}')
                 if self.relay.in_contact(self.now):
-                    self.ground.transmit(self.ground.sender.heard(self.now))
+                    self.ground.transmit(self.ground.sender.contact(self.now))
             for direction, flight in self.relay.arrived(self.now):
                 station = self.rover if direction is Direction.UP else self.ground
                 station.receive(flight.packet.topic, flight.payload, self.now)
             for station in self.stations:
-                station.due(self.now)
+                station.timer_elapsed(self.now)
         raise AssertionError("no end in sight")
 
     def settle(self, within: int = 100 * HOUR) -> None:
         self.run(self.now + within, self.settled)
-        assert self.settled(), (self.ground.sender.counts, self.rover.sender.counts, self.now - START)
+        assert self.settled(), (self.ground.sender.depth, self.rover.sender.depth, self.now - START)
 
     def settled(self) -> bool:
         return all(station.sender.depth == 0 for station in self.stations)
@@ -193,13 +205,13 @@ class World:
         """Each message came once, and each topic in order."""
         for sender, receiver in ((self.ground, self.rover), (self.rover, self.ground)):
             for topic in (COMMAND, COMMAND_REPORT, EVENT):
-                sent = [(header.incarnation, header.sequence) for at, header, _ in sender.journal_sent if at is topic]
-                got = [(header.incarnation, header.sequence) for at, header, _ in receiver.journal_got if at is topic]
+                sent = [(header.incarnation, header.sequence) for at, header, _ in sender.offered if at is topic]
+                got = [(header.incarnation, header.sequence) for at, header, _ in receiver.delivered if at is topic]
                 assert got == sent, topic.name
 
     @property
     def repeated(self) -> int:
-        return sum(station.sender.counts.repeated + station.repeated for station in self.stations)
+        return sum(station.sender.retransmitted for station in self.stations)
 
 
 def both_ways(**conditions: Any) -> LinkConditions:
@@ -224,8 +236,7 @@ def test_without_loss_nothing_is_repeated_and_every_message_takes_its_light_time
     world.settle()
     world.check()
     assert world.repeated == 0
-    assert world.ground.sender.counts.acknowledged == 8
-    assert world.rover.sender.counts.acknowledged == 48
+    assert (len(world.rover.delivered), len(world.ground.delivered)) == (8, 48)
 
 
 @pytest.mark.parametrize(
@@ -247,7 +258,7 @@ def test_a_burst_beyond_the_window_goes_out_in_order_as_acknowledgements_come() 
     world = World(config=config)
     for _ in range(100):
         world.rover.offer(EVENT, world.now)
-    assert world.rover.sender.counts.sent == 8
+    assert world.rover.sent == 8
     world.settle()
     world.check()
     assert world.repeated == 0
@@ -266,9 +277,9 @@ def test_acknowledgements_of_a_burst_are_few() -> None:
     world = World()
     for _ in range(200):
         world.rover.offer(EVENT, world.now)
-    before = world.published
+    before = len(world.published)
     world.settle()
-    assert world.published - before <= 3
+    assert len(world.published) - before <= 3
 
 
 # --- with loss --------------------------------------------------------------------------------------------------
@@ -283,7 +294,7 @@ def test_a_gap_is_filled_one_round_trip_after_it_shows() -> None:
     world.relay.change(LinkChange(loss=0.0), world.now)
     began = world.now
     world.rover.offer(EVENT, world.now)
-    world.run(world.now + HOUR, lambda: len(world.rover.journal_sent) == len(world.ground.journal_got))
+    world.run(world.now + HOUR, lambda: len(world.rover.offered) == len(world.ground.delivered))
     assert world.now - began == 3 * 1_282_000_000
     assert world.repeated == 1
     world.settle()
@@ -295,7 +306,7 @@ def test_a_lost_last_message_comes_one_wait_and_one_light_time_later() -> None:
     world.relay.change(LinkChange(loss=1.0), world.now)
     world.rover.offer(EVENT, world.now)
     world.relay.change(LinkChange(loss=0.0), world.now)
-    world.run(world.now + HOUR, lambda: bool(world.ground.journal_got))
+    world.run(world.now + HOUR, lambda: bool(world.ground.delivered))
     assert world.now - START == 2_564_000_000 + S + 1_282_000_000
 
 
@@ -349,7 +360,7 @@ def test_a_suspended_outbox_tries_one_message_now_and_then_and_never_gives_up() 
     sender = world.rover.sender
     assert sender.suspended
     assert sender.depth == 5
-    assert 24 * 12 - 2 <= sender.counts.repeated <= 24 * 12 + 6
+    assert 24 * 12 - 2 <= sender.retransmitted <= 24 * 12 + 6
     world.relay.change(LinkChange(contact=True), world.now)
     world.settle(within=HOUR)
     world.check()
@@ -361,7 +372,7 @@ def test_an_outbox_that_hears_the_other_side_is_never_suspended() -> None:
     world.state_period = 30 * S
     world.run(world.now + HOUR)
     assert not world.ground.sender.suspended
-    assert 20 <= world.ground.sender.counts.repeated <= 32
+    assert 20 <= world.ground.sender.retransmitted <= 32
 
 
 def test_a_rate_that_collapses_is_learned_and_leads_to_few_repetitions() -> None:
@@ -451,9 +462,9 @@ def test_whatever_happens_each_message_comes_once_and_in_order(
                 for _ in range(10):
                     world.rover.offer(EVENT, world.now)
             case "ground restarts":
-                world.ground.start(world.now)
+                world.ground.restart()
             case "rover restarts":
-                world.rover.start(world.now)
+                world.rover.restart()
             case "link restarts":
                 world.lose_link()
             case "blackout":
@@ -472,18 +483,48 @@ def test_whatever_happens_each_message_comes_once_and_in_order(
 # --- restarts ---------------------------------------------------------------------------------------------------
 
 
-def test_a_restarted_sender_asks_with_one_message_what_is_missing() -> None:
+def test_a_sender_that_restarts_from_its_checkpoint_repeats_nothing_that_arrives_in_time() -> None:
     world = World()
     for _ in range(50):
         world.rover.offer(EVENT, world.now)
-    world.settle()
-    before = world.published
-    world.rover.start(world.now)
-    assert world.published - before == 1
+    world.run(world.now + S)
+    world.rover.restart()
     assert world.rover.sender.depth == 50
     world.settle()
-    assert world.published - before <= 3
     world.check()
+    assert world.repeated == 0
+
+
+def test_a_receiver_that_restarts_from_its_checkpoint_delivers_nothing_twice() -> None:
+    world = World()
+    world.relay.change(LinkChange(duplicate=1.0), world.now)
+    for _ in range(20):
+        world.rover.offer(EVENT, world.now)
+        world.run(world.now + S // 10)
+        world.ground.restart()
+    world.settle()
+    world.check()
+
+
+@given(seed=st.integers(0, 2**32), window=st.sampled_from([1, 4, 256]))
+@settings(max_examples=20)
+def test_what_is_restored_from_a_checkpoint_behaves_as_what_was_kept(seed: int, window: int) -> None:
+    link = both_ways(loss=0.3, reorder=0.3, duplicate=0.2, rate_bit_s=5_000.0)
+    config = replace(CustodyConfig.over(link, Direction.UP), window_messages=window)
+    undisturbed, reloaded = World(link, seed, config), World(link, seed, config)
+    for number in range(25):
+        for world in (undisturbed, reloaded):
+            world.rover.offer((EVENT, COMMAND_REPORT)[number % 2], world.now, size=20 * number)
+            world.ground.offer(COMMAND, world.now)
+            if number in (8, 16):
+                world.relay.change(LinkChange(contact=number == 16), world.now)
+            world.run(world.now + (0, S, 20 * S, 300 * S)[(seed >> number) % 4])
+        reloaded.rover.reload()
+        reloaded.ground.reload()
+    for world in (undisturbed, reloaded):
+        world.settle()
+
+    assert reloaded.published == undisturbed.published
 
 
 def test_what_a_receiver_held_out_of_turn_and_forgot_is_sent_again() -> None:
@@ -494,13 +535,13 @@ def test_what_a_receiver_held_out_of_turn_and_forgot_is_sent_again() -> None:
     for _ in range(5):
         world.rover.offer(EVENT, world.now)
     world.run(world.now + 1_282_000_000)
-    assert world.ground.receiver.counts.held == 5
-    world.ground.start(world.now)
+    assert world.ground.delivered == [], "the first one is missing"
+    world.ground.start()
     world.settle()
     world.check()
 
 
-def test_a_receiver_that_remembers_nothing_goes_on_with_what_is_not_yet_acknowledged() -> None:
+def test_a_receiver_that_forgot_everything_delivers_what_is_not_yet_acknowledged() -> None:
     world = World()
     for _ in range(5):
         world.rover.offer(EVENT, world.now)
@@ -508,11 +549,11 @@ def test_a_receiver_that_remembers_nothing_goes_on_with_what_is_not_yet_acknowle
     world.relay.change(LinkChange(contact=False, at_edge=AtEdge.DROP), world.now)
     for _ in range(3):
         world.rover.offer(EVENT, world.now)
-    world.ground.journal_got.clear()
-    world.ground.start(world.now)
+    world.ground.delivered.clear()
+    world.ground.start()
     world.relay.change(LinkChange(contact=True), world.now)
     world.settle()
-    assert [header.sequence for _, header, _ in world.ground.journal_got] == [5, 6, 7]
+    assert [header.sequence for _, header, _ in world.ground.delivered] == [5, 6, 7]
 
 
 def test_messages_of_a_new_incarnation_wait_for_those_of_the_old_one() -> None:
@@ -520,11 +561,11 @@ def test_messages_of_a_new_incarnation_wait_for_those_of_the_old_one() -> None:
     world.relay.change(LinkChange(contact=False, at_edge=AtEdge.DROP), world.now)
     for _ in range(3):
         world.ground.offer(COMMAND, world.now)
-    world.ground.start(world.now)
+    world.ground.restart()
     world.ground.offer(COMMAND, world.now)
     world.relay.change(LinkChange(contact=True), world.now)
     world.settle()
-    assert [(h.incarnation, h.sequence) for _, h, _ in world.rover.journal_got] == [(1, 0), (1, 1), (1, 2), (2, 0)]
+    assert [(h.incarnation, h.sequence) for _, h, _ in world.rover.delivered] == [(1, 0), (1, 1), (1, 2), (2, 0)]
 
 
 # --- the parts --------------------------------------------------------------------------------------------------
@@ -538,10 +579,10 @@ def test_the_life_of_a_kept_message_is_in_the_table_and_nothing_else_happens() -
     assert all(before is not State.ACKNOWLEDGED for before, _ in TRANSITIONS)
     for state, signal in product(State, Signal):
         if (state, signal) in TRANSITIONS:
-            assert following(state, signal) is TRANSITIONS[state, signal]
+            assert next_state(state, signal) is TRANSITIONS[state, signal]
         else:
             with pytest.raises(He3Error, match=f"{state.value}.*{signal.value}"):
-                following(state, signal)
+                next_state(state, signal)
 
 
 def test_a_round_trip_is_learned_and_its_variation_widens_the_wait() -> None:
@@ -556,9 +597,9 @@ def test_a_round_trip_is_learned_and_its_variation_widens_the_wait() -> None:
     assert trip.wait > 16 * S
 
 
-def test_custody_is_acknowledged_the_other_way() -> None:
-    assert acknowledged_on(COMMAND).name == "tm/ack"
-    assert acknowledged_on(EVENT).name == "tc/ack"
+def test_only_topics_of_custody_service_that_cross_are_under_custody() -> None:
+    assert under_custody(COMMAND)
+    assert under_custody(EVENT)
     assert not under_custody(STATE)
     assert not under_custody(MEASURE)
 
@@ -616,7 +657,7 @@ def test_an_acknowledgement_with_more_gaps_than_it_can_tell_claims_less() -> Non
     receiver = CustodyReceiver()
     for sequence in range(1, 400, 2):
         _, acks = receiver.received(EVENT, header(sequence=sequence), None, 10, START + sequence * S)
-    (ack,) = [body for _, body in acks]
+    (ack,) = acks
     assert len(ack.gaps) == 64
     assert ack.gaps[-1] == (126, 126)
     assert ack.next_sequence == 128
@@ -628,7 +669,6 @@ def test_an_inbox_without_room_neither_keeps_nor_acknowledges() -> None:
     for sequence in (1, 2):
         receiver.received(EVENT, header(sequence=sequence), None, 10, START)
     assert receiver.received(EVENT, header(sequence=3), None, 10, START + 9 * S) == ([], [])
-    assert receiver.counts.overflowed == 1
     deliveries, _ = receiver.received(EVENT, header(sequence=0), None, 10, START)
     assert [delivery.header.sequence for delivery in deliveries] == [0, 1, 2]
 

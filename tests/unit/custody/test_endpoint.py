@@ -21,7 +21,7 @@ MOON = Interface("rover", (Side.MOON,))
 
 def endpoint(interface: Interface) -> CustodyEndpoint:
     endpoint = CustodyEndpoint(interface.name, interface.sides[0], custody_config(LINK, interface))
-    endpoint.starts("short", 1)
+    endpoint.start("short", 1)
     return endpoint
 
 
@@ -52,7 +52,7 @@ def arrives(rover: CustodyEndpoint, published: Publish, now: int) -> tuple[list[
 
 def acknowledgements(rover: CustodyEndpoint, sent: list[Publish], now: int) -> list[Publish]:
     """Those sent at once, and those that its timer brings."""
-    return [*sent, *(action for action in rover.due(now) if isinstance(action, Publish))]
+    return [*sent, *(action for action in rover.timer_elapsed(now) if isinstance(action, Publish))]
 
 
 def test_a_message_is_sent_at_once_and_kept_until_it_is_acknowledged(ground, rover):
@@ -72,13 +72,13 @@ def test_a_message_is_sent_at_once_and_kept_until_it_is_acknowledged(ground, rov
 
 def test_what_nobody_acknowledges_is_sent_again_and_taken_once(ground, rover):
     (published,) = offered(ground, 0, 0)
-    (timer,) = ground.timer()
+    (timer,) = ground.move_timer()
     assert isinstance(timer, SetTimer)
     assert timer.timer == CUSTODY_TIMER
     assert timer.at is not None
     assert timer.at > 2 * LINK.up.one_way_light_time_s * SECOND, "not before the answer could be here"
-    assert ground.timer() == [], "a timer that has not moved is not set again"
-    again = [action for action in ground.due(timer.at) if isinstance(action, Publish)]
+    assert ground.move_timer() == [], "a timer that has not moved is not set again"
+    again = [action for action in ground.timer_elapsed(timer.at) if isinstance(action, Publish)]
     assert len(again) == 1
     assert ground.retransmitted == 1
     assert arrives(rover, published, SECOND)[0] == ["c0"]
@@ -105,4 +105,4 @@ def test_state_that_was_overtaken_on_the_way_is_passed_over(ground):
 
 
 def test_each_side_hears_the_acknowledgements_that_the_other_sends_its_way(ground, rover):
-    assert (ground.hears, rover.hears) == (ACK_DOWN, ACK_UP)
+    assert (ground.ack_topic, rover.ack_topic) == (ACK_DOWN, ACK_UP)
