@@ -157,7 +157,7 @@ class PageRequests:
     def _request(self, rng: Random) -> tuple[str, str, list[tuple[str, str]], bytes | None]:
         headers = [("host", f"{self._host}:{self._port}")]
         if rng.random() < 0.05:
-            headers[0] = ("host", quote(values.text(rng)[:200]))
+            headers[0] = ("host", quote(values.text(rng)[:200].encode("utf-8", "surrogateescape")))
         if rng.random() < 0.5:
             path = rng.choice(list(QUERIES))
             parameters: list[tuple[str, str]] = [
