@@ -14,6 +14,12 @@ Seconds = Annotated[float, Field(ge=0, le=86_400)]
 Count = Annotated[int, Field(ge=0)]
 
 
+MAX_SCHEDULE_S = 1e9
+"""Contacts can be scheduled so far ahead: 31 years, which keeps their times within int64 nanoseconds."""
+MIN_PERIOD_S = 1.0
+"""Of a duty cycle: a shorter one would open and close more often than a message takes."""
+
+
 class Direction(StrEnum):
     UP = "up"
     """Earth to Moon: telecommands."""
@@ -46,8 +52,8 @@ class AtEdge(StrEnum):
 class Window(Wire):
     """Contact from `opens_s` until `closes_s`, in seconds of mission since its start."""
 
-    opens_s: Annotated[float, Field(ge=0)]
-    closes_s: Annotated[float, Field(gt=0)]
+    opens_s: Annotated[float, Field(ge=0, le=MAX_SCHEDULE_S)]
+    closes_s: Annotated[float, Field(gt=0, le=MAX_SCHEDULE_S)]
 
     @model_validator(mode="after")
     def _closes_after_it_opens(self) -> Window:
@@ -59,9 +65,9 @@ class Window(Wire):
 class DutyCycle(Wire):
     """Contact during the first `contact_s` of every `period_s`, shifted by `offset_s`."""
 
-    period_s: Annotated[float, Field(gt=0)]
-    contact_s: Annotated[float, Field(gt=0)]
-    offset_s: Annotated[float, Field(ge=0)] = 0.0
+    period_s: Annotated[float, Field(ge=MIN_PERIOD_S, le=MAX_SCHEDULE_S)]
+    contact_s: Annotated[float, Field(ge=0.001, le=MAX_SCHEDULE_S)]
+    offset_s: Annotated[float, Field(ge=0, le=MAX_SCHEDULE_S)] = 0.0
 
     @model_validator(mode="after")
     def _contact_fits_into_the_period(self) -> DutyCycle:

@@ -14,6 +14,7 @@ TOUR_CONSTANT = 0.7124
 (Beardwood, Halton & Hammersley 1959)."""
 
 J_PER_WH = 3600.0
+MAX_HALVINGS = 100
 MIN_M = 1e-6
 """To this the metres that fit into hours are found out [m]."""
 
@@ -110,7 +111,9 @@ class Budget:
         if samples < 1:
             return RemainingBudget(0, 0.0, f"the budget of {self._hours:g} h is spent or promised")
         least, most = samples * self._leg_m, time_s * self._speed_m_s
-        while most - least > MIN_M:
+        for _ in range(MAX_HALVINGS):
+            if most - least <= MIN_M:
+                break
             half = (least + most) / 2
             least, most = (half, most) if fits(half, samples) else (least, half)
         return RemainingBudget(samples, min(metres, least))

@@ -23,10 +23,17 @@ from schemas.wire import MissionName
 from services.runtime.node import MissionTime
 
 MAX_SCENARIO_BYTES = 1_000_000
+MAX_SAMPLES = 10_000
+"""Of a mission: for so many the map is tested against an independent implementation."""
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+# What a mission can be computed for. Every bound lies far beyond anything that flies, and keeps times within int64 ns.
+Speed = Annotated[float, Field(ge=1e-4, le=100)]  # m/s
+Length = Annotated[float, Field(ge=0, le=10_000)]  # m
+Power = Annotated[float, Field(ge=0, le=1e6)]  # W
+EnergyPerMetre = Annotated[float, Field(ge=0, le=1e7)]  # J/m
+Duration = Annotated[float, Field(ge=0, le=1e7)]  # s; 116 days
+Period = Annotated[float, Field(ge=0.1, le=1e7)]  # s
 Polygon = Annotated[tuple[Place, ...], Field(min_length=3, max_length=256)]
 
 
@@ -39,11 +46,11 @@ class Section(BaseModel):
 class FieldConfig(Section):
     """The Moon: which region it is, and how well its instruments see it."""
 
-    noise_std_ppb: NonNegative = 0.1
+    noise_std_ppb: Annotated[float, Field(ge=0, le=1000)] = 0.1
     """Standard deviation of a measurement [ppb]; the paper's."""
     hidden_hazards: Annotated[int, Field(ge=0, le=1000)] = 0
     """Boulders that the ground's terrain map does not show, put at random (seeded)."""
-    hazard_radius_m: Positive = 3.0
+    hazard_radius_m: Annotated[float, Field(gt=0, le=1000)] = 3.0
     field_seed: int | None = None
     """Seed of the reference field's perturbation; None: the region's own, under which its published figures hold."""
 
@@ -51,46 +58,46 @@ class FieldConfig(Section):
 class RoverConfig(Section):
     """The vehicle. Every time and power figure is a setting."""
 
-    speed_m_s: Positive = 0.1
+    speed_m_s: Speed = 0.1
     """On the flat [m/s]. VIPER: 0.1 nominal, 0.2 top [read]."""
     slope_limit_deg: Annotated[float, Field(gt=0, le=45)] = 20.0
     """It does not enter steeper terrain. VIPER: 15 nominal, 20 limit [assumed]."""
-    slope_slowdown: NonNegative = 1.0
+    slope_slowdown: Annotated[float, Field(ge=0, le=100)] = 1.0
     """Speed is speed_m_s / (1 + slope_slowdown * slope / slope_limit_deg) [assumed]."""
-    footprint_radius_m: NonNegative = 0.8
+    footprint_radius_m: Annotated[float, Field(ge=0, le=100)] = 0.8
     """Half the vehicle's width [m]. VIPER is 1.5 m square [read]."""
-    look_ahead_m: Positive = 10.0
+    look_ahead_m: Annotated[float, Field(ge=0.1, le=10_000)] = 10.0
     """Length of the pieces in which a path is looked at and driven [m]."""
-    bite_m: Positive = 0.1
+    bite_m: Annotated[float, Field(ge=0.001, le=10)] = 0.1
     """The drill goes down in bites of this depth [m]. TRIDENT: 0.1 [read]."""
-    drill_s_per_m: Positive = 3600.0
+    drill_s_per_m: Annotated[float, Field(ge=1e-3, le=1e7)] = 3600.0
     """TRIDENT takes about an hour a metre [assumed]."""
-    analysis_s: NonNegative = 300.0
+    analysis_s: Duration = 300.0
     """Heating and mass spectrometry of one sample; 5 to 60 minutes [assumed]."""
-    base_load_w: NonNegative = 150.0
+    base_load_w: Power = 150.0
     """Always drawn [assumed]."""
-    traction_j_per_m: NonNegative = 240.0
+    traction_j_per_m: EnergyPerMetre = 240.0
     """On the flat [assumed]."""
-    climb_j_per_m: NonNegative = 700.0
+    climb_j_per_m: EnergyPerMetre = 700.0
     """More for each metre of climb: 430 kg * 1.62 m/s^2 [calc]."""
-    drill_w: NonNegative = 200.0
+    drill_w: Power = 200.0
     """More while drilling [assumed]."""
-    analysis_w: NonNegative = 100.0
+    analysis_w: Power = 100.0
     """More while analysing [assumed]."""
-    solar_w: NonNegative = 450.0
+    solar_w: Power = 450.0
     """Drawn from the sun, always: the missions last less than a lunar day [assumed]."""
-    capacity_wh: Positive = 5000.0
+    capacity_wh: Annotated[float, Field(ge=1e-3, le=1e9)] = 5000.0
     """Battery [assumed]."""
     initial_charge: Fraction = 1.0
     reserve: Fraction = 0.2
     """Below this share of the capacity the rover goes safe and charges [assumed]."""
     resume_charge: Fraction = 0.5
     """Charged to this share, it goes on by itself."""
-    state_period_s: Positive = 60.0
+    state_period_s: Period = 60.0
     """How often the rover reports its state [s]."""
-    instrument_retry_s: Positive = 30.0
+    instrument_retry_s: Period = 30.0
     """How long the rover waits before it asks a silent instrument again [s]."""
-    watchdog_s: Positive | None = None
+    watchdog_s: Period | None = None
     """Parked and without a word from the ground for longer, it goes safe; None: never."""
 
     @model_validator(mode="after")
@@ -131,17 +138,17 @@ class GroundConfig(Section):
     """The paper says squared exponential; what produced its numbers used Matern 5/2."""
     prior: Literal["constant", "orbital"] = "constant"
     """Prior mean: a learned constant, or the coarse orbital map with learned gain and offset."""
-    planning_s: NonNegative = 30.0
+    planning_s: Duration = 30.0
     """Mission time that planning a round takes in virtual time; on the wall clock it takes what it takes, if more."""
     pipeline: Annotated[int, Field(ge=0, le=50)] = 0
     """Rounds that are on board beyond the one being executed; 0 is stop-and-wait."""
-    budget_m: Positive | None = None
+    budget_m: Annotated[float, Field(gt=0, le=1e8)] | None = None
     """Metres that the whole mission may drive."""
-    budget_h: Positive | None = None
+    budget_h: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Hours that the whole mission may take, the charging of the rover included."""
-    information_exponent: Positive = 1.0
+    information_exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
     """alpha of the utility I^alpha / c."""
-    clearance_m: NonNegative = 15.0
+    clearance_m: Length = 15.0
     """No target nearer to a sample than this [m]; the paper's."""
     max_slope_deg: Annotated[float, Field(gt=0, le=45)] | None = None
     """Plan on terrain up to this slope; None: as the region's traversability says."""
@@ -149,9 +156,9 @@ class GroundConfig(Section):
     interest: Annotated[tuple[InterestRegion, ...], Field(max_length=100)] = ()
     score: bool = True
     """Compare the map with the reference field, which only a simulated Moon can offer."""
-    status_period_s: Positive = 60.0
+    status_period_s: Period = 60.0
     """How often status is published when nothing changes [s of mission time]."""
-    rover_timeout_s: Positive = 3600.0
+    rover_timeout_s: Period = 3600.0
     """Unheard of for longer, the rover is reported as silent."""
 
     @property
@@ -200,6 +207,14 @@ class Scenario(Section):
     ground: GroundConfig = GroundConfig()
     link: LinkConditions = LinkConditions()
     network: NetworkConfig = NetworkConfig()
+
+    @model_validator(mode="after")
+    def _samples_fit_into_a_map(self) -> Scenario:
+        if self.samples > MAX_SAMPLES:
+            raise ValueError(
+                f"expected at most {MAX_SAMPLES} samples in all, got {self.rounds} rounds of {self.samples_per_round}"
+            )
+        return self
 
     @field_validator("start")
     @classmethod

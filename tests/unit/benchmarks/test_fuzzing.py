@@ -1,0 +1,21 @@
+"""Random input from outside, on every surface: nothing raises, hangs, or is refused in more than one line."""
+
+import pytest
+
+from benchmarks.fuzz import fuzz, surfaces
+
+EXAMPLES = {"cli": 600, "scenario": 350, "region": 1500, "messages": 2000, "page": 550}
+"""5,000 in all; `he3 bench fuzz --examples N` runs more, from other seeds."""
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("name", sorted(surfaces()))
+def test_random_input_is_taken_or_refused_in_one_line(name: str) -> None:
+    outcome = fuzz(name, EXAMPLES[name], seed=20301)
+    assert outcome["examples"] == EXAMPLES[name]
+    assert outcome["faults"] == []
+
+
+def test_every_surface_is_fuzzed() -> None:
+    assert set(EXAMPLES) == set(surfaces())
+    assert sum(EXAMPLES.values()) == 5_000
