@@ -35,7 +35,10 @@ BAD = {
     "a hole through the Moon": (GOOD + "sample_depth_m = 3000.0\n", "sample_depth_m: input should be less than"),
     "NaN": (GOOD + "rate = nan\n", "rate: "),
     "infinity": (GOOD + "[rover]\nspeed_m_s = inf\n", "rover.speed_m_s: "),
-    "no speed": (GOOD + "[rover]\nspeed_m_s = 0.0\n", "rover.speed_m_s: input should be greater than or equal to 0.0001, got 0.0"),
+    "no speed": (
+        GOOD + "[rover]\nspeed_m_s = 0.0\n",
+        "rover.speed_m_s: input should be greater than or equal to 0.0001, got 0.0",
+    ),
     "a slope beyond all rovers": (GOOD + "[rover]\nslope_limit_deg = 90.0\n", "rover.slope_limit_deg: input should be"),
     "a reserve above the resume": (GOOD + "[rover]\nreserve = 0.6\n", "expected resume_charge above reserve"),
     "an unknown planner": (GOOD + "[ground]\nplanner = 'luck'\n", "ground.planner: expected rrt, rrtstar"),
