@@ -12,6 +12,11 @@ time, with the real nodes, custody and link, so that light time is exact.
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence

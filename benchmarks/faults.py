@@ -15,6 +15,11 @@ Every failure prints the seed that reproduces it and the smallest schedule that 
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json as json_format
 import sys
 import time

@@ -12,6 +12,11 @@ best design.
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import argparse
 import json
 import time

@@ -9,13 +9,16 @@ none reported under two numbers, and the map unchanged to the byte by one more r
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json as json_format
-import os
 import random
 import signal
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -34,6 +37,7 @@ from schemas.wire import Wire
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.scenario import Scenario, load_scenario
+from services.runtime.child import child_environment, python_command
 from services.runtime.inputs import MessageArrived
 from services.runtime.journal import JournalReader, identity_of
 from services.runtime.options import parse_setting, with_settings
@@ -231,12 +235,12 @@ class Mission:
         log = self._folder / f"{name}-{self._starts}.log"
         with log.open("wb") as stream:
             self._processes[name] = subprocess.Popen(
-                [sys.executable, "-m", f"services.{name}", *self._command, *flags],
+                python_command(f"services.{name}", *self._command, *flags),
                 cwd=CHECKOUT,
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=stream,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                env=child_environment(),
             )
         self._logs[name] = log
 

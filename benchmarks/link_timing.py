@@ -16,6 +16,11 @@ operator sets the light time to 3.0 s while all of it runs, and what follows is 
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json as json_format
 import os
 import sys

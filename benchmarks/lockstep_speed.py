@@ -14,6 +14,11 @@ The same mission runs once in this process and once as four processes over Zenoh
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json as json_format
 import tempfile
 import time

@@ -18,6 +18,11 @@ A row for each number of samples and kernel. ``run`` prints them as they come an
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json as json_format
 import os
 import platform

@@ -9,6 +9,11 @@ which each sample was measured.
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json
 import random
 import subprocess
@@ -27,6 +32,7 @@ from schemas.topics import MAP_BOX, MAP_LAYER, MAP_POINT, Side
 from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
 from services.mission.deployment import deployment
+from services.runtime.child import ROOT, child_environment, python_command
 from services.runtime.transport.client import selector_text
 from services.runtime.transport.session import open_session
 
@@ -263,12 +269,15 @@ class _Bare:
     """A process that answers with fixed bytes, from within Zenoh's callback, and does nothing else."""
 
     def __init__(self, endpoint: str) -> None:
-        self._command = [sys.executable, "-m", "benchmarks.operator_load", endpoint]
+        self._command = python_command("benchmarks.operator_load", endpoint)
 
     def __enter__(self) -> None:
-        root = Path(__file__).resolve().parent.parent
         self._process = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=root
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**child_environment(), "PYTHONPATH": ROOT},
         )
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != "ready":

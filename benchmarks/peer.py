@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from he3.errors import He3Error
+from services.runtime.child import ROOT, child_environment, python_command
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 SETTLING_S = 30.0
@@ -23,12 +24,13 @@ class Peer:
     def __init__(self, ends: ExitStack, module: str, *arguments: str) -> None:
         self._module = module
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
+            python_command(module, *arguments),
             cwd=CHECKOUT,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             process_group=0,
+            env={**child_environment(), "PYTHONPATH": ROOT},
         )
         ends.callback(self._end)
 

@@ -12,6 +12,11 @@ and many at once, and the planner process with a task that does nothing.
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json as json_format
 import operator
 import statistics

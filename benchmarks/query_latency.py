@@ -14,6 +14,11 @@ the first plan, for which the planner process only starts, does not count, and a
 
 from __future__ import annotations
 
+from services.runtime.entry import prepare_process
+
+if __name__ == "__main__":
+    prepare_process()
+
 import json as json_format
 import os
 import sys

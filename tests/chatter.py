@@ -153,8 +153,11 @@ def main(name: str, seed: str, *arguments: str) -> NoReturn:
     """One chatter in this process."""
     from services.link.lockstep_process import LockstepLinkProcess
     from services.runtime.drivers.wall_clock import Service
-    from services.runtime.entry import leave, serve
+    from services.runtime.entry import leave, prepare_process
     from services.runtime.lockstep.process import LockstepProcess
+    from services.runtime.process import serve
+
+    prepare_process()
 
     node = next(each for each in chatters(int(seed)) if each.interface.name == name)
     service = Service(name, lambda options: node, executor=DawdlingExecutor, journals=False)

@@ -2,7 +2,7 @@
 
 import os
 
-# Set before numpy is imported; he3/__init__.py says why.
+# Set before numpy is imported; `services.runtime.entry` says why.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from services.runtime.entry import forget_working_directory, prepare_process
+
+if __name__ == "__main__":
+    forget_working_directory()
+
 import os
 import signal
 import sys
@@ -19,6 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
+        prepare_process()
         from services.console.interruption import Terminated, ending_on_signals, told_to_end
 
         with ending_on_signals():

@@ -1,18 +1,27 @@
 """The ground service: ``python -m services.ground SCENARIO``."""
 
-from services.ground.map.process import map_answers
-from services.ground.node import build_node
-from services.ground.planner_process import PlannerProcess
-from services.runtime.drivers.wall_clock import Service
-from services.runtime.entry import leave, serve
-from services.runtime.node import Node
-from services.runtime.options import Options
+from services.runtime.entry import leave, prepare_service
 
 
-def build(options: Options) -> Node:
-    return build_node(options.scenario)
+def main() -> int:
+    """Exit code of the process."""
+    from services.ground.map.queries import map_queries
+    from services.ground.node import build_node
+    from services.ground.planner_process import PlannerProcess
+    from services.runtime.drivers.wall_clock import Service
+    from services.runtime.process import serve
+
+    return serve(
+        Service(
+            "ground",
+            lambda options: build_node(options.scenario),
+            executor=PlannerProcess,
+            answers=map_queries(),
+            journals=True,
+        )
+    )
 
 
 if __name__ == "__main__":
-    service = Service("ground", build, executor=PlannerProcess, answers=map_answers(), journals=True)
-    leave(serve(service))
+    prepare_service()
+    leave(main())

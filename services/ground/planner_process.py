@@ -161,8 +161,8 @@ class PlannerProcess:
                 f"from services.ground.planner_process import serve; serve({theirs.fileno()}, {self._parallel})"
             )
             self._server = subprocess.Popen(
-                [sys.executable, "-c", command], pass_fds=[theirs.fileno()], env=environment, stdin=subprocess.DEVNULL,
-                stdout=2,  # what somebody's planner prints is not for whoever reads the owner's answers
+                [sys.executable, "-P", "-c", command], pass_fds=[theirs.fileno()], env=environment,
+                stdin=subprocess.DEVNULL, stdout=2,  # a plug-in planner's prints are not output of the owner
             )  # fmt: skip
         self._socket = ours
         self._reader = threading.Thread(

@@ -1,15 +1,17 @@
 """The rover service: ``python -m services.rover SCENARIO``."""
 
-from services.rover.node import build_node
-from services.runtime.drivers.wall_clock import Service
-from services.runtime.entry import leave, serve
-from services.runtime.node import Node
-from services.runtime.options import Options
+from services.runtime.entry import leave, prepare_service
 
 
-def build(options: Options) -> Node:
-    return build_node(options.scenario)
+def main() -> int:
+    """Exit code of the process."""
+    from services.rover.node import build_node
+    from services.runtime.drivers.wall_clock import Service
+    from services.runtime.process import serve
+
+    return serve(Service("rover", lambda options: build_node(options.scenario), journals=True))
 
 
 if __name__ == "__main__":
-    leave(serve(Service("rover", build, journals=True)))
+    prepare_service()
+    leave(main())

@@ -1,59 +1,118 @@
-"""The entry of every service's process: options read once, the right kind of process made, errors said in one line."""
+"""What each of our processes does first, before it imports numpy or anything else that takes time.
+
+Importing a module of this project changes nothing. So the modules that are run as programs call `prepare_process`
+and import the rest inside a function. This module itself imports only what the interpreter has imported already: a
+`random.py` or `socket.py` in the user's working directory must not take the place of a module.
+"""
 
 from __future__ import annotations
 
 import os
-import signal
-import socket
 import sys
-import threading
-import time
-from collections.abc import Sequence
 from typing import NoReturn
 
-from he3.errors import He3Error
-from services.runtime.drivers.wall_clock import Process, Service, Stop
-from services.runtime.lockstep.process import LockstepProcess
-from services.runtime.options import parse_options
+PARENT = "HE3_PARENT_PID"
+"""Environment variable with the process id of the process that starts this one, and with which it ends."""
+WATCH_EVERY_S = 0.5
+"""How late the end of the parent may be noticed where the kernel does not tell of it."""
+ENDS_WITHIN_S = 3.0
+"""From the end of the parent until this process ends, whatever it is doing."""
 
-ENDS_WITHIN_S = 1.4
-"""From the signal on: a call that hangs in the network then no longer keeps the process alive."""
+_PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
 
 
-def serve(
-    service: Service,
-    arguments: Sequence[str] | None = None,
-    on_wall_clock: type[Process] = Process,
-    in_lockstep: type[Process] = LockstepProcess,
-) -> int:
-    """Run the service until it is told to stop; the process's exit code. One line on standard error if it cannot."""
-    stop = Stop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    _end_in_time()
-    # A thread that computes hands over after 0.5 ms, so that a question waits no longer for it than for the network.
-    sys.setswitchinterval(0.0005)
+def prepare_process() -> None:
+    """Set what must be in force before the first import of numpy, and let this process end with its parent."""
+    # One BLAS thread, unless the user asked for more. It counts only before numpy is first imported. The matrices of
+    # the belief are small: on cores that other processes use too, OpenBLAS's own threads wait for one another and take
+    # 50 times as long as one thread. Where a second thread pays, on the map, he3.posterior.grid shares out the cells
+    # itself. Results also stay the same bytes on machines with other numbers of cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    end_with_parent()
+
+
+def prepare_service() -> None:
+    """Prepare a process that was started as ``python -m services.NAME``, and end it at once on signals until it serves.
+
+    Python has put the working directory first on the path: it is taken off again.
+    """
+    forget_working_directory()
+    end_on_signals()
+    prepare_process()
+
+
+def forget_working_directory() -> None:
+    """Take the working directory off the path, where `python -m` puts it first, unless our code lies there."""
+    if sys.flags.safe_path or not sys.path:
+        return
     try:
-        options = parse_options(service.name, sys.argv[1:] if arguments is None else arguments)
-        process = in_lockstep if options.lockstep and not service.onlooker else on_wall_clock
-        return process(service, options, stop).run()
-    except He3Error as error:
-        sys.stderr.write(f"he3 {service.name}: {error}\n")
-        return 2
+        here = os.getcwd()  # noqa: PTH109 - pathlib is not imported yet
+    except FileNotFoundError:
+        here = ""
+    root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))  # noqa: PTH100, PTH120
+    if sys.path[0] in ("", here) and (here != root or root in sys.path[1:]):
+        del sys.path[0]
 
 
-def _end_in_time() -> None:
-    """See to it that a process that was told to end does, even where it hangs in a call that no signal interrupts."""
-    told, tell = socket.socketpair()
-    tell.setblocking(False)
-    signal.set_wakeup_fd(tell.fileno(), warn_on_full_buffer=False)
+def end_on_signals() -> None:
+    """End at once, in silence, on SIGINT and SIGTERM: for a process that has nothing to put in order yet."""
+    import signal
 
-    def wait(_tell: socket.socket = tell) -> None:
-        told.recv(1)
-        time.sleep(ENDS_WITHIN_S)
-        os._exit(0)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
 
-    threading.Thread(target=wait, name="ending", daemon=True).start()
+
+def _end(*_: object) -> None:
+    os._exit(0)
+
+
+def end_with_parent() -> None:
+    """End this process when the process dies that started it and named itself in `PARENT`, however it dies.
+
+    It gets SIGTERM then. The kernel sends it when the thread ends that started this process: start processes from a
+    thread that lives as long as its own process.
+    """
+    named = os.environ.pop(PARENT, "")
+    if not named.isdigit():
+        return
+    import signal
+
+    parent = int(named)
+    if sys.platform == "linux" and os.getppid() == parent:
+        import ctypes
+
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+        if os.getppid() != parent:  # it died before the kernel knew
+            os._exit(1)
+        return
+    import threading
+
+    # Another system, or a process in between (a wrapper) that may outlive the parent.
+    threading.Thread(target=_watch, args=(parent,), name="parent", daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    import signal
+    import time
+
+    child_of_it = os.getppid() == parent
+    while os.getppid() == parent if child_of_it else _exists(parent):
+        time.sleep(WATCH_EVERY_S)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(ENDS_WITHIN_S)
+    os._exit(1)
+
+
+def _exists(pid: int) -> bool:
+    """Whether that process runs; one that has ended and that nobody has waited for does not."""
+    try:
+        os.kill(pid, 0)
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as stat:  # noqa: PTH123
+            return stat.read().rpartition(")")[2].split()[0] != "Z"
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's, or no /proc
+        return True
 
 
 def leave(code: int) -> NoReturn:

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from schemas.plans import MissionPlan, RoundPlan
 from schemas.topics import PLAN, Side
 from services.runtime.drivers.wall_clock import Service
-from services.runtime.entry import leave, serve
+from services.runtime.entry import leave, prepare_process
 from services.runtime.node import (
     SECOND,
     Effect,
@@ -27,6 +27,7 @@ from services.runtime.node import (
     TimerFired,
 )
 from services.runtime.options import Options
+from services.runtime.process import serve
 
 LETTERS = 30
 BYTES = 100_000
@@ -78,6 +79,7 @@ def build(options: Options) -> Node:
 
 
 if __name__ == "__main__":
+    prepare_process()
     name = sys.argv.pop(1)
     sys.argv[0] = name
     leave(serve(Service(name, build), sys.argv[1:]))

@@ -5,11 +5,9 @@ Nothing here sleeps and hopes: every wait is for a line, a message or an end, wi
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +18,7 @@ import pytest
 
 from schemas.topics import Side, Topic
 from schemas.wire import Header
+from services.runtime.child import child_environment, python_command
 from services.runtime.transport.client import Client
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -46,7 +45,7 @@ class Process:
             stderr=subprocess.STDOUT,
             text=True,
             process_group=0,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"},
+            env={**child_environment(), "PYTHONUNBUFFERED": "1"},
         )
         self._reader = threading.Thread(target=self._read, name=f"lines of {name}", daemon=True)
         self._reader.start()
@@ -188,7 +187,7 @@ class Mission:
         for name in names:
             if name in self.processes:
                 self.past.append(self.processes[name])
-            command = [sys.executable, "-m", f"services.{name}", self.scenario, "--moon", self.moon]
+            command = python_command(f"services.{name}", self.scenario, "--moon", self.moon)
             self.processes[name] = Process(name, [*command, "--earth", self.earth, *self._flags, *flags])
 
     def run(self, name: str, command: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from he3.frames import SiteGrid
 from schemas.topics import Side
-from services.ground.map.process import MODULE
+from services.ground.map.queries import MODULE
 from services.ground.map.snapshot import MapSnapshot
 from services.runtime.queries.process import QueryProcess
 

@@ -6,7 +6,6 @@ is still longer than what the machine's timers are off by.
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from benchmarks.kills import Mission
 from schemas.link import ClockChange
 from schemas.topics import CLOCK_SET
 from services.console.launch.launcher import free_endpoints
+from services.runtime.child import child_environment
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parents[1]
@@ -83,7 +83,7 @@ def test_thirty_messages_of_100_kb_pass_a_link_of_32_kb_a_second(
     flags = ["short", "--rate", "20", "--moon", ends.moon, "--earth", ends.earth, "--set", "link.up.rate_bit_s=256000"]
     script = str(HERE / "big_letters.py")
     commands = {
-        "link": ["-m", "services.link", *flags, "--wait-for", "rover,ground"],
+        "link": ["-P", "-m", "services.link", *flags, "--wait-for", "rover,ground"],
         "rover": [script, "rover", *flags],
         "ground": [script, "ground", *flags],
     }
@@ -91,7 +91,7 @@ def test_thirty_messages_of_100_kb_pass_a_link_of_32_kb_a_second(
         with (tmp_path / name).open("wb") as log:
             processes[name] = subprocess.Popen(
                 [sys.executable, *command], cwd=CHECKOUT, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                env={**os.environ, "PYTHONPATH": str(CHECKOUT), "OPENBLAS_NUM_THREADS": "1"},
+                env={**child_environment(), "PYTHONPATH": str(CHECKOUT)},
             )  # fmt: skip
     give_up = time.monotonic() + 180.0
     while "finished" not in (said := (tmp_path / "rover").read_text()):

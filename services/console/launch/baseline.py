@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -19,7 +18,7 @@ from typing import IO, Self
 from he3.errors import He3Error
 from schemas.report import MissionReport
 from services.console.interruption import uninterrupted
-from services.console.launch.child_process import END_WITH_PARENT, environment
+from services.runtime.child import child_environment, python_command
 
 LOWEST_PRIORITY = 19
 LOOK_EVERY_S = 0.2
@@ -35,7 +34,7 @@ class Baseline:
         self.scenario = scenario
         changes = [word for text in settings for word in ("--set", text)]
         options = ("--in-process", "--json", "--seed", str(seed), *changes)
-        self._command = (sys.executable, "-m", "services.console", "run", scenario, *options)
+        self._command = python_command("services.console", "run", scenario, *options)
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
@@ -47,9 +46,9 @@ class Baseline:
                     stdin=subprocess.DEVNULL,
                     stdout=self._said,
                     stderr=self._progress,
-                    env=environment(),
-                    preexec_fn=_step_back,
+                    env=child_environment(),
                 )
+                os.setpriority(os.PRIO_PROCESS, self._process.pid, LOWEST_PRIORITY)
             except OSError as error:
                 raise He3Error(f"cannot start the mission {self.scenario}: {error.strerror}") from None
             self._files = opened.pop_all()
@@ -92,9 +91,3 @@ class Baseline:
         size = os.fstat(file.fileno()).st_size
         tail = os.pread(file.fileno(), 4096, max(0, size - 4096)).decode("utf-8", "replace")
         return tail.rstrip().rpartition("\n")[2]
-
-
-def _step_back() -> None:
-    if END_WITH_PARENT is not None:
-        END_WITH_PARENT()
-    os.nice(LOWEST_PRIORITY)

@@ -8,7 +8,6 @@ import re
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,7 +19,7 @@ from typing import Self
 
 from he3.errors import He3Error
 from services.console.interruption import uninterrupted
-from services.console.launch.child_process import END_WITH_PARENT, environment
+from services.runtime.child import child_environment, python_command
 
 SERVICES: tuple[str, ...] = ("link", "field", "rover", "ground", "recorder")
 """In the order in which they are started; the link first, as it owns both routers."""
@@ -126,7 +125,7 @@ class Launcher:
 
     def start(self, name: str, wait_for: Iterable[str] = ()) -> None:
         """Start one service; the link holds mission time until those that it waits for are there."""
-        command = [sys.executable, "-m", f"services.{name}", str(self._scenario), *self._flags]
+        command = python_command(f"services.{name}", str(self._scenario), *self._flags)
         command += ["--moon", self._endpoints.moon, "--earth", self._endpoints.earth]
         if name == "link" and wait_for:
             command += ["--wait-for", ",".join(wait_for)]
@@ -142,8 +141,7 @@ class Launcher:
                 stderr=log,
                 stdout=log,
                 process_group=0,
-                env=environment(),
-                preexec_fn=END_WITH_PARENT,
+                env=child_environment(),
             )
         except OSError as error:
             raise He3Error(f"cannot start the {name} service: {error.strerror}") from None

@@ -1,21 +1,22 @@
-"""Answers operators' questions of the map, for the ground's process: ``python -m services.ground.map.process``."""
+"""The query process of the map: ``python -m services.ground.map.process SIDE ENDPOINT MISSION``.
+
+The ground's process starts it and gives it each snapshot through a pipe (`services.runtime.queries.process`).
+"""
 
 import sys
 
-from services.ground.map.feed_publisher import FeedPublisher
-from services.ground.map.history import remembering
-from services.ground.map.rendering import Renderer
-from services.ground.map.service import MAP_TOPICS, answer
-from services.runtime.queries.process import serve_from_pipe
-from services.runtime.queries.server import QueryService
-
-MODULE = "services.ground.map.process"
+from services.runtime.entry import prepare_process
 
 
-def map_answers() -> QueryService:
-    """How the map is asked, and how it answers."""
-    return QueryService(MAP_TOPICS, answer, render=Renderer(), keep=remembering, module=MODULE)
+def main() -> int:
+    """Exit code of the process; it ends with its pipe."""
+    from services.ground.map.feed_publisher import FeedPublisher
+    from services.ground.map.queries import map_queries
+    from services.runtime.queries.process import serve_from_pipe
+
+    return serve_from_pipe(map_queries(), "ground", FeedPublisher(), sys.argv[1:])
 
 
 if __name__ == "__main__":
-    sys.exit(serve_from_pipe(map_answers(), "ground", FeedPublisher(), sys.argv[1:]))
+    prepare_process()
+    sys.exit(main())

@@ -22,6 +22,7 @@ from typing import Any, BinaryIO, Protocol
 
 from he3.errors import He3Error
 from schemas.topics import Side
+from services.runtime.child import child_environment, python_command
 from services.runtime.queries.server import QueryServer, QueryService
 from services.runtime.transport.session import Session, connect_client
 
@@ -41,7 +42,8 @@ class QueryProcess:
     """The owner's end. `show` may be called from any thread and returns at once."""
 
     def __init__(self, module: str, side: Side, endpoint: str, mission: str, warn: Callable[[str], None]) -> None:
-        self._command = [sys.executable, "-m", module, side.value, endpoint, mission]
+        self._module = module
+        self._command = python_command(module, side.value, endpoint, mission)
         self._warn = warn
         self._changed = threading.Condition()
         self._newest: tuple[int, Any] = (0, None)
@@ -81,7 +83,7 @@ class QueryProcess:
             if stop.is_set():
                 return
             if time.monotonic() > deadline:
-                raise He3Error(f"{' '.join(self._command[1:3])}: expected it to be ready within {START_WITHIN_S:g} s")
+                raise He3Error(f"{self._module}: expected it to be ready within {START_WITHIN_S:g} s")
 
     def close(self) -> None:
         """End the answerer."""
@@ -109,7 +111,12 @@ class QueryProcess:
     def _start(self) -> subprocess.Popen[bytes]:
         # Not of the owner's group: Ctrl-C is for the owner to judge.
         process = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, process_group=0
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            process_group=0,
+            env=child_environment(),
         )
         self._process = process
         stdout = process.stdout

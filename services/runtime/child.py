@@ -1,0 +1,30 @@
+"""How one of our processes starts another one of ours: this is the parent's end, `services.runtime.entry` the child's.
+
+A child never imports from the working directory, computes with one BLAS thread unless the user asked for more, and
+ends with its parent.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from services.runtime.entry import PARENT
+
+ROOT = str(Path(__file__).resolve().parents[2])
+"""The folder that our packages lie in: a checkout, or site-packages."""
+
+
+def python_command(module: str, *arguments: str) -> list[str]:
+    """The command that runs that module as a program, in this interpreter."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def child_environment() -> dict[str, str]:
+    """The environment of a child of this process."""
+    environment = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **os.environ, PARENT: str(os.getpid())}
+    if ROOT not in sys.path[1:]:
+        # Our code was found in the working directory, in a checkout that is not installed: a child does not look there.
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, (ROOT, os.environ.get("PYTHONPATH"))))
+    return environment
