@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.fuzzing import values
 from benchmarks.fuzzing.surface import one_line
 from he3.errors import He3Error
-from services.console.client.session import join_when_up
+from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import Launcher, free_endpoints
 
 MISSION = "fuzzed"
@@ -73,7 +73,7 @@ class PageRequests:
         launcher.__enter__()
         self._closing.append(lambda: launcher.__exit__(None, None, None))
         try:
-            join_when_up(endpoints.earth, MISSION, launcher.check).close()
+            MissionClient.when_up(endpoints.earth, MISSION, launcher.check).close()
             self._serve(endpoints.earth)
         except BaseException:
             self.close()
