@@ -1,28 +1,24 @@
-"""A recording, read back: whole files, and what is left of a file whose writer was killed."""
+"""A recording, read back: all messages that are whole, and an account of what is damaged, missing or left out."""
 
 from __future__ import annotations
 
-import struct
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
-from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Metadata
-from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
+from mcap.records import Channel, Message, Metadata, Statistics
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode
 from schemas.topics import BY_NAME, Topic
 from schemas.wire import Header
-from services.runtime.node import MissionTime
-
-RECORD_LIMIT_BYTES = 64 * 1024 * 1024
-
-TORN = (McapError, ZstdError, struct.error, ValueError, EOFError, OverflowError)
-"""What reading into a torn record raises, wherever the tear is."""
+from services.recorder.recovery import Fault, read_records
+from services.recorder.writer import CHANNEL_RECORD, MISSION_RECORD
+from services.runtime.node import SECOND, MissionTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,49 +32,144 @@ class Recorded:
     received_at: MissionTime
 
 
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A part of the file that is damaged or missing, and the whole messages around it."""
+
+    fault: Fault
+    after: MissionTime | None = None
+    """When the last whole message before it was received; None if there is none."""
+    before: MissionTime | None = None
+    """When the first whole message behind it was received; None if there is none."""
+
+    def __str__(self) -> str:
+        after = "the beginning" if self.after is None else _utc(self.after)
+        before = "the end" if self.before is None else _utc(self.before)
+        place = f"byte {self.fault.start}"
+        if self.fault.end > self.fault.start:
+            place = f"bytes {self.fault.start} to {self.fault.end}"
+        return f"{place}, between {after} and {before}: {self.fault.what}"
+
+
+@dataclass(slots=True)
+class LeftOut:
+    """Messages of one topic that are in the file and were not returned."""
+
+    topic: str
+    why: str
+    """Of the first of them."""
+    count: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.topic}: {self.count} left out, the first because: {self.why}"
+
+
 class Recording:
-    """The messages of a recording in the order in which they were written; iterate once over `messages`."""
+    """The messages of a recording in the order in which they were written; iterate once over `messages`.
+
+    What is said of the file holds after the iteration.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.mission = ""
-        """Known once iteration has begun."""
-        self.torn: str | None = None
-        """After iteration: why the file ends early, in one line; None for a file that was finished."""
+        self.gaps: list[Gap] = []
+        """The parts of the file that are not whole, in their order."""
+        self.left_out: dict[str, LeftOut] = {}
+        """By topic: messages that are whole in the file, and that this version cannot read."""
+        self.messages_by_topic: Counter[str] = Counter()
+        """The messages that were returned."""
+        self._topics: dict[int, str] = {}
+        self._named_mission = ""
+        self._recorded: Counter[int] | None = None
 
     def messages(self) -> Iterator[Recorded]:
-        """Each complete message; raises InvalidInput, in one line, for a file that is no recording of ours."""
+        """Each whole message; raises InvalidInput, in one line, for a file that is no recording of a mission."""
         try:
             with self.path.open("rb") as stream:
-                yield from self._read(StreamReader(stream, validate_crcs=True, record_size_limit=RECORD_LIMIT_BYTES))
+                if stream.seek(0, 2) > 0:
+                    with mmap(stream.fileno(), 0, access=ACCESS_READ) as data:
+                        yield from self._read(data)
         except OSError as error:
             raise InvalidInput(f"{self.path}: expected a recording, got: {error.strerror}") from None
         if not self.mission:
             raise InvalidInput(f"{self.path}: expected a recording of a mission, got none of its records")
 
-    def _read(self, reader: StreamReader) -> Iterator[Recorded]:
-        channels: dict[int, Topic] = {}
-        records = iter(reader.records)
-        while True:
-            try:
-                record = next(records)
-            except StopIteration:
-                return
-            except TORN as error:
-                self.torn = f"it ends early ({type(error).__name__})"
-                return
-            if isinstance(record, Metadata) and record.name == "mission":
-                self.mission = record.metadata.get("mission", "")
-            elif isinstance(record, Channel):
-                topic = BY_NAME.get(record.metadata.get("topic", ""))
-                if topic is not None:
-                    channels[record.id] = topic
-            elif isinstance(record, Message) and record.channel_id in channels:
-                yield self._checked(channels[record.channel_id], record)
+    @property
+    def whole(self) -> bool:
+        """Whether every message that was recorded was returned, and the file is neither cut off nor damaged."""
+        return not self.problems()
 
-    def _checked(self, topic: Topic, message: Message) -> Recorded:
+    @property
+    def recorded(self) -> Counter[str] | None:
+        """Messages that were recorded, by topic, as the summary of the file counts them; None if it is lost."""
+        if self._recorded is None:
+            return None
+        return Counter({self._topics.get(channel, f"channel {channel}"): n for channel, n in self._recorded.items()})
+
+    def problems(self) -> list[str]:
+        """One line on each part that is not whole, each topic with messages left out, and how many are missing."""
+        lines = [*map(str, self.gaps), *map(str, self.left_out.values())]
+        if self._named_mission and self._named_mission != self.mission:
+            lines.append(f"the recording is named '{self._named_mission}', its messages are of '{self.mission}'")
+        if lines and self.recorded is None:
+            lines.append("how many messages are missing is not known: the summary of the file is lost")
+        elif self.recorded is not None:
+            missing = self.recorded - self.messages_by_topic
+            lines += [
+                f"{topic}: {self.messages_by_topic[topic]} of {self.recorded[topic]} messages are read"
+                for topic in sorted(missing)
+            ]
+        return lines
+
+    def _read(self, data: mmap) -> Iterator[Recorded]:
+        received_at: MissionTime | None = None
+        for record in read_records(data):
+            match record:
+                case Fault():
+                    self.gaps.append(Gap(record, received_at))
+                case Metadata(name=name, metadata=fields) if name == MISSION_RECORD:
+                    self._named_mission = fields.get("mission", "")
+                    self.mission = self.mission or self._named_mission
+                case Metadata(name=name, metadata=fields) if name == CHANNEL_RECORD:
+                    if fields.get("id", "").isdecimal():
+                        self._topics.setdefault(int(fields["id"]), fields.get("topic", ""))
+                case Channel():
+                    self._introduce(record)
+                case Statistics():
+                    self._recorded = Counter(record.channel_message_counts)
+                case Message():
+                    received_at = record.log_time
+                    if self.gaps and self.gaps[-1].before is None:
+                        self.gaps = [gap if gap.before else replace(gap, before=received_at) for gap in self.gaps]
+                    message = self._checked(record)
+                    if message is not None:
+                        self.messages_by_topic[message.topic.name] += 1
+                        yield message
+
+    def _introduce(self, channel: Channel) -> None:
+        # A channel's record is under a checksum, a metadata record is not: what the channel says holds.
+        self._topics[channel.id] = channel.metadata.get("topic", "") or channel.topic
+        parts = channel.topic.split("/")
+        if "topic" in channel.metadata and len(parts) > 1:
+            self.mission = parts[1]
+
+    def _checked(self, message: Message) -> Recorded | None:
+        name = self._topics.get(message.channel_id, f"channel {message.channel_id}")
+        topic = BY_NAME.get(name)
+        if topic is None:
+            self._leave_out(name, "expected a topic of this version")
+            return None
         try:
             header, body = decode(topic, message.data, self.mission)
         except Refused as refusal:
-            raise InvalidInput(f"{self.path}: {refusal}") from None
+            self._leave_out(name, str(refusal))
+            return None
         return Recorded(topic, header, body, message.data, message.log_time)
+
+    def _leave_out(self, topic: str, why: str) -> None:
+        self.left_out.setdefault(topic, LeftOut(topic, why)).count += 1
+
+
+def _utc(time: MissionTime) -> str:
+    return f"{datetime.fromtimestamp(time // SECOND, UTC):%Y-%m-%dT%H:%M:%SZ}"

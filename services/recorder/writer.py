@@ -1,7 +1,8 @@
 """An MCAP recording: every message under the JSON Schema of its topic, readable even after the process was killed.
 
-Messages gather in a chunk, and a chunk is written when it is large enough or when `flush` is called; a file that ends
-in the middle of a chunk holds every chunk before it.
+Messages gather in a chunk. A chunk is written when it is large enough or when `flush` is called; a file that ends in
+the middle of a chunk holds every chunk before it. Chunks, data and summary have checksums, and the topic of each
+channel is written twice: so `reader` can say what is damaged, and assign the messages that are whole.
 """
 
 from __future__ import annotations
@@ -24,6 +25,11 @@ CHUNK_BYTES = 65_536
 
 PROFILE = "he3-seeker"
 
+MISSION_RECORD = "mission"
+"""Metadata record: the mission and the version of the message schemas."""
+CHANNEL_RECORD = "channel"
+"""Metadata record: id and topic of a channel, in case the chunk that introduces it is lost."""
+
 
 class RecordingWriter:
     """Writes a recording into a stream that it is given, and does not close it."""
@@ -38,9 +44,9 @@ class RecordingWriter:
         self._flushed_at = -math.inf
         self._mission = mission
         self._channels: dict[str, int] = {}
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile=PROFILE, library=PROFILE)
-        self._writer.add_metadata("mission", {"mission": mission, "schema_version": str(SCHEMA_VERSION)})
+        self._writer.add_metadata(MISSION_RECORD, {"mission": mission, "schema_version": str(SCHEMA_VERSION)})
         self._stream.flush()
         self.messages = 0
         """Messages written so far."""
@@ -86,6 +92,8 @@ class RecordingWriter:
         schema_id = self._writer.register_schema(
             name=topic.payload.__name__, encoding="jsonschema", data=json.dumps(schema).encode()
         )
-        return self._writer.register_channel(
+        channel = self._writer.register_channel(
             topic=topic.key(self._mission), message_encoding="json", schema_id=schema_id, metadata={"topic": topic.name}
         )
+        self._writer.add_metadata(CHANNEL_RECORD, {"id": str(channel), "topic": topic.name})
+        return channel

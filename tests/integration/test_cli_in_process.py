@@ -54,7 +54,7 @@ def test_everything_that_is_promised_is_written(first: Path) -> None:
 def test_the_recording_holds_every_sample_once_and_the_ground_s_last_word(first: Path) -> None:
     recording = Recording(first / "mission.mcap")
     messages = list(recording.messages())
-    assert recording.torn is None
+    assert recording.whole
     samples = [m.body.sample_id for m in messages if m.topic.name == "tm/sample"]
     assert sorted(set(samples)) == sorted(row.sample_id for row in report(first).sample_table)
     last = [m.body for m in messages if m.topic.name == "earth/ground/status"][-1]

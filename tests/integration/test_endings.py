@@ -43,7 +43,7 @@ def test_a_running_mission_ends_within_two_seconds_and_leaves_a_recording(missio
     read = Recording(recording)
     topics = {message.topic.name for message in read.messages()}
     assert {"tm/sample", "tc/plan", "earth/ground/status", "earth/link/status"} <= topics
-    assert read.torn is None, "a recorder that is asked to end finishes its file"
+    assert read.whole, "a recorder that is asked to end finishes its file"
 
 
 def test_a_recorder_that_is_started_again_keeps_what_it_had_recorded(missions, listen, tmp_path):

@@ -50,10 +50,11 @@ class _Seen:
 
 
 def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> None:
-    """Summarise a recording; a file whose writer was killed is read as far as it is complete."""
+    """Summarise a recording. Every whole part of a damaged file is read; what is missing is said, with exit code 1."""
     import json as json_format
 
     from he3.errors import InvalidInput
+    from schemas.codec import printable
     from schemas.topics import TOPICS
     from services.recorder.reader import Recording
 
@@ -65,19 +66,23 @@ def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> Non
         seen.take(message)
         if topic == message.topic.name:
             typer.echo(message.payload.decode())
-    if topic is not None:
-        return
-    document = _document(recording, seen)
-    typer.echo(json_format.dumps(document, indent=2) if json else "\n".join(_lines(document, seen)))
+    problems = recording.problems()
+    if topic is None:
+        document = _document(recording, seen, problems)
+        typer.echo(json_format.dumps(document, indent=2) if json else "\n".join(_lines(document, seen)))
+    for problem in problems:
+        typer.echo(f"he3: {printable(f'{file}: {problem}')}", err=True)
+    if problems:
+        raise typer.Exit(1)
 
 
-def _document(recording: Recording, seen: _Seen) -> dict[str, Any]:
+def _document(recording: Recording, seen: _Seen, problems: list[str]) -> dict[str, Any]:
     span_s = 0.0 if seen.first_ns is None else (seen.last_ns - seen.first_ns) / 1e9
     return {
         "file": str(recording.path),
         "mission": recording.mission,
-        "complete": recording.torn is None,
-        "torn": recording.torn,
+        "complete": not problems,
+        "problems": problems,
         "mission_over": seen.status is not None and seen.status.is_over,
         "messages": seen.counts.total(),
         "samples": len(seen.samples),
@@ -107,5 +112,5 @@ def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
 
 def _state(document: dict[str, Any]) -> str:
     if not document["complete"]:
-        return str(document["torn"])
+        return f"incomplete: {document['problems'][0]}"
     return "complete" if document["mission_over"] else "complete file of a mission that was not over"
