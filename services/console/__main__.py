@@ -98,9 +98,12 @@ def _usage(error: Any) -> int:
 
 def _say(message: str, code: int) -> int:
     from schemas.codec import printable
+    from services.console.interruption import end_is_said
 
     first, *rest = message.splitlines() or [""]
     sys.stderr.write(f"he3: {printable(first)}{' ...' if rest else ''}\n")
+    if code in (INTERRUPTED, TERMINATED):
+        end_is_said()
     return code
 
 

@@ -1,17 +1,26 @@
-"""Ctrl-C and SIGTERM: an orderly end from anywhere, and a cleaning up that a second Ctrl-C cannot break."""
+"""Ctrl-C and SIGTERM: an orderly end from anywhere, clean-up that a second Ctrl-C cannot break, an end in time."""
 
 from __future__ import annotations
 
+import os
 import signal
+import socket
+import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+ENDS_WITHIN_S = 1.6
+"""From the signal on; 2 s are promised."""
+EXIT_CODES = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "terminated")}
+"""Exit code and last line of a process that a signal ends."""
+
 
 class Terminated(BaseException):
-    """SIGTERM came: like KeyboardInterrupt, not to be caught on the way to the process's edge."""
+    """SIGTERM came; like KeyboardInterrupt, to be caught at the process's edge only."""
 
 
 _came: list[int] = []
@@ -37,14 +46,49 @@ def told_to_end() -> int | None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """No Ctrl-C and no SIGTERM within: for ending what was begun."""
+    """Within, Ctrl-C and SIGTERM are ignored: for clean-up."""
     with _handlers({signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_IGN}):
         yield
 
 
+_said = threading.Event()
+"""Set once the last line of a process that ends is written."""
+
+
+def end_is_said() -> None:
+    """The last line is written: `end_in_time` ends the process without another."""
+    _said.set()
+
+
+def end_in_time() -> None:
+    """See to it that this process ends within `ENDS_WITHIN_S` of a signal, whatever it is doing then.
+
+    For a process that computes: Python's own handling waits for the end of a call into foreign code, and for threads.
+    The signal's number reaches another thread at once, through the file descriptor of `signal.set_wakeup_fd`.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    told, tell = socket.socketpair()
+    tell.setblocking(False)
+    signal.set_wakeup_fd(tell.fileno(), warn_on_full_buffer=False)
+
+    def wait(_tell: socket.socket = tell) -> None:
+        number = 0
+        while number not in EXIT_CODES:
+            number = told.recv(1)[0]
+        time.sleep(ENDS_WITHIN_S)
+        code, line = EXIT_CODES[signal.Signals(number)]
+        if not _said.is_set():
+            sys.stderr.write(f"he3: {line}\n")
+            sys.stderr.flush()
+        os._exit(code)
+
+    threading.Thread(target=wait, name="ending", daemon=True).start()
+
+
 @contextmanager
 def _handlers(wanted: dict[signal.Signals, Any]) -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():  # which alone may say what signals do
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
         yield
         return
     before = {number: signal.signal(number, handler) for number, handler in wanted.items()}

@@ -59,12 +59,7 @@ def build() -> typer.Typer:
     app.command("schemas", short_help="JSON Schema of what goes over the wire.", epilog=schemas.EXAMPLES)(
         schemas.schemas
     )
-    app.command(
-        "bench",
-        short_help="Measure: the paper, others, the machine.",
-        epilog=bench.EXAMPLES,
-        context_settings=bench.CONTEXT,
-    )(bench.bench)
+    app.add_typer(bench.app, name="bench", help="Measure against the paper, other software, the machine.")
     return app
 
 

@@ -1,29 +1,51 @@
-"""``he3 bench NAME``: the benchmarks of a checkout, their flags read from what each of them takes."""
+"""``he3 bench NAME``: the benchmarks of a checkout, each a command made from the signature of its ``run`` function."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 EXAMPLES = """\b
 Examples:
-  he3 bench                          which there are
+  he3 bench                          list the benchmarks
   he3 bench paper --seeds 3 --json paper.json
   he3 bench map --help
 """
 
-CONTEXT = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+
+class Benchmarks(TyperGroup):
+    """The benchmarks as commands; a benchmark is imported when it is named, and listed from its source alone."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        from services.console.cli.benchmarks import described
+
+        return list(described())
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        from services.console.cli.benchmarks import command
+
+        return command(cmd_name)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        from services.console.cli.benchmarks import described
+
+        with formatter.section("Benchmarks"):
+            formatter.write_dl(list(described().items()))
+
+    def invoke(self, ctx: Any) -> Any:
+        from services.console.interruption import end_in_time
+
+        end_in_time()
+        return super().invoke(ctx)
 
 
-def bench(
-    context: typer.Context,
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Which; none lists them.")] = None,
-) -> None:
-    """Measure: against the paper, against other software, against the machine. Flags go to the benchmark."""
-    from services.console.cli.benchmarks import listing, run_benchmark
+app = typer.Typer(cls=Benchmarks, invoke_without_command=True, rich_markup_mode=None)
 
-    if name is None or name in ("-h", "--help"):
-        typer.echo(context.get_help() + "\n\n" + "\n".join(listing()))
-        return
-    run_benchmark(name, context.args, typer.echo)
+
+@app.callback(epilog=EXAMPLES)
+def bench(context: typer.Context) -> None:
+    """Measure: against the paper, against other software, against the machine."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())

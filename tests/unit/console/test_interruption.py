@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 
 import pytest
@@ -10,7 +13,7 @@ import pytest
 from he3.errors import He3Error
 from services.console import __main__ as entry
 from services.console.cli import app
-from services.console.interruption import Terminated, told_to_end
+from services.console.interruption import ENDS_WITHIN_S, Terminated, told_to_end
 
 ENDS = [(signal.SIGINT, 130, "he3: interrupted\n"), (signal.SIGTERM, 143, "he3: terminated\n")]
 
@@ -51,6 +54,53 @@ def test_a_signal_that_arrives_as_some_other_error_still_ends_the_command_as_tol
     command_is(monkeypatch, body)
     assert entry.main([]) == code
     assert capsys.readouterr().err == line
+
+
+IN_FOREIGN_CODE = """
+import ctypes, sys
+from services.console.interruption import Terminated, end_in_time, ending_on_signals
+c, lock = ctypes.CDLL(None), ctypes.create_string_buffer(128)
+c.pthread_mutex_lock(lock)
+with ending_on_signals():
+    end_in_time()
+    try:
+        print("ready", flush=True)
+        c.pthread_mutex_lock(lock)
+    except (KeyboardInterrupt, Terminated):
+        pass  # the signal came first
+    c.pthread_mutex_lock(lock)  # never returns, so no handler of Python runs
+"""
+
+A_THREAD_THAT_WORKS_ON = """
+import sys, threading, time
+from services.console.interruption import Terminated, end_in_time, ending_on_signals
+with ending_on_signals():
+    end_in_time()
+    threading.Thread(target=time.sleep, args=(60,)).start()
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    except (KeyboardInterrupt, Terminated):
+        print("kept", flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("code", "kept"), [(IN_FOREIGN_CODE, ""), (A_THREAD_THAT_WORKS_ON, "kept\n")])
+def test_a_process_that_computes_ends_in_time_and_has_time_to_keep_its_results(
+    code: str, kept: str, number: signal.Signals
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        began = time.monotonic()
+        process.send_signal(number)
+        said, error = process.communicate(timeout=30)
+        assert time.monotonic() - began < ENDS_WITHIN_S + 2.0
+        exit_code, line = next((code, line) for each, code, line in ENDS if each is number)
+        assert (process.returncode, said, error) == (exit_code, kept, line)
 
 
 def test_an_error_without_a_signal_is_a_defect_and_a_signal_of_an_earlier_command_is_forgotten(

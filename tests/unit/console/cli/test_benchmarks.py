@@ -1,4 +1,4 @@
-"""Benchmarks on the command line: flags made from the parameters of a function."""
+"""Benchmarks on the command line: commands made from the signatures of their functions."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
+import typer
 
 from he3.errors import InvalidInput
-from services.console.cli.benchmarks import arguments_of, listing, run_benchmark
+from services.console.__main__ import main
+from services.console.cli.benchmarks import command, command_of, described
+
+came: dict[str, Any] = {}
 
 
 def run(
@@ -21,9 +25,23 @@ def run(
     budget_m: float | None = None,
     full: bool = False,
     kind: Literal["a", "b"] = "a",
+    *,
     say: Callable[[str], None] = print,
 ) -> None:
     """A benchmark."""
+    came.clear()
+    came.update(locals())
+
+
+DEFAULTS = {
+    "sizes": (150, 1000), "names": (), "region": None, "json": None, "seeds": 10, "budget_m": None, "full": False,
+    "kind": "a", "say": print,
+}  # fmt: skip
+
+
+def called(*words: str) -> dict[str, Any]:
+    command_of("mine", run, "About it.")(list(words), prog_name="he3 bench mine", standalone_mode=False)
+    return came
 
 
 @pytest.mark.parametrize(
@@ -42,54 +60,62 @@ def run(
     ],
 )
 def test_flags_become_arguments_of_the_right_type(words: list[str], expected: dict[str, Any]) -> None:
-    assert arguments_of(run, words) == expected
+    assert called(*words) == DEFAULTS | expected
 
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--speed", "3"], "got '--speed'"),
-        (["3"], "got '3'"),
-        (["--seeds"], "expected a value after --seeds"),
-        (["--seeds", "three"], "--seeds: expected N, got 'three'"),
-        (["--sizes", "1,x"], "--sizes: expected N, got 'x'"),
-        (["--kind", "c"], "expected one of a, b; got 'c'"),
-        (["--say", "it"], "got '--say'"),
+        (["--speed", "3"], "--speed"),
+        (["3"], "3"),
+        (["--seeds"], "--seeds"),
+        (["--seeds", "three"], "--seeds"),
+        (["--sizes", "1,x"], "expected N,..., got '1,x'"),
+        (["--kind", "c"], "--kind"),
+        (["--say", "it"], "--say"),
     ],
 )
 def test_a_flag_that_is_not_right_is_refused_in_one_line(words: list[str], complaint: str) -> None:
-    with pytest.raises(InvalidInput) as refusal:
-        arguments_of(run, words)
-    assert complaint in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    usage_error: Any = typer.BadParameter.__bases__[0]
+    with pytest.raises(usage_error) as refusal:
+        called(*words)
+    assert complaint in refusal.value.format_message()
+    assert "\n" not in refusal.value.format_message()
 
 
-def test_every_benchmark_of_the_checkout_is_listed_with_what_it_measures() -> None:
-    lines = listing()
-    assert lines[0] == "Benchmarks:"
-    assert all(len(line.split()) > 1 for line in lines[1:])
+def test_every_benchmark_of_the_checkout_is_listed_with_what_it_measures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench"]) == 0
+    out = capsys.readouterr().out
+    assert described()
+    for name, about in described().items():
+        assert f"  {name} " in out
+        assert about.split()[0] in out
 
 
-def test_a_benchmark_explains_its_flags_without_running() -> None:
-    said: list[str] = []
-    run_benchmark("map", ["--help"], said.append)
-    assert "Usage: he3 bench map" in said[0]
-    assert "--sizes N,..." in said[0]
-    assert "--no-sklearn" in said[0]
-    assert "default: None" not in said[0]
-    assert said[0].rstrip().endswith("printed, and written to ``json`` if given.")
-    assert "Raises" not in said[0]
+def test_a_benchmark_explains_its_flags_without_running(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "map", "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "Usage: he3 bench map [OPTIONS]" in out
+    assert "--sizes N,..." in out
+    assert "[default: 150,1000]" in out
+    assert "--sklearn / --no-sklearn" in out
+    assert "\n      update_s " in out  # a table of the module's docstring stands as it is
+    assert "--grid" not in out
+    assert out.rstrip().endswith("printed, and written to ``json`` if given.")
+    assert "Raises" not in out
 
 
 def test_a_part_of_other_benchmarks_is_not_run() -> None:
-    with pytest.raises(InvalidInput, match="is a part of other benchmarks"):
-        run_benchmark("missions", [], print)
+    with pytest.raises(InvalidInput, match="expected a benchmark, got missions, a part of other benchmarks"):
+        command("missions")
 
 
-def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="json: expected a file that can be written"):
-        run_benchmark("paper", ["--json", str(tmp_path), "--seeds", "0"], print)
+def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "paper", "--json", str(tmp_path), "--seeds", "0"]) == 2
+    assert capsys.readouterr().err.startswith("he3: --json: expected a file that can be written")
     # What comes next is the benchmark's own check: the folder was made on the way.
-    with pytest.raises(InvalidInput, match="expected one seed at least"):
-        run_benchmark("paper", ["--json", str(tmp_path / "new" / "rows.json"), "--seeds", "0"], print)
+    assert main(["bench", "paper", "--json", str(tmp_path / "new" / "rows.json"), "--seeds", "0"]) == 2
+    assert "expected one seed at least" in capsys.readouterr().err
     assert (tmp_path / "new").is_dir()
