@@ -252,10 +252,12 @@ def load_scenario(path: Path) -> Scenario:
     A region's file that is not found from the working directory is looked for beside the scenario.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_SCENARIO_BYTES:
-            raise InvalidInput(f"{path}: expected a scenario of at most {MAX_SCENARIO_BYTES} bytes, got {size}")
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as stream:
+            content = stream.read(MAX_SCENARIO_BYTES + 1)  # a device may have no size, and no end
+        if len(content) > MAX_SCENARIO_BYTES:
+            raise InvalidInput(f"{path}: expected a scenario of at most {MAX_SCENARIO_BYTES} bytes, got more")
+        # Editors of some systems put a byte order mark before the text; it means nothing in UTF-8.
+        document = tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the scenario: {error.strerror}") from None
     except UnicodeDecodeError:

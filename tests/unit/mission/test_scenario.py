@@ -93,11 +93,24 @@ def test_a_bad_scenario_is_refused_in_one_line_with_file_and_key(tmp_path, text,
     assert len(line) < 400 + len(str(path))
 
 
-def test_a_file_that_is_too_long_is_not_even_read(tmp_path):
+def test_a_file_that_is_too_long_is_read_no_further_than_its_limit(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD + "#" * MAX_SCENARIO_BYTES)
     with pytest.raises(InvalidInput, match=f"expected a scenario of at most {MAX_SCENARIO_BYTES} bytes, got"):
         load_scenario(path)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a device without an end")
+def test_a_device_without_an_end_is_refused():
+    with pytest.raises(InvalidInput, match=f"expected a scenario of at most {MAX_SCENARIO_BYTES} bytes, got more"):
+        load_scenario(Path("/dev/zero"))
+
+
+def test_a_byte_order_mark_and_carriage_returns_change_nothing(tmp_path):
+    path = tmp_path / "windows.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+    (tmp_path / "plain.toml").write_text(GOOD)
+    assert load_scenario(path) == load_scenario(tmp_path / "plain.toml")
 
 
 def test_bytes_that_are_no_text_are_refused(tmp_path):
