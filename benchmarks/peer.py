@@ -7,15 +7,13 @@ import subprocess
 import sys
 import threading
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from typing import Any
 
 from he3.errors import He3Error
 from services.runtime.child import ROOT, child_environment, python_command
 
-CHECKOUT = Path(__file__).resolve().parent.parent
-SETTLING_S = 30.0
-"""How long a process may take to start, and to answer beyond what it was asked to do."""
+SETTLING_S = 300.0
+"""How long a process may take to start, and to answer beyond what it was asked to do. Only one that hangs takes it."""
 
 
 class Peer:
@@ -25,7 +23,6 @@ class Peer:
         self._module = module
         self._process = subprocess.Popen(
             python_command(module, *arguments),
-            cwd=CHECKOUT,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

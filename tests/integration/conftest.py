@@ -1,6 +1,6 @@
-"""Real services, as processes of their own on free loopback ports: started, watched, ended, and all of it in time.
+"""Fixtures of real services, each a process on free loopback ports: started, watched, and ended in time.
 
-Nothing here sleeps and hopes: every wait is for a line, a message or an end, with a bound.
+Every wait is for a line, a message or an end of a process. No process outlives the test run, however that ends.
 """
 
 from __future__ import annotations
@@ -10,23 +10,21 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
 from schemas.topics import Side, Topic
-from schemas.wire import Header
-from services.runtime.child import child_environment, python_command
+from schemas.wire import Header, Wire
+from services.runtime.child import python_command
 from services.runtime.transport.client import Client
+from tests.processes import start
+from tests.waiting import PATIENCE_S, expect_within, until
 
-CHECKOUT = Path(__file__).resolve().parents[2]
-
-READY_WITHIN_S = 45.0
-"""From the start of a process to its first line 'ready': imports, a region, a session; on a machine that is busy."""
 GONE_WITHIN_S = 2.0
-"""From the first signal to the end of the process."""
+"""From the first signal to the end of the process, as promised."""
 
 
 class Process:
@@ -36,16 +34,15 @@ class Process:
         self.name = name
         self.lines: list[str] = []
         self._news = threading.Condition()
-        self._ended = False
-        self.popen = subprocess.Popen(
+        self._signalled_at: float | None = None
+        self._ended_at: float | None = None
+        """When it and all that it started had closed their output."""
+        self.popen = start(
             command,
-            cwd=CHECKOUT,
-            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            process_group=0,
-            env={**child_environment(), "PYTHONUNBUFFERED": "1"},
+            env={"PYTHONUNBUFFERED": "1"},
         )
         self._reader = threading.Thread(target=self._read, name=f"lines of {name}", daemon=True)
         self._reader.start()
@@ -58,7 +55,7 @@ class Process:
                     self.lines.append(line.rstrip("\n"))
                     self._news.notify_all()
         with self._news:
-            self._ended = True
+            self._ended_at = time.monotonic()
             self._news.notify_all()
 
     @property
@@ -73,43 +70,47 @@ class Process:
     def text(self) -> str:
         return "\n".join(self.lines)
 
-    def line(self, part: str, within_s: float = READY_WITHIN_S, after: int = 0) -> str:
+    def line(self, part: str, after: int = 0) -> str:
         """The first line from number `after` on that contains `part`, as soon as it is there."""
 
         def found() -> str | None:
             return next((line for line in self.lines[after:] if part in line), None)
 
         with self._news:
-            self._news.wait_for(lambda: found() is not None or self._ended, within_s)
+            self._news.wait_for(lambda: found() is not None or self._ended_at, PATIENCE_S)
             line = found()
         if line is None:
-            ended = f"; it ended with {self.popen.wait(5)}" if self._ended else ""
-            pytest.fail(f"{self.name}: no line with '{part}' within {within_s:g} s{ended}:\n{self.text}")
+            ended = f"it ended with {self.popen.wait()}" if self._ended_at else f"waited {PATIENCE_S:g} s"
+            pytest.fail(f"{self.name}: no line with '{part}', {ended}:\n{self.text}")
         return line
 
-    def wait_for_handlers(self, within_s: float = READY_WITHIN_S) -> None:
+    def wait_for_handlers(self) -> None:
         """Wait until the process takes SIGTERM itself: from its first line of code on."""
         status = Path(f"/proc/{self.pid}/status")
-        give_up = time.monotonic() + within_s
-        while time.monotonic() < give_up:
+
+        def handled() -> bool:
             caught = next((line for line in status.read_text().splitlines() if line.startswith("SigCgt:")), "SigCgt: 0")
-            if int(caught.split()[1], 16) & 1 << (signal.SIGTERM - 1):
-                return
-            time.sleep(0.002)
-        pytest.fail(f"{self.name}: takes no signals after {within_s:g} s")
+            return bool(int(caught.split()[1], 16) & 1 << (signal.SIGTERM - 1))
+
+        until(handled, f"{self.name} to take signals")
 
     def send(self, number: int) -> None:
+        if self._signalled_at is None:
+            self._signalled_at = time.monotonic()
         self.popen.send_signal(number)
 
-    def end(self, within_s: float = GONE_WITHIN_S) -> int:
-        """The exit code, once it has ended; fails the test, and kills it, when it takes longer."""
+    def end(self) -> int:
+        """The exit code, once it has ended; fails the test if it took longer than promised after its first signal."""
         try:
-            code = self.popen.wait(within_s)
+            code = self.popen.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
-            self.popen.kill()
-            self.popen.wait()
-            pytest.fail(f"{self.name}: not gone within {within_s:g} s:\n{self.text}")
-        self._reader.join(5)
+            self.kill()
+            pytest.fail(f"{self.name}: not gone after {PATIENCE_S:g} s:\n{self.text}")
+        self._reader.join(PATIENCE_S)
+        assert self._ended_at is not None, f"{self.name}: it has ended, but something that it started has not"
+        if self._signalled_at is not None:
+            took_s = self._ended_at - self._signalled_at
+            expect_within(GONE_WITHIN_S, took_s, f"the end of {self.name} after a signal")
         return code
 
     def stop(self, number: int = signal.SIGTERM) -> int:
@@ -122,7 +123,7 @@ class Process:
         """End it as a power failure would."""
         self.popen.kill()
         self.popen.wait()
-        self._reader.join(5)
+        self._reader.join(PATIENCE_S)
 
 
 class Heard(NamedTuple):
@@ -147,27 +148,34 @@ class Listener:
             self.heard.append(Heard(header, body, time.time_ns()))
             self._news.notify_all()
 
-    def wait(self, wanted: Callable[[Header, Any], bool] = lambda *_: True, within_s: float = 20.0) -> Heard:
+    def wait(self, wanted: Callable[[Header, Any], bool] = lambda *_: True) -> Heard:
         """The first message that is wanted, of those that came and those that come."""
 
         def found() -> Heard | None:
             return next((each for each in self.heard if wanted(each.header, each.body)), None)
 
         with self._news:
-            self._news.wait_for(lambda: found() is not None, within_s)
+            self._news.wait_for(lambda: found() is not None, PATIENCE_S)
             each = found()
         if each is None:
             last = self.heard[-1].body if self.heard else None
-            pytest.fail(f"{self._topic.name}: not heard within {within_s:g} s; {len(self.heard)} came, last {last}")
+            pytest.fail(f"{self._topic.name}: waited {PATIENCE_S:g} s; {len(self.heard)} came, last {last}")
         return each
 
-    def wait_for_count(self, count: int, within_s: float = 20.0) -> list[Heard]:
-        """All messages, as soon as there are that many."""
-        with self._news:
-            self._news.wait_for(lambda: len(self.heard) >= count, within_s)
-            if len(self.heard) < count:
-                pytest.fail(f"{self._topic.name}: {len(self.heard)} of {count} messages within {within_s:g} s")
-            return list(self.heard)
+
+class PatientClient(Client):
+    """A client that waits for its answers as long as a test waits."""
+
+    def query(self, topic: Topic, request: Wire, timeout_s: float = PATIENCE_S) -> Any:
+        return super().query(topic, request, timeout_s)
+
+    def fetch(
+        self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = PATIENCE_S
+    ) -> tuple[bytes, bytes]:
+        return super().fetch(topic, parameters, timeout_s)
+
+    def latest(self, topic: Topic, timeout_s: float = PATIENCE_S) -> tuple[Header, Any]:
+        return super().latest(topic, timeout_s)
 
 
 class Mission:
@@ -204,7 +212,7 @@ class Mission:
 
     def client(self, side: Side = Side.EARTH, name: str = "operator") -> Client:
         """A session on that side, closed with the mission; the router must be there."""
-        client = Client(self.earth if side is Side.EARTH else self.moon, self.name, name, side)
+        client = PatientClient(self.earth if side is Side.EARTH else self.moon, self.name, name, side)
         self._clients.append(client)
         return client
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from schemas.report import MissionReport
 from services.console.__main__ import main
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
+from tests.processes import run
 
 MISSION = ["run", "short", "--in-process", "--set", "rounds=2", "--set", "samples_per_round=2", "--quiet"]
 NO_TIME = ["--set", "ground.budget_h=0.01"]
@@ -109,7 +109,7 @@ def test_a_reader_that_has_had_enough_of_a_recording_is_no_failure(first: Path) 
         reading, writing = os.pipe()
         os.close(reading)
         with open(writing, "wb") as nobody:  # noqa: PTH123 - a descriptor, not a path
-            done = subprocess.run([*replay, *words], stdout=nobody, stderr=subprocess.PIPE, text=True, timeout=60)
+            done = run([*replay, *words], stdout=nobody)
         assert (done.returncode, done.stderr) == (0, "")
 
 

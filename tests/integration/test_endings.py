@@ -11,10 +11,10 @@ import pytest
 
 from schemas.topics import GROUND_STATUS
 from services.recorder.reader import Recording
+from tests.waiting import PATIENCE_S
 
 ALL = ("recorder", "ground", "rover", "field", "link")
 RATE = "2000"
-READY_WITHIN_S = 45.0
 
 
 @pytest.mark.parametrize(("number", "seed"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
@@ -37,7 +37,7 @@ def test_a_running_mission_ends_within_two_seconds_and_leaves_a_recording(missio
     mission.start("recorder", flags=["--out", str(recording)])
     mission.start(*ALL[1:])
     mission.ready()
-    listen(mission.client(), GROUND_STATUS).wait(lambda _, status: status.samples > 0, 60)
+    listen(mission.client(), GROUND_STATUS).wait(lambda _, status: status.samples > 0)
     time.sleep(random.Random(seed).uniform(0.0, 1.0))  # somewhere in a round: it drives, drills, plans, reports
     assert mission.stop(number) == dict.fromkeys(ALL, 0)
     read = Recording(recording)
@@ -53,11 +53,11 @@ def test_a_recorder_that_is_started_again_keeps_what_it_had_recorded(missions, l
     mission.start(*ALL[1:])
     mission.ready()
     heard = listen(mission.client(), GROUND_STATUS)
-    first = heard.wait(lambda _, status: status.samples > 0, 60).body
+    first = heard.wait(lambda _, status: status.samples > 0).body
     mission["recorder"].kill()
     mission.start("recorder", flags=["--out", str(recording)])
     mission.ready("recorder")
-    heard.wait(lambda _, status: status.samples > first.samples + 1, 60)
+    heard.wait(lambda _, status: status.samples > first.samples + 1)
     mission.stop()
     for path in (tmp_path / "mission-1.mcap", recording):
         assert any(message.topic is GROUND_STATUS for message in Recording(path).messages()), path
@@ -88,7 +88,7 @@ def test_a_service_ends_in_time_while_it_waits_for_a_router_that_says_nothing(mi
         mission = missions("short")
         mission.moon = f"tcp/127.0.0.1:{mute.getsockname()[1]}"
         mission.start("rover")
-        mute.settimeout(READY_WITHIN_S)
+        mute.settimeout(PATIENCE_S)
         connection, _ = mute.accept()
         with connection:
             assert mission["rover"].stop(number) == 0

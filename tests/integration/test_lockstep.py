@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from collections import defaultdict, deque
 from collections.abc import Iterator
@@ -14,10 +13,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-pytestmark = pytest.mark.timeout(300)
+from tests.processes import run, start
 
-LONG_S = 120.0
-"""For one mission of four samples, on cores that everybody wants."""
 SECOND = 1_000_000_000
 LIGHT = 1_282_000_000
 """One-way light time of the short mission [ns]."""
@@ -33,7 +30,7 @@ def both_cores_busy() -> Iterator[None]:
     """As many processes that only compute as there are cores, for as long as this lasts."""
     with ExitStack() as stack:
         for _ in range(os.cpu_count() or 1):
-            burner = stack.enter_context(subprocess.Popen([sys.executable, "-c", BURN]))
+            burner = stack.enter_context(start([sys.executable, "-c", BURN]))
             stack.callback(burner.kill)
         yield
 
@@ -49,7 +46,7 @@ def ran(folder: Path, *words: str, settings: tuple[str, ...] = ()) -> Ran:
     sets = [word for setting in (*SHORTER, *settings) for word in ("--set", setting)]
     command = [sys.executable, "-m", "services.console", "run", "short", *words, *sets, "--quiet"]
     files = ["--events", str(folder / "events.log"), "--report", str(folder / "report.json")]
-    done = subprocess.run([*command, *files], capture_output=True, text=True, timeout=LONG_S)
+    done = run([*command, *files])
     assert done.returncode == 0, done.stderr
     return Ran((folder / "events.log").read_bytes(), json.loads((folder / "report.json").read_text()))
 
@@ -127,6 +124,6 @@ def test_with_both_cores_busy_every_delivery_takes_its_transmission_time_too_and
 @pytest.mark.parametrize("words", [("--rate", "50"), ()])
 def test_an_event_log_is_refused_where_times_are_not_exact(words: tuple[str, ...], tmp_path: Path) -> None:
     command = [sys.executable, "-m", "services.console", "run", "short", *words, "--events", str(tmp_path / "e.log")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = run(command)
     assert done.returncode == 2
     assert done.stderr.startswith("he3: --events: expected it with --in-process or --lockstep")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from schemas.topics import TIME_CONTROL
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.event_log import EventLog, merge_event_logs
 from services.runtime.transport.client import Client
+from tests.waiting import until
 
 CHATTER = Path(__file__).parents[1] / "chatter.py"
 _SPEC = importlib.util.spec_from_file_location("chatter", CHATTER)
@@ -26,15 +26,16 @@ _SPEC.loader.exec_module(chatter)
 START = 1893456000 * 10**9
 
 
-def silent(client: Client, within_s: float = 60.0) -> TimeStatus:
-    """The status once nobody wants to act ever again."""
-    deadline = time.monotonic() + within_s
-    while True:
+def silent(client: Client) -> TimeStatus:
+    """The status once no process has anything left to do."""
+
+    def seen() -> TimeStatus | None:
         status: TimeStatus = client.query(TIME_CONTROL, TimeControl())
-        if status.step > 0 and status.next_at is None and not status.waits_for:
-            return status
-        assert time.monotonic() < deadline, status
-        time.sleep(0.02)
+        return status if status.step > 0 and status.next_at is None and not status.waits_for else None
+
+    status = until(seen, "silence")
+    assert status is not None
+    return status
 
 
 @pytest.mark.parametrize("seed", [3, 17, 58])

@@ -7,17 +7,17 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
+from tests.processes import run, start
+from tests.waiting import until
+
 HE3 = [sys.executable, "-m", "services.console"]
 SECOND = 1_000_000_000
 START = 1893456000 * SECOND
-
-pytestmark = pytest.mark.timeout(240)
 
 
 class Up:
@@ -25,14 +25,14 @@ class Up:
 
     def __init__(self, environment: dict[str, str], flags: list[str]) -> None:
         self._environment = environment
-        self.process = subprocess.Popen(
+        self.process = start(
             [*HE3, "up", "short", "--quiet", *flags], stderr=subprocess.PIPE, text=True, env=environment
         )
         assert self.process.stderr is not None
         assert "is up" in self.process.stderr.readline()
 
     def he3(self, *words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([*HE3, *words], capture_output=True, text=True, env=self._environment, timeout=60)
+        return run([*HE3, *words], env=self._environment)
 
     def time(self, *words: str) -> dict[str, Any]:
         done = self.he3("time", *words, "--json")
@@ -40,15 +40,16 @@ class Up:
         document: dict[str, Any] = json.loads(done.stdout)
         return document
 
-    def until(self, wanted: Callable[[dict[str, Any]], bool], within_s: float = 60.0) -> dict[str, Any]:
-        deadline = time.monotonic() + within_s
-        while not wanted(status := self.time("show")):
-            assert time.monotonic() < deadline, status
-        return status
+    def until(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        def seen() -> dict[str, Any]:
+            status = self.time("show")
+            return status if wanted(status) else {}
+
+        return until(seen, lambda: f"another status than {self.time('show')}")
 
     def end(self) -> None:
         self.process.send_signal(signal.SIGINT)
-        self.process.communicate(timeout=20)
+        self.process.communicate()
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +118,7 @@ def test_a_wish_that_makes_no_sense_costs_one_line(up: Up, words: tuple[str, ...
 def test_a_mission_that_is_over_stands_and_goes_on_when_told_to(up: Up) -> None:
     up.time("unlimited")
     up.time("resume")
-    over = up.until(lambda status: "ground" in status["finished"] and status["paused"], within_s=120.0)
+    over = up.until(lambda status: "ground" in status["finished"] and status["paused"])
     assert over["finished"]["ground"] == "9 of 9 samples are in the map"
     up.time("resume")
     assert up.until(lambda status: status["now"] > over["now"])["now"] > over["now"]

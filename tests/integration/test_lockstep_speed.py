@@ -9,8 +9,6 @@ import pytest
 
 from benchmarks.lockstep_speed import run
 
-pytestmark = pytest.mark.timeout(240)
-
 
 def test_both_drivers_have_a_row_and_the_same_events(tmp_path: Path) -> None:
     said: list[str] = []

@@ -15,11 +15,9 @@ from schemas.topics import Side
 from services.ground.map.queries import MODULE
 from services.ground.map.snapshot import MapSnapshot
 from services.runtime.queries.process import QueryProcess
+from tests.waiting import PATIENCE_S
 
 GRID = SiteGrid(50, 60, 1.0)
-WITHIN_S = 60.0
-
-pytestmark = pytest.mark.timeout(180)
 
 
 def snapshot(revision: int) -> MapSnapshot:
@@ -48,17 +46,17 @@ def test_what_is_settled_is_answered_from(answering: QueryProcess) -> None:
     assert answering.settle(0.0)  # nothing was shown, so nothing is to come
     for revision in range(1, 20):
         answering.show(snapshot(revision))
-    assert answering.settle(WITHIN_S)
+    assert answering.settle(PATIENCE_S)
 
 
 def test_one_that_died_is_replaced_and_is_shown_the_newest_again(answering: QueryProcess, warnings: list[str]) -> None:
     answering.show(snapshot(1))
-    assert answering.settle(WITHIN_S)
+    assert answering.settle(PATIENCE_S)
     before = answering.pid
     assert before is not None
     os.kill(before, signal.SIGKILL)
     answering.show(snapshot(2))
-    assert answering.settle(WITHIN_S)
+    assert answering.settle(PATIENCE_S)
     assert answering.pid not in (None, before)
     assert len(warnings) == 1
 
@@ -71,7 +69,7 @@ def test_waiting_for_one_that_never_gets_ready_ends_when_told_to_stop(answering:
 
 def test_nothing_is_left_behind(answering: QueryProcess) -> None:
     answering.show(snapshot(1))
-    assert answering.settle(WITHIN_S)
+    assert answering.settle(PATIENCE_S)
     pid = answering.pid
     assert pid is not None
     answering.close()

@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,12 +21,11 @@ from schemas.topics import Side
 from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
 from services.runtime.transport.session import open_session
+from tests.processes import run
+from tests.waiting import PATIENCE_S, until
 
 MISSION, RATE = "t1-paper", 120.0
 ROOT = Path(__file__).parents[2]
-WITHIN_S = 90.0
-
-pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +36,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Launcher
     logs = tmp_path_factory.mktemp("logs")
     with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
         with MissionClient.when_up(endpoints.earth, MISSION, launcher.check) as client:
-            wait_for(lambda: quietly(lambda: len(client.samples()) >= 2), "two samples")
+            until(lambda: quietly(lambda: len(client.samples()) >= 2), "two samples")
         yield launcher, endpoints
 
 
@@ -46,15 +44,6 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Launcher
 def client(running: tuple[Launcher, Endpoints]) -> Iterator[MissionClient]:
     with MissionClient(running[1].earth, MISSION) as joined:
         yield joined
-
-
-def wait_for(seen: Callable[[], Any], what: str, within_s: float = WITHIN_S) -> Any:
-    deadline = time.monotonic() + within_s
-    while time.monotonic() < deadline:
-        if found := seen():
-            return found
-        time.sleep(0.05)
-    raise AssertionError(f"waited {within_s:g} s for {what}")
 
 
 def quietly(what: Callable[[], Any]) -> Any:
@@ -70,7 +59,7 @@ def test_a_stock_zenoh_client_asks_with_a_selector_and_gets_json_arrays_and_pict
     session = open_session(Side.EARTH, "client", running[1].earth)
 
     def get(selector: str) -> tuple[str, bytes, bytes]:
-        (reply,) = list(session.get(f"he3/{MISSION}/{selector}", timeout=20.0))
+        (reply,) = list(session.get(f"he3/{MISSION}/{selector}", timeout=PATIENCE_S))
         assert reply.ok is not None, reply.err.payload.to_string()
         about = b"" if reply.ok.attachment is None else reply.ok.attachment.to_bytes()
         return str(reply.ok.encoding), reply.ok.payload.to_bytes(), about
@@ -96,7 +85,7 @@ def test_a_stock_zenoh_client_asks_with_a_selector_and_gets_json_arrays_and_pict
             ("point?x=1;y=1;as_of=yesterday", "as_of"),
             ("resource?polygon=1,1,2,2", "3 to 256 corners"),
         ):
-            (reply,) = list(session.get(f"he3/{MISSION}/earth/map/{wrong}", timeout=20.0))
+            (reply,) = list(session.get(f"he3/{MISSION}/earth/map/{wrong}", timeout=PATIENCE_S))
             assert why in json.loads(reply.err.payload.to_bytes())["error"]
     finally:
         session.close()
@@ -120,7 +109,7 @@ def test_a_point_a_box_and_a_layer_of_one_revision_say_the_same(client: MissionC
 
 def test_the_feed_ends_with_the_grounds_arrays(client: MissionClient) -> None:
     seen = 0
-    for current in client.maps(timeout_s=60.0):
+    for current in client.maps(timeout_s=PATIENCE_S):
         seen += 1
         for name, values in (("mean", current.mean_ppb), ("std", current.std_ppb)):
             assert client.layer(name, as_of=current.revision).values.tobytes() == values.tobytes()
@@ -135,19 +124,19 @@ def test_samples_come_as_a_table_and_news_as_they_happen(client: MissionClient) 
     assert len(table) >= 2
     assert np.isfinite(table.helium3_ppb).all()
     assert len(client.samples(as_of=1)) == 0
-    heard = {news.topic for news, _ in zip(client.live(timeout_s=60.0), range(6), strict=False)}
+    heard = {news.topic for news, _ in zip(client.live(timeout_s=PATIENCE_S), range(6), strict=False)}
     assert heard & {"tm/state", "earth/ground/status", "earth/link/status", "tm/event", "tm/sample"}
 
 
 def test_a_command_passes_its_stages_in_order_with_the_light_time(client: MissionClient) -> None:
     paused = client.command("pause")
-    status = paused.wait("completed")
+    status = paused.wait("completed", PATIENCE_S)
     at = {report.stage.value: report.at / 1e9 for report in status.stages}
     assert [stage for stage in at if stage != "accepted"] == [
         "queued", "released", "radiated", "received", "started", "completed",
     ]  # fmt: skip
     assert 1.282 - 1e-6 <= at["received"] - at["radiated"] <= 1.282 + 0.5 * RATE
-    assert client.command("resume").wait("completed").stages[-1].stage.value == "completed"
+    assert client.command("resume").wait("completed", PATIENCE_S).stages[-1].stage.value == "completed"
     with pytest.raises(InvalidInput, match="expected one of pause"):
         client.command("dance")
     with pytest.raises(He3Error, match="expected a target within"):
@@ -165,7 +154,7 @@ def test_an_area_of_interest_is_kept_by_the_ground_until_it_is_taken_back(client
 
 def he3(endpoints: Endpoints, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "services.console", *words, "--mission", MISSION, "--earth", endpoints.earth]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+    return run(command)
 
 
 def test_the_shell_asks_for_all_of_it(running: tuple[Launcher, Endpoints], tmp_path: Path) -> None:
@@ -228,8 +217,8 @@ def test_an_answerer_that_is_killed_is_replaced_and_the_ground_does_not_notice(
     launcher, _ = running
     before = _answerer_of(launcher.pids["ground"])
     os.kill(before, signal.SIGKILL)
-    after = wait_for(lambda: (pid := _answerer_of(launcher.pids["ground"])) not in (0, before) and pid, "another one")
+    after = until(lambda: (pid := _answerer_of(launcher.pids["ground"])) not in (0, before) and pid, "another one")
     assert after != before
-    point = wait_for(lambda: quietly(lambda: client.point(10.0, 20.0)), "an answer")
+    point = until(lambda: quietly(lambda: client.point(10.0, 20.0)), "an answer")
     assert point.samples >= 2
     launcher.check()

@@ -1,0 +1,35 @@
+"""Processes that tests start: each computes with one BLAS thread and ends with the test run, however that ends."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from services.runtime.child import ROOT, child_environment, python_command
+
+
+def start(command: Sequence[str | Path], *, env: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[Any]:
+    """The process of that command; options as for `subprocess.Popen`, `env` added to what every child has.
+
+    It leads a process group of its own. So the kernel ends it even while it is stopped by SIGSTOP.
+    """
+    return subprocess.Popen(command, process_group=0, **_with_defaults(env, options))
+
+
+def run(
+    command: Sequence[str | Path], *, env: dict[str, str] | None = None, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """What that command printed and its exit code, once it has ended; options as for `subprocess.run`."""
+    captured = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.run(command, check=False, **_with_defaults(env, captured | options))
+
+
+def he3(*words: str) -> list[str]:
+    """The command ``he3`` with those words."""
+    return python_command("services.console", *words)
+
+
+def _with_defaults(env: dict[str, str] | None, options: dict[str, Any]) -> dict[str, Any]:
+    return {"stdin": subprocess.DEVNULL, "cwd": ROOT, "env": {**child_environment(), **(env or {})}, **options}

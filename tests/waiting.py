@@ -1,0 +1,45 @@
+"""Waiting in tests: for an event, however long it takes; for what is promised, by the speed of the machine."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import pytest
+
+T = TypeVar("T")
+
+PATIENCE_S = 600.0
+"""How long an event is waited for [s]. A machine of any speed is faster, so only a test that fails takes so long."""
+POLL_S = 0.02
+
+_COUNT, _QUIET_S = 5_000_000, 0.25
+"""So many squares take so long [s] on a core of its own of the machine on which the promises were made."""
+
+
+def until(seen: Callable[[], T], what: str | Callable[[], str], patience_s: float = PATIENCE_S) -> T:
+    """What `seen` returns, once it is true; fails the test, naming `what` was waited for, if it does not get true."""
+    give_up = time.monotonic() + patience_s
+    while not (found := seen()):
+        if time.monotonic() > give_up:
+            pytest.fail(f"waited {patience_s:g} s for {what if isinstance(what, str) else what()}")
+        time.sleep(POLL_S)
+    return found
+
+
+def slowness() -> float:
+    """How many times slower than a quiet machine this one is now, with all that it does beside this; 1 at least."""
+    began = time.perf_counter()
+    sum(number * number for number in range(_COUNT))
+    return max(1.0, (time.perf_counter() - began) / _QUIET_S)
+
+
+def expect_within(promised_s: float, took_s: float, what: str) -> None:
+    """Fail the test unless `what` took no longer than promised, or than promised times the slowness of the machine."""
+    if took_s > promised_s:
+        factor = slowness()
+        assert took_s <= promised_s * factor, (
+            f"{what}: took {took_s:.2f} s, expected at most {promised_s:g} s, on a machine that is now {factor:.1f} "
+            "times slower than a quiet one"
+        )
