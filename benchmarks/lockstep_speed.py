@@ -42,6 +42,8 @@ Row = dict[str, Any]
 
 SERVICES = ("link", "field", "rover", "ground")
 LOOK_EVERY_S = 0.05
+HANGS_AFTER_S = 300.0
+"""How long time may stand for one and the same reason."""
 
 
 def run(
@@ -109,7 +111,8 @@ def _lockstep(chosen: Chosen, logs: Path) -> Row:
 
 
 def _when(client: MissionClient, launcher: Launcher, wanted: Callable[[TimeStatus], bool]) -> tuple[float, TimeStatus]:
-    """Wall time and status as soon as the time keeper's status is wanted."""
+    """Wall time and status as soon as the status of time is wanted; raises He3Error when time stands for too long."""
+    reason, since = "", time.monotonic()
     while True:
         launcher.check()
         try:
@@ -119,8 +122,10 @@ def _when(client: MissionClient, launcher: Launcher, wanted: Callable[[TimeStatu
             continue
         if wanted(status):
             return time.monotonic(), status
-        if status.detail:
-            raise He3Error(f"lockstep: {status.detail}")
+        if status.detail != reason:
+            reason, since = status.detail, time.monotonic()
+        elif reason and time.monotonic() > since + HANGS_AFTER_S:
+            raise He3Error(f"lockstep: {reason}")
         time.sleep(LOOK_EVERY_S)
 
 

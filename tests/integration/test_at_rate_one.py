@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
@@ -13,7 +14,9 @@ import zenoh
 
 from he3.errors import He3Error, PeerUnreachable
 from schemas.commands import CommandKind, CommandStage, Telecommand
+from schemas.ground import MissionPhase
 from schemas.link import ClockChange, LinkChange
+from schemas.maps import MapPointQuery
 from schemas.topics import (
     BY_NAME,
     CLOCK_SET,
@@ -31,7 +34,7 @@ from schemas.topics import (
 )
 from services.runtime.clock import mission_time
 from services.runtime.node import SECOND
-from tests.waiting import PATIENCE_S, expect_within, slowness
+from tests.waiting import PATIENCE_S, expect_within, slowness, until
 
 SERVICES = ("rover", "recorder", "ground", "field")
 """All but the link, in no order that anybody would choose."""
@@ -49,7 +52,15 @@ def mission(shared_missions, tmp_path_factory):
         mission[name].line("still trying")
     mission.start("link")
     mission.ready()
+    with mission.client(name="first") as client:
+        until(lambda: answered(client), "the first map")
     return mission
+
+
+def answered(client):
+    """Whether there is a map to answer from."""
+    with suppress(He3Error):
+        return client.query(MAP_POINT, MapPointQuery(x=1.0, y=1.0))
 
 
 @pytest.fixture
@@ -113,10 +124,10 @@ def test_a_stock_client_that_knows_only_the_key_is_told_mean_deviation_revision_
     config.insert_json5("connect/endpoints", json.dumps([mission.earth]))
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
-        replies = list(session.get("he3/t1-paper/earth/map/point?x=120;y=340"))
-        assert len(replies) == 1
-        assert str(replies[0].ok.encoding) == "application/json"
-        answer = json.loads(replies[0].ok.payload.to_bytes())
+        (reply,) = session.get("he3/t1-paper/earth/map/point?x=120;y=340", timeout=PATIENCE_S)
+        assert reply.ok is not None, reply.err.payload.to_bytes()
+        assert str(reply.ok.encoding) == "application/json"
+        answer = json.loads(reply.ok.payload.to_bytes())
         assert (answer["x_m"], answer["y_m"]) == (120.0, 340.0)
         assert answer["std_ppb"] > 0
         assert {"mean_ppb", "revision", "mission_time_ns", "samples", "traversable"} <= set(answer)
@@ -130,7 +141,7 @@ def test_a_stock_client_that_knows_only_the_key_is_told_mean_deviation_revision_
             ("point", "field required"),
             ("point?x=1e9;y=340", "x: input should be less than or equal to 100000"),
         ):
-            (reply,) = session.get(f"he3/t1-paper/earth/map/{selector}")
+            (reply,) = session.get(f"he3/t1-paper/earth/map/{selector}", timeout=PATIENCE_S)
             error = json.loads(reply.err.payload.to_bytes())["error"]
             assert expected in error, selector
             assert "\n" not in error
@@ -147,7 +158,7 @@ def test_every_selector_that_the_page_on_the_wire_shows_is_answered(mission, ear
     try:
         with zenoh.open(config) as session:
             for selector in selectors:
-                (reply,) = session.get(selector.replace("{mission}", mission.name))
+                (reply,) = session.get(selector.replace("{mission}", mission.name), timeout=PATIENCE_S)
                 assert reply.ok is not None, f"{selector}: {reply.err.payload.to_bytes()!r}"
                 assert isinstance(json.loads(reply.ok.payload.to_bytes()), dict)
             status = earth.query(LINK_SET, LinkChange())
@@ -197,23 +208,28 @@ def test_a_command_takes_its_light_time_and_a_change_of_it_holds_for_what_follow
         expect_within(1.0, there_and_back_s - 2 * light_s, "what the report takes beyond two light times")
 
 
-@pytest.mark.usefixtures("ordinary_link")
+@pytest.fixture
+def rate_of_the_machine(earth):
+    """Mission time as much slower as the machine is, so that it does within a second of it what a quiet one does."""
+    earth.query(CLOCK_SET, ClockChange(rate=1.0 / slowness()))
+    yield
+    earth.query(CLOCK_SET, ClockChange(rate=1.0))
+
+
+@pytest.mark.usefixtures("ordinary_link", "rate_of_the_machine")
 def test_what_is_on_its_way_keeps_its_arrival_when_the_light_time_changes(earth, moon, listen):
     arrived, told = listen(moon, COMMAND), listen(earth, COMMAND_STATUS)
     clock = earth.latest(EARTH_CLOCK)[1]
-    light_s = round(4.0 * slowness(), 3)  # so that the command is still under way when it is asked about
-    earth.query(LINK_SET, LinkChange(one_way_light_time_s=light_s))
+    earth.query(LINK_SET, LinkChange(one_way_light_time_s=6.0))
     issued = command(earth).command.command_id
     told.wait(lambda _, body: body.command.command_id == issued and passed(body, CommandStage.RADIATED) is not None)
-    status = earth.query(LINK_SET, LinkChange(one_way_light_time_s=10 * light_s))
+    status = earth.query(LINK_SET, LinkChange(one_way_light_time_s=60.0))
     earth.query(LINK_SET, LinkChange(one_way_light_time_s=0.1))
     message = arrived.wait(lambda _, body: body.command_id == issued)
     # Repetitions of earlier commands may be under way too; this is the one that was sent last.
     flight = max((each for each in status.in_flight if each.topic == COMMAND.name), key=lambda each: each.sequence)
-    assert flight.departs_at + round(light_s * SECOND) == flight.arrives_at
-    late_s = (mission_time(clock, message.wall_ns) - flight.arrives_at) / SECOND
-    assert late_s >= 0
-    expect_within(0.5, late_s, "what a command takes beyond its light time")
+    assert flight.departs_at + 6 * SECOND == flight.arrives_at
+    assert 0 <= mission_time(clock, message.wall_ns) - flight.arrives_at < SECOND // 2
 
 
 # --- bad input from outside -------------------------------------------------------------------------------------
@@ -231,6 +247,7 @@ def test_strangers_who_send_rubbish_on_every_key_change_nothing_and_are_counted(
         presence[side].wait(lambda _, body, name=name: body.name == name)
     before = {name: refused(name, side) for name, side in services.items()}
     conditions = earth.query(LINK_SET, LinkChange()).conditions
+    until(lambda: earth.latest(GROUND_STATUS)[1].phase is not MissionPhase.PLANNING, "the first plan")
     state = earth.latest(GROUND_STATUS)[1]
     commands = earth.query(LIST_COMMANDS, BY_NAME["earth/ground/commands"].payload())
     rubbish = (
