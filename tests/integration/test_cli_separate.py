@@ -18,7 +18,7 @@ import pytest
 from schemas.report import MissionReport
 from services.recorder.reader import Recording
 from tests.processes import run, start
-from tests.waiting import expect_within, until
+from tests.waiting import PATIENCE_S, expect_within, until
 
 HE3 = [sys.executable, "-m", "services.console"]
 GONE_WITHIN_S = 2.0
@@ -131,13 +131,29 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
         assert len(table.read_text().splitlines()) == 1 + 500 * 500
 
         refused = he3(
-            "command", "resume", "--id", "r1", "--wait", "completed", "--timeout", "600", environment=environment
+            "command",
+            "resume",
+            "--id",
+            "r1",
+            "--wait",
+            "completed",
+            "--timeout",
+            str(PATIENCE_S),
+            environment=environment,
         )
         assert refused.returncode == 1
         assert re.fullmatch(r"he3: command r1: rejected: .+\n", refused.stderr), refused.stderr
 
         paused = he3(
-            "command", "pause", "--id", "p1", "--wait", "accepted", "--timeout", "600", environment=environment
+            "command",
+            "pause",
+            "--id",
+            "p1",
+            "--wait",
+            "accepted",
+            "--timeout",
+            str(PATIENCE_S),
+            environment=environment,
         )
         assert paused.returncode == 0, paused.stderr
         listed = json.loads(he3("commands", "--json", environment=environment).stdout)["commands"]

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,15 +13,10 @@ import pytest
 
 from services.runtime.child import ROOT, child_environment, python_command
 from services.runtime.entry import PARENT
+from tests.processes import run
+from tests.waiting import until
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc"),
-    pytest.mark.timeout(240),
-]
-
-STARTED_WITHIN_S = 120.0
-GONE_WITHIN_S = 20.0
-"""A few seconds are meant; a machine that is busy with other things gets more."""
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 
 STARTER = """
 import subprocess, sys
@@ -96,12 +90,14 @@ def starter(request: pytest.FixtureRequest, tmp_path: Path, environment: dict[st
     )  # fmt: skip
     left: dict[int, str] = {}
     try:
-        give_up = time.monotonic() + STARTED_WITHIN_S
-        while not all(any(wanted in line for line in left.values()) for wanted in WANTED):
+
+        def started() -> bool:
+            nonlocal left
             assert process.poll() is None, "the mission ended by itself"
-            assert time.monotonic() < give_up, left
-            time.sleep(0.1)
             left = ours(process.pid)
+            return all(any(wanted in line for line in left.values()) for wanted in WANTED)
+
+        until(started, lambda: f"other processes than {left}")
         yield process.pid
     finally:
         left |= descendants(process.pid)
@@ -112,10 +108,10 @@ def starter(request: pytest.FixtureRequest, tmp_path: Path, environment: dict[st
 
 
 def assert_gone(pids: dict[int, str]) -> None:
-    give_up = time.monotonic() + GONE_WITHIN_S
-    while any(running(pid) for pid in pids) and time.monotonic() < give_up:
-        time.sleep(0.05)
-    assert [line for pid, line in pids.items() if running(pid)] == []
+    until(
+        lambda: not any(running(pid) for pid in pids),
+        lambda: f"the end of {[line for pid, line in pids.items() if running(pid)]}",
+    )
 
 
 @pytest.mark.parametrize("starter", [STARTER, THROUGH_A_SHELL], indirect=True, ids=["direct", "through-a-shell"])
@@ -140,10 +136,7 @@ def test_a_process_whose_parent_is_gone_already_ends_at_once(environment: dict[s
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     command = python_command("services.rover", "short", "--moon", "tcp/127.0.0.1:9", "--earth", "tcp/127.0.0.1:9")
-    done = subprocess.run(
-        command, env={**environment, PARENT: str(gone.pid)}, stdin=subprocess.DEVNULL, capture_output=True, timeout=60
-    )
-    assert done.returncode == 0
+    assert run(command, env={**environment, PARENT: str(gone.pid)}).returncode == 0
 
 
 def test_a_process_that_a_user_starts_by_hand_outlives_its_parent(tmp_path: Path) -> None:
@@ -151,14 +144,15 @@ def test_a_process_that_a_user_starts_by_hand_outlives_its_parent(tmp_path: Path
     command = python_command("services.rover", "short", "--moon", "tcp/127.0.0.1:9", "--earth", "tcp/127.0.0.1:9")
     log = tmp_path / "rover.log"
     code = f"import subprocess; print(subprocess.Popen({command!r}, stdout=-3, stderr=open({str(log)!r}, 'w')).pid)"
-    shell = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, stdout=subprocess.PIPE, text=True)
+    shell = subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.PIPE, text=True)
     rover = int(shell.stdout)
     try:
-        give_up = time.monotonic() + STARTED_WITHIN_S
-        while "still trying" not in log.read_text():  # long after its parent has ended
+
+        def looked_for_its_router() -> bool:  # long after its parent has ended
             assert running(rover), log.read_text()
-            assert time.monotonic() < give_up
-            time.sleep(0.1)
+            return "still trying" in log.read_text()
+
+        until(looked_for_its_router, "the rover to look for its router")
         os.kill(rover, signal.SIGTERM)
         assert_gone({rover: "services.rover"})
     finally:

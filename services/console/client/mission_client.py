@@ -35,7 +35,7 @@ from services.console.client.run_file import find
 from services.runtime.node import MissionTime
 from services.runtime.transport.client import Client
 
-CONNECT_WITHIN_S = 20.0
+CONNECT_WITHIN_S = 120.0
 """How long a service that has just been started may take to open its router."""
 
 
