@@ -19,7 +19,7 @@ from he3.errors import He3Error
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners.interface import PlannedRound, PlanningRequest
-from services.mission.regions import load_region
+from services.mission.regions import EMBEDDED, load_region
 
 OWN_PROCESS = ("rrt", "rrtstar", "informative")
 """Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone. So is
@@ -108,8 +108,8 @@ def fly(flight: Flight) -> Mission:
 
 @cache
 def region_named(name: str, variation: int | None = None) -> Region:
-    """An embedded region, in one of its variations if asked for, or anybody's from a file."""
-    return load_region(name, variation)
+    """An embedded region, in one of its variations if asked for, or the region of a file, which has one only."""
+    return load_region(name, variation if name in EMBEDDED else None)
 
 
 @cache

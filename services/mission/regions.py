@@ -35,7 +35,7 @@ def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
     """The finished region of an embedded name (``t1``, ``t2``) or of an .npz file.
 
     A seed makes another variation of an embedded region; without one it is the region's own, under which its published
-    figures hold. A file is finished already, and a seed changes nothing in it: it holds he3_ppb (rows, columns) with
+    figures hold. A file has one variation, and takes no seed: it holds he3_ppb (rows, columns) with
     row 0 in the south, resolution_m, and elevation_m [m] or traversable (bool) or both, and may hold orbital_ppb,
     provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner.
     Raises InvalidInput, in one line that names file, key and expectation.
@@ -45,6 +45,8 @@ def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
     path = Path(name_or_path)
     if path.suffix != ".npz":
         raise InvalidInput(f"expected a region out of {', '.join(EMBEDDED)} or an .npz file, got {str(name_or_path)!r}")
+    if seed is not None:
+        raise InvalidInput(f"{path}: expected no field seed with a region file, which has one variation; got {seed}")
     return _region_from_file(path)
 
 

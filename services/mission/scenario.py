@@ -51,7 +51,7 @@ class FieldConfig(Section):
     hidden_hazards: Annotated[int, Field(ge=0, le=1000)] = 0
     """Boulders that the ground's terrain map does not show, put at random (seeded)."""
     hazard_radius_m: Annotated[float, Field(gt=0, le=1000)] = 3.0
-    field_seed: int | None = None
+    field_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
     """Seed of the reference field's perturbation; None: the region's own, under which its published figures hold."""
 
 

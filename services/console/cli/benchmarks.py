@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import functools
 import inspect
+import math
 import os
 import sys
 import types
@@ -22,6 +23,7 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 import typer
 
 from he3.errors import InvalidInput
+from services.console.cli.options import within
 from services.console.report.outputs import make_folder
 
 CHECKOUT: Final = Path(__file__).resolve().parents[3]
@@ -128,6 +130,7 @@ def _flag(parameter: inspect.Parameter, kind: Any) -> inspect.Parameter | None:
         default = None if default is None else ",".join(map(str, default))
         chosen = str
     elif chosen in _METAVARS:
+        options["callback"] = within(0, math.inf) if chosen in (int, float) else None
         metavar = "FOLDER" if parameter.name == "out" else _METAVARS[chosen]
     elif chosen is not bool and get_origin(chosen) is not Literal:
         return None

@@ -311,3 +311,8 @@ def test_what_is_no_archive_no_file_or_no_known_name_is_refused(tmp_path: Path) 
         assert "\n" not in str(caught.value)
     with pytest.raises(InvalidInput, match="t1, t2"):
         load_region("t3")
+
+
+def test_a_field_seed_with_a_region_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"x\.npz: expected no field seed with a region file, .*; got 7$"):
+        load_region(tmp_path / "x.npz", 7)

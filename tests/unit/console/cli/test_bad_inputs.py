@@ -103,6 +103,15 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a region's variation of a negative seed": (
         SCENARIO, ["reference", "show", "t1", "--field-seed", "-1"], ("--field-seed", "0 or more", "-1"),
     ),
+    "a scenario's variation of a negative seed": (
+        SCENARIO, ["run", "mine.toml", "--in-process", "--set", "field.field_seed=-1"], ("field.field_seed", "-1"),
+    ),
+    "a scenario's variation of a region file": (
+        SCENARIO,
+        ["run", "mine.toml", "--in-process", "--set", "region=x.npz", "--set", "field.field_seed=1"],
+        ("x.npz", "field seed"),
+    ),
+    "a benchmark of a negative seed": (SCENARIO, ["bench", "map", "--seed", "-1"], ("--seed", "0 or more", "-1")),
     "a variation of a region file": (
         SCENARIO, ["reference", "show", "x.npz", "--field-seed", "1"], ("--field-seed", "x.npz", "t1 or t2"),
     ),
