@@ -72,3 +72,5 @@ class MissionReport(Wire):
     one_way_light_time_s: float
     version: Text
     host: Text
+    output_problems: tuple[Text, ...] = ()
+    """One line, with file and cause, on each output of the mission that could not be written, or not in full."""

@@ -13,7 +13,6 @@ from schemas.link import LinkStatus
 from schemas.topics import GROUND_STATUS, LINK_STATUS, SAMPLE, Side, Topic
 from schemas.wire import Wire
 from services.mission.scenario import Scenario
-from services.recorder.node import Sink
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.host import EventSink
 from services.runtime.node import SECOND, MissionTime, Node
@@ -25,24 +24,22 @@ RECORDING_FLUSH_S = 3600.0
 """Mission time between flushes of an in-process recording: nobody else depends on it while it runs."""
 
 
-def build_nodes(scenario: Scenario, sink: Sink | None = None, region: Region | None = None) -> tuple[Node, ...]:
-    """The nodes of that scenario, as each of their processes would build its own; with a sink, the recorder too.
+def build_nodes(scenario: Scenario, region: Region | None = None) -> tuple[Node, ...]:
+    """The nodes of that scenario, as each of their processes would build its own.
 
     region: the scenario's, where it is loaded already. Raises InvalidInput for a scenario that no mission can have.
     """
     from services.field.node import build_node as build_field
     from services.ground.node import build_node as build_ground
     from services.link.node import build_node as build_link
-    from services.recorder.node import build_node as build_recorder
     from services.rover.node import build_node as build_rover
 
-    nodes: tuple[Node, ...] = (
+    return (
         build_field(scenario, region),
         build_rover(scenario, None if region is None else region.grid),
         build_link(scenario),
         build_ground(scenario, region),
     )
-    return nodes if sink is None else (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
 
 
 class InProcessMission:
@@ -52,7 +49,6 @@ class InProcessMission:
         self,
         scenario: Scenario,
         executor: Executor | None = None,
-        sink: Sink | None = None,
         trace: EventSink | None = None,
         nodes: Iterable[Node] | None = None,
     ) -> None:
@@ -63,7 +59,7 @@ class InProcessMission:
         """What the link last said."""
         self.samples_on_earth = 0
         """Sample reports that came down the link, repetitions included."""
-        built = build_nodes(scenario, sink) if nodes is None else tuple(nodes)
+        built = build_nodes(scenario) if nodes is None else tuple(nodes)
         self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, trace, scenario.link)
         self.simulation.tap(self._listen)
 

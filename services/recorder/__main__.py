@@ -8,26 +8,32 @@ MIN_FLUSH_S = 0.2
 
 
 def main() -> int:
-    """Exit code of the process; the recording is finished whatever ends it, short of a kill."""
+    """Exit code of the process, 1 if the recording lacks messages. Whatever ends the process completes the file."""
+    import sys
     from contextlib import ExitStack
     from pathlib import Path
 
     from services.recorder.files import open_recording
     from services.recorder.node import build_node
-    from services.recorder.writer import RecordingWriter
+    from services.recorder.sink import RecordingSink
     from services.runtime.drivers.wall_clock import Service
     from services.runtime.node import Node
     from services.runtime.options import Options
     from services.runtime.process import serve
 
+    sinks: list[RecordingSink] = []
     with ExitStack() as stack:
 
         def build(options: Options) -> Node:
-            stream = stack.enter_context(open_recording(options.out or Path(DEFAULT_FILE)))
-            writer = stack.enter_context(RecordingWriter(stream, options.scenario.name, MIN_FLUSH_S))
-            return build_node(options.scenario, writer)
+            file = open_recording(options.out or Path(DEFAULT_FILE))
+            sinks.append(stack.enter_context(RecordingSink(file, options.scenario.name, MIN_FLUSH_S)))
+            return build_node(options.scenario, sinks[-1])
 
-        return serve(Service("recorder", build, onlooker=True))
+        code = serve(Service("recorder", build, onlooker=True))
+    problems = [sink.problem for sink in sinks if sink.problem is not None]
+    for problem in problems:
+        sys.stderr.write(f"he3 recorder: {problem}\n")
+    return code or int(bool(problems))
 
 
 if __name__ == "__main__":

@@ -1,24 +1,97 @@
-"""The file of a recording: opened without harm to the one that stands there already."""
+"""The file of a recording: an earlier recording is kept beside it, and a full disk loses nothing that it need not.
+
+What the system refuses to write waits in memory and is tried again with each flush, so the file continues exactly where
+it stopped once there is room.
+"""
 
 from __future__ import annotations
 
 from itertools import count
 from pathlib import Path
-from typing import IO
+from typing import Protocol, Self
 
 from he3.errors import He3Error
 
+BUFFER_BYTES = 65_536
+"""Bytes that gather before they are written without a flush."""
 
-def open_recording(path: Path) -> IO[bytes]:
+
+class RawFile(Protocol):
+    """An unbuffered binary file."""
+
+    def write(self, data: bytearray, /) -> int | None: ...
+
+    def close(self) -> None: ...
+
+
+class RecordingFile:
+    """A binary file whose `write` never fails. Use it in a `with` statement."""
+
+    def __init__(self, path: Path, raw: RawFile) -> None:
+        self.path = path
+        self.failure: str | None = None
+        """Why the system refuses to write; None while it does not."""
+        self._raw = raw
+        self._pending = bytearray()
+        self._written = 0
+
+    @property
+    def written_bytes(self) -> int:
+        """Bytes from the beginning of the file that the operating system has taken."""
+        return self._written
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes that wait to be written."""
+        return len(self._pending)
+
+    def tell(self) -> int:
+        """The position at which the next byte goes, with all that waits before it."""
+        return self._written + len(self._pending)
+
+    def write(self, data: bytes) -> int:
+        """Append the data."""
+        self._pending += data
+        if self.failure is None and len(self._pending) >= BUFFER_BYTES:
+            self.flush()
+        return len(data)
+
+    def flush(self) -> None:
+        """Write what waits; where the system refuses, `failure` says why and the rest keeps waiting."""
+        try:
+            while self._pending:
+                taken = self._raw.write(self._pending) or 0
+                self._written += taken
+                del self._pending[:taken]
+            self.failure = None
+        except OSError as error:
+            self.failure = error.strerror or type(error).__name__
+
+    def close(self) -> None:
+        """Write what waits, if that is possible now, and close the file."""
+        self.flush()
+        try:
+            self._raw.close()
+        except OSError as error:  # some file systems tell only now that there was no room
+            self.failure = error.strerror or type(error).__name__
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_recording(path: Path) -> RecordingFile:
     """An empty file of that name, its folder made; an earlier recording is kept beside it as mission-1.mcap, -2, ...
 
-    Raises He3Error when that cannot be done.
+    Raises He3Error if that cannot be done.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file() and path.stat().st_size > 0:
             path.rename(_free_name(path))
-        return path.open("wb")
+        return RecordingFile(path, path.open("wb", buffering=0))
     except OSError as error:
         raise He3Error(f"{path}: cannot write the recording: {error.strerror}") from None
 

@@ -1,8 +1,8 @@
-"""The recorder as a node: it hears every recorded topic on Earth, disturbs nobody, and hands all of it to a sink."""
+"""The recorder's node: it receives every recorded topic on Earth, sends nothing, and writes each message to a sink."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 from schemas.codec import encode
@@ -23,13 +23,22 @@ from services.runtime.node import (
 )
 
 FLUSH = "flush"
+"""Timer: make the messages since the last flush safe."""
 
 RECORDED: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.recorded and Side.EARTH in topic.sides)
-"""What is recorded: the topics of the table that say so, as they are heard on Earth."""
+"""The topics that are recorded, as they are received on Earth."""
 
 
 class Sink(Protocol):
-    """Where a recording goes."""
+    """Where a recording goes. Writing does not fail; what cannot be written at present is said by `failure`."""
+
+    @property
+    def failure(self) -> str | None:
+        """One line on why messages cannot be written at present; None if they can."""
+
+    @property
+    def omitted(self) -> int:
+        """Messages that were left out, because writing failed for too long."""
 
     def write(
         self, topic: Topic, payload: bytes, received_at: MissionTime, made_at: MissionTime, sequence: int
@@ -37,34 +46,48 @@ class Sink(Protocol):
         """Append one message."""
 
     def flush(self) -> None:
-        """Make what was written safe."""
+        """Make all messages safe against the end of this process."""
 
 
 class RecorderNode:
-    """Writes down what it hears; after a message, at most `flush_s` of mission time pass before it is safe."""
+    """Writes each message that it receives; it is safe after at most `flush_s` of mission time."""
 
     def __init__(self, sink: Sink, flush_s: float) -> None:
         self._sink = sink
         self._flush_after = seconds(flush_s)
         self._flush_pending = False
+        self._failure: str | None = None
 
     @property
     def interface(self) -> Interface:
         return Interface("recorder", (Side.EARTH,), subscribes=RECORDED, custody=False)
 
-    def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
-        """Nothing but a timer: a recorder says nothing."""
+    def handle(self, event: Event, now: MissionTime) -> Iterator[Effect]:
+        """Timers and log records: a recorder sends nothing."""
         match event:
             case Started(incarnation):
-                return [LogRecord(Level.INFO, "recording", {"incarnation": incarnation, "topics": len(RECORDED)})]
+                yield LogRecord(Level.INFO, "recording", {"incarnation": incarnation, "topics": len(RECORDED)})
             case Received(topic, header, body):
                 self._sink.write(topic, encode(header, body), now, header.made_at, header.sequence)
-                if not self._flush_pending:
-                    self._flush_pending = True
-                    return [SetTimer(FLUSH, now + self._flush_after)]
             case TimerFired(timer) if timer == FLUSH:
                 self._flush_pending = False
                 self._sink.flush()
+            case _:
+                return
+        yield from self._report_failure()
+        if not self._flush_pending and (isinstance(event, Received) or self._failure is not None):
+            self._flush_pending = True
+            yield SetTimer(FLUSH, now + self._flush_after)
+
+    def _report_failure(self) -> Iterable[Effect]:
+        """A log record when writing begins to fail and when it succeeds again; the rest of the time there is none."""
+        failure, before = self._sink.failure, self._failure
+        self._failure = failure
+        if failure is not None and before is None:
+            text = f"{failure}; messages wait in memory, and writing is tried again"
+            return [LogRecord(Level.ERROR, text)]
+        if failure is None and before is not None:
+            return [LogRecord(Level.WARNING, "the recording continues", {"messages_not_recorded": self._sink.omitted})]
         return []
 
 

@@ -17,7 +17,7 @@ from schemas.codec import Refused, decode
 from schemas.topics import BY_NAME, Topic
 from schemas.wire import Header
 from services.recorder.recovery import Fault, read_records
-from services.recorder.writer import CHANNEL_RECORD, MISSION_RECORD
+from services.recorder.writer import CHANNEL_RECORD, GAP_RECORD, MISSION_RECORD
 from services.runtime.node import SECOND, MissionTime
 
 
@@ -77,6 +77,8 @@ class Recording:
         """The parts of the file that are not whole, in their order."""
         self.left_out: dict[str, LeftOut] = {}
         """By topic: messages that are whole in the file, and that this version cannot read."""
+        self.omissions: list[str] = []
+        """One line on each place where the recorder left messages out because the disk was full."""
         self.messages_by_topic: Counter[str] = Counter()
         """The messages that were returned."""
         self._topics: dict[int, str] = {}
@@ -109,7 +111,7 @@ class Recording:
 
     def problems(self) -> list[str]:
         """One line on each part that is not whole, each topic with messages left out, and how many are missing."""
-        lines = [*map(str, self.gaps), *map(str, self.left_out.values())]
+        lines = [*map(str, self.gaps), *self.omissions, *map(str, self.left_out.values())]
         if self._named_mission and self._named_mission != self.mission:
             lines.append(f"the recording is named '{self._named_mission}', its messages are of '{self.mission}'")
         if lines and self.recorded is None:
@@ -134,6 +136,8 @@ class Recording:
                 case Metadata(name=name, metadata=fields) if name == CHANNEL_RECORD:
                     if fields.get("id", "").isdecimal():
                         self._topics.setdefault(int(fields["id"]), fields.get("topic", ""))
+                case Metadata(name=name, metadata=fields) if name == GAP_RECORD:
+                    self.omissions.append(_omission(fields))
                 case Channel():
                     self._introduce(record)
                 case Statistics():
@@ -169,6 +173,12 @@ class Recording:
 
     def _leave_out(self, topic: str, why: str) -> None:
         self.left_out.setdefault(topic, LeftOut(topic, why)).count += 1
+
+
+def _omission(fields: dict[str, str]) -> str:
+    times = [fields.get(name, "") for name in ("first", "last")]
+    first, last = (_utc(int(time)) if time.isdecimal() else "an unknown time" for time in times)
+    return f"{fields.get('count', 'some')} messages received from {first} to {last} were not recorded: no room"
 
 
 def _utc(time: MissionTime) -> str:

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, Protocol, Self, cast
 
 from mcap.writer import CompressionType, Writer
 
@@ -29,27 +29,42 @@ MISSION_RECORD = "mission"
 """Metadata record: the mission and the version of the message schemas."""
 CHANNEL_RECORD = "channel"
 """Metadata record: id and topic of a channel, in case the chunk that introduces it is lost."""
+GAP_RECORD = "gap"
+"""Metadata record: how many messages were not recorded at this place, and when the first and the last were received."""
+
+
+class Stream(Protocol):
+    """Where a recording is written; a binary file is one."""
+
+    def write(self, data: bytes, /) -> int: ...
+
+    def tell(self) -> int: ...
+
+    def flush(self) -> None: ...
 
 
 class RecordingWriter:
     """Writes a recording into a stream that it is given, and does not close it."""
 
     def __init__(
-        self, stream: IO[bytes], mission: str, least_flush_s: float = 0.0, clock: Callable[[], float] = time.monotonic
+        self, stream: Stream, mission: str, least_flush_s: float = 0.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """least_flush_s: wall time between flushes, so that a mission at full speed does not flush each message."""
+        """least_flush_s: shortest wall time between two flushes [s]; a fast mission would flush after each message."""
         self._stream = stream
         self._least_flush_s = least_flush_s
         self._clock = clock
         self._flushed_at = -math.inf
         self._mission = mission
         self._channels: dict[str, int] = {}
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        output = cast(IO[bytes], stream)  # the library uses no other method of it
+        self._writer = Writer(output, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile=PROFILE, library=PROFILE)
         self._writer.add_metadata(MISSION_RECORD, {"mission": mission, "schema_version": str(SCHEMA_VERSION)})
         self._stream.flush()
         self.messages = 0
         """Messages written so far."""
+        self.stored = 0
+        """Those of them in chunks that the stream has been given."""
 
     def write(
         self, topic: Topic, payload: bytes, received_at: MissionTime, made_at: MissionTime, sequence: int
@@ -58,25 +73,35 @@ class RecordingWriter:
         channel = self._channels.get(topic.name)
         if channel is None:
             channel = self._channels[topic.name] = self._register(topic)
+        before = self._stream.tell()
         self._writer.add_message(
             channel, log_time=received_at, data=payload, publish_time=made_at, sequence=sequence & 0xFFFFFFFF
         )
         self.messages += 1
+        if self._stream.tell() > before:
+            self.stored = self.messages
 
-    def flush(self) -> None:
-        """Hand everything written so far to the operating system, unless that was just done.
+    def write_gap(self, count: int, first: MissionTime, last: MissionTime) -> None:
+        """Note that so many messages were not recorded here; when the first and the last were received [ns]."""
+        self.flush(now=True)
+        self._writer.add_metadata(GAP_RECORD, {"count": str(count), "first": str(first), "last": str(last)})
 
-        From here on a kill costs none of it.
+    def flush(self, *, now: bool = False) -> None:
+        """Hand all messages to the operating system, unless that was done just now; a kill then costs none of them.
+
+        now: even if it was.
         """
-        now = self._clock()
-        if now - self._flushed_at < self._least_flush_s:
+        time_s = self._clock()
+        if not now and time_s - self._flushed_at < self._least_flush_s:
             return
-        self._flushed_at = now
+        self._flushed_at = time_s
         self._writer.flush()  # type: ignore[no-untyped-call]
+        self.stored = self.messages
 
     def close(self) -> None:
-        """Finish the file with its index and summary."""
+        """Complete the file with its index and summary."""
         self._writer.finish()  # type: ignore[no-untyped-call]
+        self.stored = self.messages
         self._stream.flush()
 
     def __enter__(self) -> Self:

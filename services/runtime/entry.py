@@ -120,6 +120,9 @@ def leave(code: int) -> NoReturn:
 
     Taking the interpreter and Zenoh's threads apart takes a second or more on a busy machine, and helps nobody.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):  # nobody reads it, or the disk with its file is full
+            continue
     os._exit(code)

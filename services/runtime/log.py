@@ -44,8 +44,8 @@ class Log:
             try:
                 self._stream.write(line + "\n")
                 self._stream.flush()
-            except (BrokenPipeError, ValueError):
-                return  # nobody reads any more; a service does not die of that
+            except (OSError, ValueError):
+                return  # the reader is gone or the disk is full: a service does not end because of its log
 
     def info(self, text: str, **fields: Any) -> None:
         self.write(LogRecord(Level.INFO, text, fields))

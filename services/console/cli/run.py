@@ -85,8 +85,11 @@ def run_and_report(
 ) -> MissionReport:
     """Run the chosen scenario over that driver: show its progress, write its files, print and return its report.
 
-    Raises He3Error, when all of that is done, for a mission that took no sample: its map says nothing about the site.
+    A picture or a recording that could not be written is named on standard error and fails nothing. Raises He3Error,
+    after all of that, if the report could not be written, and for a mission that took no sample: its map says nothing
+    about the site.
     """
+    from schemas.codec import printable
     from services.console.client.time_format import speed
     from services.console.report.outputs import outputs
     from services.console.report.progress import progress_for
@@ -104,12 +107,17 @@ def run_and_report(
     if driver == "in-process":
         from services.console.launch.in_process import run_in_process
 
-        done, files = run_in_process(mission, where, progress, events)
+        written = run_in_process(mission, where, progress, events)
     else:
         from services.console.launch.separate import run_separate
 
-        done, files = run_separate(chosen, where, progress, driver == "lockstep", events)
-    typer.echo(done.model_dump_json(indent=2) if json else "\n".join(summary_lines(done, files)))
+        written = run_separate(chosen, where, progress, driver == "lockstep", events)
+    done = written.report
+    typer.echo(done.model_dump_json(indent=2) if json else "\n".join(summary_lines(done, written.files)))
+    for problem in done.output_problems:
+        typer.echo(f"he3: {printable(problem)}", err=True)
+    if written.report_error is not None:
+        raise written.report_error
     if done.samples == 0:
         raise He3Error(f"the mission took no sample: {done.detail or 'the ground gives no reason'}")
     return done

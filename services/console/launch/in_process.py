@@ -14,41 +14,38 @@ from schemas.link import LinkChange, LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
 from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK
 from services.console.report.mission_report import Run, gather
-from services.console.report.outputs import Outputs, clear_for, write_outcome
+from services.console.report.outputs import Outputs, Written, clear_for, write_outcome
 from services.console.report.progress import Moment, Progress, moment_of
 from services.mission.in_process import RECORDING_FLUSH_S, InProcessMission, build_nodes
 from services.runtime.event_log import EventLog, merge_event_logs
 
 if TYPE_CHECKING:
-    from schemas.report import MissionReport
     from services.mission.scenario import Scenario
 
 
-def run_in_process(
-    scenario: Scenario, where: Outputs, progress: Progress, events: Path | None = None
-) -> tuple[MissionReport, list[Path]]:
+def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, events: Path | None = None) -> Written:
     """The report of the mission, run to its end, and the files written. events: where the event log goes.
 
-    Raises InvalidInput before anything is written, He3Error when the mission fails.
+    Raises InvalidInput before anything is written, He3Error if the mission fails.
     """
     from services.ground.planner_process import PlannerProcess
     from services.mission.regions import load_region
     from services.recorder.files import open_recording
     from services.recorder.node import build_node as build_recorder
-    from services.recorder.writer import RecordingWriter
+    from services.recorder.sink import RecordingSink
 
     region = load_region(scenario.region, scenario.field.field_seed)
     nodes = build_nodes(scenario, region=region)
     began = time.monotonic()
     clear_for(where, events)
+    sink: RecordingSink | None = None
     with ExitStack() as stack:
         if where.recording is not None:
-            stream = stack.enter_context(open_recording(where.recording))
-            sink = stack.enter_context(RecordingWriter(stream, scenario.name))
+            sink = stack.enter_context(RecordingSink(open_recording(where.recording), scenario.name))
             nodes = (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
         planners = stack.enter_context(PlannerProcess())
         log = None if events is None else stack.enter_context(closing(EventLog(events)))
-        mission = InProcessMission(scenario, planners, None, log, nodes)
+        mission = InProcessMission(scenario, planners, log, nodes)
         stack.enter_context(progress)
         end = mission.run(lambda: progress.show(lambda: _moment(mission)))
         if log is not None and events is not None:
@@ -58,8 +55,8 @@ def run_in_process(
             raise He3Error(f"the mission failed {mission.mission_time_s:.0f} s after its beginning: {mission.why()}")
         run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
         outcome = gather(_Asked(mission), scenario, mission.status, run)
-    files = write_outcome(outcome, region, where)
-    return outcome.report, files if events is None else [*files, events]
+    problems = [] if sink is None or sink.problem is None else [sink.problem]
+    return write_outcome(outcome, region, where, events, problems)
 
 
 class _Asked:

@@ -156,6 +156,14 @@ class Launcher:
             if code is not None:
                 raise He3Error(f"the {name} service ended by itself, {_in_words(code)}{self._last_words(name)}")
 
+    def failure(self, name: str) -> str | None:
+        """One line on why that service, which is over, ended with another exit code than 0; None if it did not."""
+        process = self._processes.get(name)
+        if process is None or not process.returncode:
+            return None
+        said = self._last_words(name).removeprefix(f": he3 {name}: ")
+        return said or f"the {name} service ended by itself, {_in_words(process.returncode)}"
+
     def tell_to_end(self) -> None:
         """Ask every service to end, and wait for none."""
         for process in self._processes.values():

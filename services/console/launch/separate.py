@@ -17,7 +17,7 @@ from services.console.client.mission_state import MissionState
 from services.console.client.run_file import RunningMission, announced
 from services.console.launch.launcher import SERVICES, Endpoints, Launcher, endpoints_near
 from services.console.report.mission_report import Outcome, Run, gather
-from services.console.report.outputs import Outputs, clear_for, make_folder, write_outcome
+from services.console.report.outputs import Outputs, Written, clear_for, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
 from services.mission.regions import load_region
@@ -25,7 +25,6 @@ from services.runtime.event_log import merge_event_logs
 
 if TYPE_CHECKING:
     from he3.reference import Region
-    from schemas.report import MissionReport
     from services.console.launch.scenarios import Chosen
     from services.mission.scenario import Scenario
 
@@ -38,7 +37,7 @@ LOOK_EVERY_S = 0.1
 
 def run_separate(
     chosen: Chosen, where: Outputs, progress: Progress, lockstep: bool = False, events: Path | None = None
-) -> tuple[MissionReport, list[Path]]:
+) -> Written:
     """The report of the mission, run to its end in separate processes, and the files written.
 
     events: where the merged event logs of all services go.
@@ -47,16 +46,18 @@ def run_separate(
     region = checked_region(chosen.scenario)
     clear_for(where, events)
     if events is None:
-        return _run_separate(chosen, region, where, progress, lockstep, None)
-    with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
-        report, files = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
-        merge_event_logs(Path(parts).iterdir(), events)
-    return report, [*files, events]
+        outcome, problems = _run_separate(chosen, region, where, progress, lockstep, None)
+    else:
+        with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
+            outcome, problems = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
+            merge_event_logs(Path(parts).iterdir(), events)
+    return write_outcome(outcome, region, where, events, problems)
 
 
 def _run_separate(
     chosen: Chosen, region: Region, where: Outputs, progress: Progress, lockstep: bool, events: Path | None
-) -> tuple[MissionReport, list[Path]]:
+) -> tuple[Outcome, list[str]]:
+    """The outcome of the mission, and one line on each output that its services could not write."""
     scenario = chosen.scenario
     began = time.monotonic()
     wanted = Endpoints(scenario.network.moon, scenario.network.earth)
@@ -77,7 +78,8 @@ def _run_separate(
                 outcome: Outcome = gather(client, scenario, status, run)
             finally:
                 launcher.tell_to_end()  # they end while this session closes, which takes a second without a router
-    return outcome.report, write_outcome(outcome, region, where)
+    problem = launcher.failure("recorder")
+    return outcome, [] if problem is None else [problem]
 
 
 def checked_region(scenario: Scenario) -> Region:

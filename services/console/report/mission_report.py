@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import platform
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,10 +143,18 @@ def array_of(raster: MapRaster) -> NDArray[Any]:
     return values.reshape(raster.rows, raster.columns)
 
 
+def remove_part(path: Path) -> None:
+    """Remove a file that could be written in part only, as far as that is possible."""
+    with contextlib.suppress(OSError):
+        if path.is_file():
+            path.unlink()
+
+
 def write_report(report: MissionReport, path: Path) -> None:
     """Write the report as one JSON document; raises He3Error when that cannot be done."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(report.model_dump_json(indent=2) + "\n", encoding="utf-8")
     except OSError as error:
+        remove_part(path)
         raise He3Error(f"{path}: cannot write the report: {error.strerror}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -86,18 +87,49 @@ def clear_for(where: Outputs, events: Path | None = None) -> None:
                 raise He3Error(f"{path}: cannot remove what an earlier mission left: {error.strerror}") from None
 
 
-def write_outcome(outcome: Outcome, region: Region, where: Outputs) -> list[Path]:
-    """Write everything that is wanted; returns the files, in order."""
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What is left of a mission that is over."""
+
+    report: MissionReport
+    """With a line on each output that could not be written."""
+    files: tuple[Path, ...]
+    """The files that were written, in order."""
+    report_error: He3Error | None = None
+    """Why the report itself could not be written."""
+
+
+def write_outcome(
+    outcome: Outcome, region: Region, where: Outputs, events: Path | None, problems: Sequence[str]
+) -> Written:
+    """Write the pictures and the report. A picture that cannot be written is noted in the report and fails nothing.
+
+    events: the event log that was written. problems: one line on each output that could not be written before.
+    """
     from services.console.report.mission_report import write_report
 
-    if where.report is not None:
-        write_report(outcome.report, where.report)
+    lines = list(problems)
+    pictures: list[Path] = []
     if where.folder is not None:
-        _write_pictures(outcome, region, where.folder)
-    return [path for path in (where.report, *where.wanted()[:-1], where.recording) if path is not None]
+        for path, save_picture in _pictures(outcome, region, where.folder):
+            try:
+                save_picture(path)
+                pictures.append(path)
+            except He3Error as error:
+                lines.append(str(error))
+    report = outcome.report.model_copy(update={"output_problems": tuple(lines)})
+    report_error = None
+    if where.report is not None:
+        try:
+            write_report(report, where.report)
+        except He3Error as error:
+            report_error = error
+    written = [where.report if report_error is None else None, *pictures, where.recording, events]
+    return Written(report, tuple(path for path in written if path is not None), report_error)
 
 
-def _write_pictures(outcome: Outcome, region: Region, folder: Path) -> None:
+def _pictures(outcome: Outcome, region: Region, folder: Path) -> Iterator[tuple[Path, Callable[[Path], None]]]:
+    """Each picture's file, and what writes it."""
     import numpy as np
 
     from services.console.report.pictures import MapPicture, map_figure, rmse_figure, save
@@ -117,11 +149,9 @@ def _write_pictures(outcome: Outcome, region: Region, folder: Path) -> None:
         samples_m=samples,
         start_m=tuple(path[0]) if len(path) else (0.0, 0.0),
     )
-    save(map_figure(picture), folder / "map.png")
-    save(
-        rmse_figure(f"Error of the map · {region.title}", caption(report), report.rmse_history),
-        folder / "rmse.png",
-    )
+    yield folder / "map.png", lambda path: save(map_figure(picture), path)
+    title = f"Error of the map · {region.title}"
+    yield folder / "rmse.png", lambda path: save(rmse_figure(title, caption(report), report.rmse_history), path)
 
 
 def _title(region: Region, report: MissionReport) -> str:

@@ -29,7 +29,7 @@ from he3.errors import He3Error
 from he3.reference import Region
 from schemas.ground import MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore
-from services.console.report.mission_report import array_of
+from services.console.report.mission_report import array_of, remove_part
 
 ABUNDANCE = "viridis"
 UNCERTAINTY = "magma"
@@ -325,4 +325,5 @@ def save(figure: Figure, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, format="png", metadata={"Software": "he3-seeker"})
     except OSError as error:
+        remove_part(path)
         raise He3Error(f"{path}: cannot write the picture: {error.strerror}") from None

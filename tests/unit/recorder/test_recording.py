@@ -130,6 +130,9 @@ def test_a_flush_soon_after_another_does_nothing(tmp_path: Path) -> None:
 class Kept:
     """A sink that keeps its messages."""
 
+    failure = None
+    omitted = 0
+
     def __init__(self) -> None:
         self.written: list[tuple[str, bytes, int, int, int]] = []
         self.flushes = 0

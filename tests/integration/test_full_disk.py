@@ -1,0 +1,60 @@
+"""A mission on a full disk is flown to its end, and what could not be written is named with its cause."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from schemas.report import MissionReport
+from services.recorder.reader import Recording
+
+LARGEST_FILE_BYTES = 20_000
+"""The system takes no byte beyond that in any file: enough for the report, too little for recording and pictures."""
+
+
+def limit_files() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE_BYTES, LARGEST_FILE_BYTES))
+
+
+@pytest.mark.parametrize("driver", ["--in-process", "--lockstep"])
+def test_a_mission_whose_recording_and_pictures_cannot_be_written_has_its_report(driver: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "services.console", "run", "short", driver, "-q", "--out", str(out)]
+    done = subprocess.run(
+        [*command, "--set", "rover.state_period_s=5"],
+        preexec_fn=limit_files,
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+    said = done.stderr.splitlines()
+    assert done.returncode == 0, done.stderr
+    report = MissionReport.model_validate_json((out / "report.json").read_bytes())
+    assert report.completed
+    assert not (out / "map.png").exists(), "half a picture is no picture"
+    assert [f"he3: {problem}" for problem in report.output_problems] == said
+    recording, *pictures = report.output_problems
+    messages = len(list(Recording(out / "mission.mcap").messages()))
+    assert messages > 0
+    assert recording.startswith(f"{out / 'mission.mcap'}: File too large: ")
+    assert recording.endswith(" messages are not recorded")
+    assert pictures == [f"{out / name}: cannot write the picture: File too large" for name in ("map.png", "rmse.png")]
+
+
+def test_a_report_that_cannot_be_written_is_one_line_and_exit_code_1_and_the_mission_is_told_all_the_same(
+    tmp_path: Path,
+) -> None:
+    report = tmp_path / "full" / "report.json"
+    command = [sys.executable, "-m", "services.console", "run", "short", "--in-process", "-q", "--report", str(report)]
+
+    def no_files() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+    done = subprocess.run(command, preexec_fn=no_files, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 1
+    assert done.stderr == f"he3: {report}: cannot write the report: File too large\n"
+    assert "samples" in done.stdout
