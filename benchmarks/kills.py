@@ -36,6 +36,7 @@ from schemas.topics import GROUND_STATUS, MAP_LAYER, SAMPLE, TRACK, Topic
 from schemas.wire import Wire
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
+from services.mission.processes import LINK, VITAL, waited_for
 from services.mission.scenario import Scenario, load_scenario
 from services.runtime.child import child_environment, python_command
 from services.runtime.inputs import MessageArrived
@@ -131,7 +132,7 @@ class Mission:
     def __enter__(self) -> Self:
         try:
             for name in VICTIMS:
-                waits = ["--wait-for", "field,rover,ground"] if name == "link" else []
+                waits = ["--wait-for", ",".join(waited_for(VITAL))] if name == LINK.name else []
                 self._start(name, waits)
             for name in VICTIMS:
                 self._wait_until_ready(name)

@@ -34,13 +34,13 @@ from services.console.launch.launcher import Launcher, free_endpoints
 from services.console.launch.scenarios import Chosen, choose
 from services.ground.planner_process import PlannerProcess
 from services.mission.in_process import InProcessMission
+from services.mission.processes import GROUND, LINK, VITAL
 from services.runtime.event_log import EventLog, merge_event_logs
 from services.runtime.node import SECOND
 from services.runtime.scheduler import Executor
 
 Row = dict[str, Any]
 
-SERVICES = ("link", "field", "rover", "ground")
 LOOK_EVERY_S = 0.05
 HANGS_AFTER_S = 300.0
 """How long time may stand for one and the same reason."""
@@ -92,9 +92,9 @@ def _in_process(chosen: Chosen, logs: Path) -> Row:
 
 
 def _lockstep(chosen: Chosen, logs: Path) -> Row:
-    parts = {name: logs / f"{name}.part" for name in SERVICES}
-    flags: dict[str, list[str]] = {name: ["--events", str(parts[name])] for name in SERVICES}
-    flags["link"] += ["--stop-when", "ground"]
+    parts = {name: logs / f"{name}.part" for name in VITAL}
+    flags: dict[str, list[str]] = {name: ["--events", str(parts[name])] for name in VITAL}
+    flags[LINK.name] += ["--stop-when", GROUND.name]
     endpoints = free_endpoints()
     began = time.monotonic()
     words = (*chosen.flags, "--lockstep", "--log-level", "warning")

@@ -40,6 +40,7 @@ from schemas.wire import Header
 from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
+from services.mission.processes import LINK, PROCESSES, VITAL, waited_for
 from services.mission.scenario import load_scenario
 from services.runtime.transport.session import open_session
 
@@ -76,9 +77,10 @@ def run(
     flags = ["--set", f'ground.planner="{planner}"', "--set", "ground.planning_s=0", "--rate", str(rate)]
     flags += ["--seed", str(seed), "--log-level", "warning", "--moon", endpoints.moon, "--earth", endpoints.earth]
     with ExitStack() as ends:
-        waiting = ["--wait-for", "field,rover,ground"]
-        link = Peer(ends, "services.link", str(path), *flags, *waiting)
-        services = [link, *(Peer(ends, f"services.{name}", str(path), *flags) for name in ("field", "rover", "ground"))]
+        waiting = ["--wait-for", ",".join(waited_for(VITAL))]
+        link = Peer(ends, LINK.module, str(path), *flags, *waiting)
+        others = [each for each in PROCESSES if each.vital and each is not LINK]
+        services = [link, *(Peer(ends, each.module, str(path), *flags) for each in others)]
         watcher = _Planning(ends.enter_context(MissionClient.when_up(endpoints.earth, mission.name, link.check)))
         bare = Peer(ends, "benchmarks.query_latency", endpoints.earth)
         bare.answer()

@@ -194,6 +194,21 @@ def test_a_service_that_dies_is_named_and_the_others_are_ended(victim: str, envi
         assert alive(pids) == []
 
 
+def test_a_mission_goes_on_without_a_recorder_that_dies_and_says_so(
+    tmp_path: Path, environment: dict[str, str]
+) -> None:
+    flags = ("--rate", "1000", "--quiet", "--json", "--out", str(tmp_path / "out"))
+    with started("run", "short", *flags, environment=environment) as process:
+        pids = services_of(process, environment)
+        while not json.loads(until_answered(environment, "status", "--json"))["mission_time_s"]:
+            time.sleep(0.1)
+        os.kill(pids["recorder"], signal.SIGKILL)
+        output, said = process.communicate(timeout=100)
+    assert process.returncode == 0, said
+    assert MissionReport.model_validate_json(output).samples == 9
+    assert said == "he3: the recorder service ended by itself, killed by SIGKILL; the mission goes on without it\n"
+
+
 def test_the_services_do_not_outlive_a_starter_that_was_killed(environment: dict[str, str]) -> None:
     with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:
         pids = services_of(process, environment)

@@ -11,6 +11,7 @@ from typing import Any
 
 from schemas.topics import COMMAND_STATUS, EVENT, GROUND_STATUS, LINK_STATUS, SAMPLE, STATE, Side, Topic
 from schemas.wire import Header, Wire
+from services.mission.processes import vital_on
 from services.runtime.node import MissionTime
 from services.runtime.transport.client import Client
 
@@ -72,6 +73,6 @@ class LiveNews:
         alive: dict[str, bool] = {}
         self._session.watch_alive(Side.EARTH, alive.__setitem__)
         deadline = time.monotonic() + ALIVE_WITHIN_S
-        while not {"link", "ground"} <= alive.keys() and time.monotonic() < deadline:
+        while not vital_on(Side.EARTH) <= alive.keys() and time.monotonic() < deadline:
             time.sleep(0.01)
         return tuple(sorted(name for name, here in alive.items() if here))

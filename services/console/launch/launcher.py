@@ -19,10 +19,8 @@ from typing import Self
 
 from he3.errors import He3Error
 from services.console.interruption import uninterrupted
+from services.mission.processes import LINK, PROCESSES, RECORDER, VITAL, ProcessSpec, waited_for
 from services.runtime.child import child_environment, python_command
-
-SERVICES: tuple[str, ...] = ("link", "field", "rover", "ground", "recorder")
-"""In the order in which they are started; the link first, as it owns both routers."""
 
 STOP_WITHIN_S = 1.5
 """How long a service may take to end before it is killed."""
@@ -97,6 +95,7 @@ class Launcher:
         self._logs = logs
         self._service_flags = service_flags or {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._left_behind: set[str] = set()
 
     @property
     def own_pid(self) -> int:
@@ -109,10 +108,11 @@ class Launcher:
         return {name: process.pid for name, process in self._processes.items()}
 
     def __enter__(self) -> Self:
-        names = [name for name in SERVICES if name != "recorder" or self._recording is not None]
+        started = [each for each in PROCESSES if each.vital or self._recording is not None]
+        names = [each.name for each in started]
         try:
-            for name in names:
-                self.start(name, [each for each in names if each != "link"])
+            for each in started:
+                self.start(each, waited_for(names) if each is LINK else ())
         except BaseException:
             self.stop()
             raise
@@ -123,13 +123,14 @@ class Launcher:
     ) -> None:
         self.stop()
 
-    def start(self, name: str, wait_for: Iterable[str] = ()) -> None:
-        """Start one service; the link holds mission time until those that it waits for are there."""
-        command = python_command(f"services.{name}", str(self._scenario), *self._flags)
+    def start(self, process: ProcessSpec, wait_for: Iterable[str] = ()) -> None:
+        """Start one service. wait_for: for the link, which holds mission time until these are there."""
+        name = process.name
+        command = python_command(process.module, str(self._scenario), *self._flags)
         command += ["--moon", self._endpoints.moon, "--earth", self._endpoints.earth]
-        if name == "link" and wait_for:
+        if wait_for:
             command += ["--wait-for", ",".join(wait_for)]
-        if name == "recorder" and self._recording is not None:
+        if process is RECORDER and self._recording is not None:
             command += ["--out", str(self._recording)]
         command += self._service_flags.get(name, ())
         log = None if self._logs is None else (self._logs / f"{name}.log").open("ab")
@@ -151,10 +152,31 @@ class Launcher:
 
     def check(self) -> None:
         """Raise He3Error, in one line, when a service has ended by itself."""
-        for name, process in self._processes.items():
-            code = process.poll()
-            if code is not None:
-                raise He3Error(f"the {name} service ended by itself, {_in_words(code)}{self._last_words(name)}")
+        for name in self._processes:
+            if (how := self._ended(name)) is not None:
+                raise He3Error(how)
+
+    def check_vital(self) -> list[str]:
+        """Raise He3Error, in one line, when a service has ended without which the mission fails.
+
+        Returns a line for each other service that has ended since the last call: the mission goes on without it.
+        """
+        lines = []
+        for name in self._processes.keys() - self._left_behind:
+            if (how := self._ended(name)) is None:
+                continue
+            if name in VITAL:
+                raise He3Error(how)
+            self._left_behind.add(name)
+            lines.append(f"{how}; the mission goes on without it")
+        return lines
+
+    def _ended(self, name: str) -> str | None:
+        """How that service ended by itself, in one line; None while it runs."""
+        code = self._processes[name].poll()
+        if code is None:
+            return None
+        return f"the {name} service ended by itself, {_in_words(code)}{self._last_words(name)}"
 
     def failure(self, name: str) -> str | None:
         """One line on why that service, which is over, ended with another exit code than 0; None if it did not."""

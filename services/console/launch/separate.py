@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -15,11 +16,12 @@ from schemas.ground import GroundStatus, MissionPhase
 from services.console.client.mission_client import MissionClient
 from services.console.client.mission_state import MissionState
 from services.console.client.run_file import RunningMission, announced
-from services.console.launch.launcher import SERVICES, Endpoints, Launcher, endpoints_near
+from services.console.launch.launcher import Endpoints, Launcher, endpoints_near
 from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, clear_for, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
+from services.mission.processes import GROUND, LINK, VITAL
 from services.mission.regions import load_region
 from services.runtime.event_log import merge_event_logs
 
@@ -27,9 +29,6 @@ if TYPE_CHECKING:
     from he3.reference import Region
     from services.console.launch.scenarios import Chosen
     from services.mission.scenario import Scenario
-
-ACTING = tuple(name for name in SERVICES if name != "recorder")
-"""The services whose events make the mission; the recorder only listens."""
 
 LOOK_EVERY_S = 0.1
 """Wall time [s] within which the end of a service or of the mission is noticed."""
@@ -135,16 +134,16 @@ def _service_flags(
     lockstep: bool, pace: float | None, events: Path | None, journal: Path | None
 ) -> dict[str, Sequence[str]]:
     """Flags that differ from service to service: the end of the mission in lockstep, event logs, journals."""
-    flags: dict[str, list[str]] = {name: [] for name in ACTING}
+    flags: dict[str, list[str]] = {name: [] for name in VITAL}
     if lockstep:
-        flags["link"] += ["--stop-when", "ground"]
+        flags[LINK.name] += ["--stop-when", GROUND.name]
     if lockstep and pace is not None:
-        flags["link"] += ["--pace", str(pace)]
+        flags[LINK.name] += ["--pace", str(pace)]
     if events is not None:
-        for name in ACTING:
+        for name in VITAL:
             flags[name] += ["--events", str(events / f"{name}.log")]
     if journal is not None:
-        for name in ACTING:
+        for name in VITAL:
             flags[name] += ["--journal", str(journal)]
     return dict(flags)
 
@@ -154,7 +153,11 @@ def _watched_to_its_end(state: MissionState, launcher: Launcher, progress: Progr
         status = state.status
         if status is not None and status.is_over:
             return status
-        launcher.check()
+        if state.time.elapsed_s():
+            for line in launcher.check_vital():
+                print(f"he3: {line}", file=sys.stderr)
+        else:
+            launcher.check()
         progress.show(partial(moment_now, state))
         state.changed.wait(LOOK_EVERY_S)
         state.changed.clear()
