@@ -9,7 +9,7 @@ import numpy as np
 
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
-from schemas.commands import CommandReport, CommandStage, CommandStatus, Telecommand
+from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
 from schemas.link import LinkStatus
 from schemas.topics import COMMAND
 from services.ground.terrain import closes_nothing
@@ -23,6 +23,8 @@ LOST_AFTER_S = 60.0  # past its expiry and a round trip, before silence means th
 _ORDER = {stage: number for number, stage in enumerate(CommandStage)}
 
 _NEVER_CARRIED_OUT = frozenset({CommandStage.REJECTED, CommandStage.FAILED, CommandStage.EXPIRED})
+_HOLDS = frozenset({CommandKind.PAUSE, CommandKind.SAFE})
+_RELEASES = frozenset({CommandKind.RESUME, CommandKind.GO_TO, CommandKind.RETURN_TO_START})
 Polygon = tuple[tuple[float, float], ...]
 
 
@@ -157,6 +159,18 @@ class CommandHistory:
             if polygon is not None and (status is issued[-1] or not passed & _NEVER_CARRIED_OUT):
                 closed.append(polygon)
         return closed
+
+    @property
+    def holds_rover(self) -> bool:
+        """Whether the rover stands still because a command told it to, as far as its reports say."""
+        done = [
+            (report.at, status.command.kind)
+            for status in self._statuses.values()
+            if status.command.kind in _HOLDS | _RELEASES
+            for report in status.stages
+            if report.stage in (CommandStage.STARTED, CommandStage.COMPLETED)
+        ]
+        return bool(done) and max(done)[1] in _HOLDS
 
     def find(self, command_id: str) -> CommandStatus | None:
         """The status of that command; None for one that was not issued here."""

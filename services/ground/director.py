@@ -104,6 +104,11 @@ class Director:
         """Whether the mission is over."""
         return self._end.finish is not None
 
+    @property
+    def computing(self) -> bool:
+        """Whether a fit or a plan is being computed."""
+        return self._refits.busy or self._planning.busy
+
     def progress(self) -> MissionProgress:
         """How far the mission is."""
         return MissionProgress(
@@ -353,9 +358,14 @@ class Director:
         return self._end_if_over()
 
     @property
+    def _samples_missing(self) -> int:
+        """Samples of the mission that are not measured."""
+        return max(0, self._scenario.samples - len(self._belief))
+
+    @property
     def _samples_wanted(self) -> int:
         """Samples of the mission that are neither measured nor planned."""
-        return max(0, self._scenario.samples - len(self._belief) - len(self._round_log.pending))
+        return max(0, self._samples_missing - len(self._round_log.pending))
 
     def _next_plan(self, now: MissionTime) -> list[Effect]:
         log = self._round_log
@@ -396,13 +406,23 @@ class Director:
             self._end.give_up_planning(why, failed=not isinstance(error, NoRoute))
         return [_warning(why), *self._advance(now)]
 
+    def give_up(self, why: str) -> list[Effect]:
+        """The mission ends with what it has: nothing that it waits for will come."""
+        if self.ended:
+            return []
+        self._end.give_up_planning(why, failed=self._samples_missing > 0)
+        return [self._finish()]
+
     def _end_if_over(self) -> list[Effect]:
         log = self._round_log
         if log.open_rounds or (log.chain and self._end.awaits_completion(log.chain[-1].introduced)):
             return []
+        return [self._finish()]
+
+    def _finish(self) -> Finish:
         finish = self._end.over(len(self._belief), self._scenario.samples, self._detail)
         self._detail = finish.why
-        return [finish]
+        return finish
 
 
 def _warning(text: str) -> LogRecord:

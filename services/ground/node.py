@@ -39,6 +39,8 @@ from services.ground.round_log import RoundLog
 from services.ground.samples import SampleIntake
 from services.ground.scoring import Scorer
 from services.ground.silence import SilenceWatch
+from services.ground.stall_guard import STALL_QUERY, StallGuard
+from services.ground.stall_watch import StallWatch
 from services.ground.status import StatusReporter
 from services.ground.telecommands import LOOK_QUERY, LOOK_TIMER, LOST_TIMER, TelecommandHandler
 from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing, interest_weights, worth_nothing
@@ -80,6 +82,7 @@ class GroundNode:
         publisher: MapPublisher,
         status: StatusReporter,
         silence: SilenceWatch,
+        stall: StallGuard,
         status_period_s: float,
     ) -> None:
         """status_period_s: how often the status is sent when nothing changes [s]."""
@@ -90,6 +93,7 @@ class GroundNode:
         self._publisher = publisher
         self._status = status
         self._silence = silence
+        self._stall = stall
         self._status_period = seconds(status_period_s)
         self._begun = False
 
@@ -127,14 +131,17 @@ class GroundNode:
             case Received():
                 yield from self._receive(event, now)
             case Computed(job, result, error):
+                self._stall.progress(now)
                 yield from self._director.computed(job, result, error, now)
             case QueryReceived(topic, Telecommand() as command, token) if topic is ISSUE_COMMAND:
+                self._stall.progress(now)
                 yield from self._telecommands.issue(command, token, now)
             case QueryReceived(topic, InterestChange() as change, token) if topic is SET_INTEREST:
                 yield from self._set_interest(change, token, now)
             case TimerFired(timer) if timer == STATUS_TIMER:
                 yield SetTimer(STATUS_TIMER, now + self._status_period)
                 yield from self._silence.check(now)
+                yield from self._stall.tick(now)
             case TimerFired(timer) if timer == REPLAN_TIMER:
                 yield from self._director.go_on(now)
             case TimerFired(timer) if timer == LOOK_TIMER:
@@ -145,6 +152,10 @@ class GroundNode:
                 yield from self._telecommands.seen_on_link(link, now)
             case QueryFailed(_, query) if query == LOOK_QUERY:
                 yield from self._telecommands.look_failed(now)
+            case ReplyReceived(_, query, LinkStatus() as link) if query == STALL_QUERY:
+                yield from self._stall.link_answered(link, now)
+            case QueryFailed(_, query) if query == STALL_QUERY:
+                yield from self._stall.link_answered(None, now)
             case _:
                 yield _nothing_to_do(event)
 
@@ -158,19 +169,24 @@ class GroundNode:
     def _receive(self, event: Received, now: MissionTime) -> Iterable[Effect]:
         match event.body:
             case SampleReport() as report:
-                self._silence.heard(now)
+                self._heard(now)
                 yield from self._director.sample(report, now)
             case RoverEvent() as happened:
-                self._silence.heard(now)
+                self._heard(now)
                 yield from self._director.event(happened, now)
             case RoverState() as state:
                 self._silence.heard(now)
                 yield from self._locate(state, event.header.made_at, now)
             case CommandReport() as report:
-                self._silence.heard(now)
+                self._heard(now)
                 yield from self._telecommands.reported(report, now)
             case _:
                 yield _nothing_to_do(event)
+
+    def _heard(self, now: MissionTime) -> None:
+        """Something has happened on the Moon."""
+        self._silence.heard(now)
+        self._stall.progress(now)
 
     def _locate(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> Iterable[Effect]:
         if not self._terrain.grid.contains(np.array([(state.x_m, state.y_m)]))[0]:
@@ -178,6 +194,7 @@ class GroundNode:
                 LogRecord(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")
             ]
         self._status.heard(state, made_at)
+        self._stall.state(state, self._telecommands.holds_rover, now)
         return self._director.state(state, made_at, now)
 
     def _set_interest(self, change: InterestChange, token: int, now: MissionTime) -> Iterable[Effect]:
@@ -185,6 +202,7 @@ class GroundNode:
         if why is not None:
             yield RefuseQuery(token, why)
             return
+        self._stall.progress(now)
         effects = self._director.set_interest(change, now)
         yield SendReply(token, self._interests.listed())
         yield from effects
@@ -230,6 +248,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
         publisher=publisher,
         status=StatusReporter(scenario, belief, director, publisher, silence),
         silence=silence,
+        stall=StallGuard(StallWatch(scenario), director, silence),
         status_period_s=ground.status_period_s,
     )
 

@@ -18,6 +18,10 @@ class SilenceWatch:
     def ever_heard(self) -> bool:
         return self._heard_at is not None
 
+    def lasts_s(self, now: MissionTime) -> float | None:
+        """Seconds since the rover was last heard; None if it never was."""
+        return None if self._heard_at is None else (now - self._heard_at) / SECOND
+
     def heard(self, now: MissionTime) -> None:
         """A message of the rover has arrived."""
         self._heard_at = now

@@ -51,6 +51,11 @@ class TelecommandHandler:
         """The newest commands with their stages."""
         return CommandList(commands=self._history.listed())
 
+    @property
+    def holds_rover(self) -> bool:
+        """Whether the rover stands still because the operator told it to."""
+        return self._history.holds_rover
+
     def issue(self, command: Telecommand, token: int, now: MissionTime) -> Iterable[Effect]:
         """Answer the operator's query with the command's status or a refusal, and send the command if it is new."""
         try:
