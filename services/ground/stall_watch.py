@@ -34,7 +34,7 @@ class StallWatch:
         rover, ground = scenario.rover, scenario.ground
         slowest_m_s = rover.speed_m_s / (1.0 + rover.slope_slowdown)
         step_s = rover.look_ahead_m / slowest_m_s + rover.bite_m * rover.drill_s_per_m + rover.analysis_s
-        self._patience_s = (
+        self._patience_s: float = (
             max(3600.0 * ground.patience_h, WALL_S * scenario.rate) + STEPS * step_s + 2.0 * rover.state_period_s
         )
         self._conditions = scenario.link

@@ -160,7 +160,7 @@ class GroundConfig(Section):
     """How often status is published when nothing changes [s of mission time]."""
     rover_timeout_s: Period = 3600.0
     """Unheard of for longer, the rover is reported as silent."""
-    patience_h: Positive = 72.0
+    patience_h: Annotated[float, Field(ge=0.01, le=1e5)] = 72.0
     """Without any progress for longer, the mission ends with what it has [h]. What the light, the link's rate, contact
     gaps and the rover's own steps take comes on top."""
 

@@ -17,6 +17,7 @@ from tests.processes import run
 
 MISSION = ["run", "short", "--in-process", "--set", "rounds=2", "--set", "samples_per_round=2", "--quiet"]
 NO_TIME = ["--set", "ground.budget_h=0.01"]
+NO_CONTACT = ["--set", 'link.windows=[{"opens_s": 0, "closes_s": 1800}]', "--set", "ground.patience_h=5"]
 NOT_REPEATABLE = {"wall_time_s", "host"}
 
 
@@ -152,3 +153,15 @@ def test_a_mission_that_takes_no_sample_says_so_and_why_and_is_a_failure(
     assert "samples       0 of 4 in 0 rounds" in said.out.splitlines()
     assert said.err == f"he3: the mission took no sample: {made.detail}\n"
     assert made.detail == "0 of 4 samples are in the map; the budget of 0.01 h is spent or promised"
+
+
+def test_a_mission_whose_contact_ends_has_its_report_and_is_a_failure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*MISSION, *NO_CONTACT, "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    made = report(tmp_path)
+    assert not made.completed
+    assert "the last contact window closed 1800 s after the mission began" in made.detail
+    assert f"ended         NOT COMPLETED: {made.detail}" in said.out.splitlines()
+    assert said.err == f"he3: the mission failed {made.mission_time_s:.0f} s after its beginning: {made.detail}\n"

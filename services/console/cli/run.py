@@ -86,8 +86,8 @@ def run_and_report(
     """Run the chosen scenario over that driver: show its progress, write its files, print and return its report.
 
     A picture or a recording that could not be written is named on standard error and fails nothing. Raises He3Error,
-    after all of that, if the report could not be written, and for a mission that took no sample: its map says nothing
-    about the site.
+    after all of that, if the report could not be written, for a mission that failed, and for one that took no sample:
+    its map says nothing about the site.
     """
     from schemas.codec import printable
     from services.console.client.time_format import speed
@@ -118,6 +118,8 @@ def run_and_report(
         typer.echo(f"he3: {printable(problem)}", err=True)
     if written.report_error is not None:
         raise written.report_error
+    if not done.completed:
+        raise He3Error(f"the mission failed {done.mission_time_s:.0f} s after its beginning: {done.detail}")
     if done.samples == 0:
         raise He3Error(f"the mission took no sample: {done.detail or 'the ground gives no reason'}")
     return done
