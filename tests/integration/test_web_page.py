@@ -22,6 +22,7 @@ from tests.processes import start
 from tests.waiting import PATIENCE_S, expect_within, until
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+IPV6 = Path("/proc/net/if_inet6").exists() and Path("/proc/net/if_inet6").read_text() != ""
 RATE = 60.0
 LIGHT_TIME_S = 1.282
 FLAGS = (
@@ -131,10 +132,57 @@ def test_bad_questions_are_answered_with_one_line_that_says_why(address: str) ->
         ("map/point?x=900&y=1", "expected a place within"),
         ("map/layer?layer=gold", "input should be"),
         ("map/point?x=1;y=2&y=3", "without ';'"),
+        ("map/point?x;y=1&y=2", "expected parameters such as x"),
+        ("map/point", "x"),
+        ("map/point?x=nan&y=1", "x"),
+        ("map/point?x=%00&y=%ff", "x"),
+        ("map/layer?layer=mean&as_of=yesterday", "as_of"),
+        ("map/layer?layer=mean&step=0", "step"),
+        ("map/layer?layer=mean&format=exe", "format"),
+        ("map/resource?polygon=1,1,2,2", "3 to 256 corners"),
+        ("map/track?colour=red", "colour"),
     ):
         code, body = get(f"{own}/api/{query}")
         assert code == 400
         assert why in json.loads(body)["error"]
+
+
+def test_bad_requests_are_answered_with_one_line_and_change_nothing(address: str, mission: MissionClient) -> None:
+    own = address.rstrip("/")
+    ours = {**OUR_PAGE, "origin": own}
+    before = mission.link().conditions, len(mission.commands()), mission.set_interest()
+    for path, document, why in (
+        ("command", {"kind": "pause", "expires_in_s": "soon"}, "expires_in_s"),
+        ("command", {"kind": "go_to", "target_m": "there"}, "target_m"),
+        ("command", {"kind": "pause", "expires_in_s": float("nan")}, "expected a JSON object"),
+        ("command", ["pause"], "expected a JSON object"),
+        ("link", {"loss": "much"}, "loss"),
+        ("link", {"direction": 7}, "direction"),
+        ("link", {"conditions": {}}, "expected some of"),
+        ("interest", {"weight": None}, "weight"),
+        ("interest", {"area_id": "a", "polygon_m": 3}, "polygon_m"),
+        ("acknowledge", {"id": {"a": 1}}, "id"),
+    ):
+        code, body = get(f"{own}/api/{path}", ours, document)
+        assert (code, why in json.loads(body)["error"]) == (400, True), (path, document, body)
+    for path, code in (("nothing", 404), ("stream/x", 404)):
+        assert get(f"{own}/api/{path}")[0] == code
+    assert get(f"{own}/api/map/point", ours, {})[0] == 405
+    assert (mission.link().conditions, len(mission.commands()), mission.set_interest()) == before
+
+
+def test_the_page_is_reached_by_every_name_that_was_allowed_however_it_is_spelled(mission: MissionClient) -> None:
+    with Served(mission, "--allow-host", "MoonBase.lan.:8030") as where:
+        for host, code in (("moonbase.lan:8030", 200), ("MOONBASE.LAN.", 200), ("127.0.0.1", 200), ("moon.lan", 403)):
+            assert get(where, {"host": host})[0] == code
+
+
+@pytest.mark.skipif(not IPV6, reason="this machine has no IPv6")
+@pytest.mark.parametrize("bind", ["::1", "::"])
+def test_the_page_is_served_over_ipv6(mission: MissionClient, bind: str) -> None:
+    with Served(mission, "--bind", bind) as where:
+        assert where.startswith("http://[::1]:")
+        assert get(f"{where}api/map/history", {"host": "[0::1]:1"})[0] == 200
 
 
 @pytest.fixture(scope="module")

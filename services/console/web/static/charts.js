@@ -1,8 +1,8 @@
 // Small line charts over mission hours.
 
 import { nice } from "./map.js";
+import { line, node, text } from "./svg.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const HEIGHT = 110, LEFT = 38, RIGHT = 8, TOP = 8, BOTTOM = 20;
 
 export class Chart {
@@ -19,7 +19,10 @@ export class Chart {
 
   set(points) { this.points = points; this.draw(); }
 
-  // What comes replaces the tail that it overlaps.
+  // A moment to mark [s since the mission's start]; null for none.
+  setMark(at) { this.mark = at; this.draw(); }
+
+  // New points replace the tail that they overlap.
   extend(points) {
     if (!points.length) return;
     const first = points[0][0];
@@ -32,7 +35,7 @@ export class Chart {
     const { points } = this;
     if (!width) return;
     this.svg.setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
-    if (!points.length) { this.svg.replaceChildren(text(width / 2, HEIGHT / 2, "nothing yet", "middle")); this.value.textContent = "–"; return; }
+    if (!points.length) { this.svg.replaceChildren(text(width / 2, HEIGHT / 2, "no data yet", "middle")); this.value.textContent = "–"; return; }
     this.value.textContent = points.at(-1)[1].toLocaleString("en", { minimumFractionDigits: this.digits, maximumFractionDigits: this.digits });
     const end = Math.max(points.at(-1)[0], 1);
     let low = this.fromZero ? 0 : Math.min(...points.map((p) => p[1])), high = Math.max(...points.map((p) => p[1]));
@@ -56,16 +59,4 @@ export class Chart {
     if (this.mark !== null) parts.push(line(x(this.mark), TOP, x(this.mark), HEIGHT - BOTTOM, "var(--warn)"));
     this.svg.replaceChildren(...parts);
   }
-}
-
-function node(tag, attributes) {
-  const made = document.createElementNS(SVG, tag);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  return made;
-}
-const line = (x1, y1, x2, y2, stroke) => node("line", { x1, y1, x2, y2, stroke });
-function text(x, y, content, anchor) {
-  const made = node("text", { x, y, "text-anchor": anchor });
-  made.textContent = content;
-  return made;
 }

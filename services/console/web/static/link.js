@@ -1,10 +1,10 @@
-// Messages on their way between Earth and Moon, each where it is now.
+// Messages in flight between Earth and Moon, each where it is now.
 
+import { line, node, text } from "./svg.js";
 import { duration, words } from "./words.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const EARTH = 46, MOON = 374, LANES = { up: 36, down: 58 };
-const SHOWN_AT_LEAST_MS = 700; // at a fast pace a flight lasts less than a frame
+const SHOWN_AT_LEAST_MS = 700; // at a high simulation speed a flight lasts less than a frame
 
 export class LinkPicture {
   constructor(svg) {
@@ -12,7 +12,7 @@ export class LinkPicture {
     this.flights = new Map();
     svg.innerHTML = "";
     const circle = (x, r, cls, fill) => svg.append(node("circle", { cx: x, cy: 47, r, fill, stroke: "var(--line)" }));
-    for (const y of Object.values(LANES)) svg.append(node("line", { x1: EARTH + 22, x2: MOON - 18, y1: y, y2: y, stroke: "var(--line)", "stroke-width": 2 }));
+    for (const y of Object.values(LANES)) svg.append(line(EARTH + 22, y, MOON - 18, y, "var(--line)", 2));
     circle(EARTH, 20, "earth", "#3b82c4");
     svg.append(node("path", { d: "M33 40q6-9 14-6q4 6-2 9q-6 2-5 8q-6-2-7-11zM52 50q7-3 9 2q-3 8-9 9q-3-5 0-11z", fill: "#7fc79a" }));
     circle(MOON, 15, "moon", "#b9c0ca");
@@ -59,13 +59,13 @@ export class LinkPicture {
       return dot;
     }));
     const { up, down } = this.link;
-    const say = (counts_, arrow, topics) => `${arrow} ${topics}${counts_.waiting ? `, ${counts_.waiting} waiting` : ""}`;
+    const label = (counts_, arrow, topics) => `${arrow} ${topics}${counts_.waiting ? `, ${counts_.waiting} waiting` : ""}`;
     const named = (direction) => {
       const names = [...new Set(shown.filter(([flight]) => flight.direction === direction).map(([flight]) => words(flight.topic.split("/").at(-1))))];
-      return names.length ? names.slice(0, 4).join(", ") : "nothing under way";
+      return names.length ? names.slice(0, 4).join(", ") : "no messages in flight";
     };
-    this.labels.up.textContent = say(up, "→", named("up"));
-    this.labels.down.textContent = say(down, "←", named("down"));
+    this.labels.up.textContent = label(up, "→", named("up"));
+    this.labels.down.textContent = label(down, "←", named("down"));
   }
 }
 
@@ -78,11 +78,3 @@ export function describe(link) {
   if (up.loss || down.loss) parts.push(`${Math.round(100 * Math.max(up.loss, down.loss))} % loss`);
   return parts.join(" · ");
 }
-
-function node(tag, attributes = {}, content = "") {
-  const made = document.createElementNS(SVG, tag);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  if (content) made.textContent = content;
-  return made;
-}
-const text = (x, y, content, anchor) => node("text", { x, y, "text-anchor": anchor }, content);

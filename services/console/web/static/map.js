@@ -3,9 +3,9 @@
 const MARGIN = { left: 42, right: 12, top: 8, bottom: 24 };
 
 export class SiteMap {
-  constructor(canvas, onPlace, onHover) {
+  constructor(canvas, onHover) {
     this.canvas = canvas;
-    this.onPlace = onPlace;
+    this.onPlace = () => {};    // called with a place that was taken, and whether an area is being drawn
     this.onHover = onHover;
     this.site = { rows: 500, columns: 500, resolution_m: 1 };
     this.layer = null;          // { about, values }
@@ -22,6 +22,12 @@ export class SiteMap {
     this.show = { paths: true, samples: true };
     this.listen();
     new ResizeObserver(() => this.resize()).observe(canvas);
+  }
+
+  setSite(site) {
+    const known = this.site;
+    this.site = site;
+    if (known.rows !== site.rows || known.columns !== site.columns || known.resolution_m !== site.resolution_m) this.draw();
   }
 
   get width() { return this.site.columns * this.site.resolution_m; }

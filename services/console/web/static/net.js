@@ -1,11 +1,11 @@
-// What comes from the server and what goes to it. Nothing here knows the page.
+// Requests to the server and its stream of events. Nothing here knows the page.
 
 export async function ask(path, parameters = {}) {
   const query = new URLSearchParams();
   for (const [key, value] of Object.entries(parameters)) if (value !== null && value !== undefined && value !== "") query.set(key, value);
   const text = query.toString();
   const response = await fetch(`/api/${path}${text ? "?" + text : ""}`, { cache: "no-store" });
-  if (!response.ok) throw new Error(await complaint(response));
+  if (!response.ok) throw await failure(response);
   return response;
 }
 
@@ -25,12 +25,15 @@ export async function send(path, document) {
     headers: { "content-type": "application/json", "x-he3-console": "1" },
     body: JSON.stringify(document),
   });
-  if (!response.ok) throw new Error(await complaint(response));
+  if (!response.ok) throw await failure(response);
   return response.json();
 }
 
-async function complaint(response) {
-  try { return (await response.json()).error; } catch { return `${response.status} ${response.statusText}`; }
+// The server's reason, with the status code.
+async function failure(response) {
+  let why = `${response.status} ${response.statusText}`;
+  try { why = (await response.json()).error; } catch { /* no reason was given */ }
+  return Object.assign(new Error(why), { status: response.status });
 }
 
 // NumPy's format: magic, version, length of the head, the head as text, then the numbers.
@@ -42,7 +45,7 @@ function numbersOf(buffer) {
   return head.includes("'<f4'") ? new Float32Array(buffer, start) : new Uint8Array(buffer, start);
 }
 
-// Server-sent events; the browser comes back by itself when they break off, and then gets everything afresh.
+// Server-sent events; the browser reconnects by itself when they break off, and then gets everything afresh.
 export function listen(handlers, onBreak) {
   const source = new EventSource("/api/stream");
   for (const [kind, handler] of Object.entries(handlers)) {

@@ -1,4 +1,4 @@
-// Numbers and times as people read them.
+// Numbers and times as text; elements.
 
 export const fixed = (value, digits = 2) => (value === null || value === undefined ? "–" : value.toFixed(digits));
 export const grouped = (value, digits = 0) => value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });

@@ -1,0 +1,122 @@
+// A place that was clicked, and an area that is drawn: what the map says of them, and what is sent about them.
+
+import { command } from "./commands.js";
+import { map, whenTimeChanges } from "./layers.js";
+import { askJson, send } from "./net.js";
+import { fact } from "./rover.js";
+import { $, attempt, state, toast } from "./state.js";
+import { element, fixed, grouped } from "./words.js";
+
+const HINT = "Click the map, or press Enter at the cross-hair";
+let asked = 0;
+
+map.onPlace = async (place, drawing) => {
+  if (drawing) return showArea();
+  $("go-to").disabled = false;
+  await showPlace();
+};
+whenTimeChanges(showPlace);
+
+async function showPlace() {
+  if (!map.chosen) return;
+  const [x, y] = map.chosen, mine = ++asked;
+  await attempt(async () => {
+    const threshold = Number($("threshold").value);
+    const point = await askJson("map/point", { x, y, threshold, as_of: state.past?.revision });
+    if (mine !== asked) return;
+    $("place-hint").textContent = `(${x}, ${y}) m, revision ${point.revision}`;
+    $("place").dataset.point = JSON.stringify(point);
+    const [low, high] = [-1.96, 1.96].map((factor) => fixed(point.mean_ppb + factor * point.std_ppb));
+    $("place").replaceChildren(element("dl", { class: "facts" }, ...[
+      ["Helium-3", `${fixed(point.mean_ppb, 3)} ± ${fixed(point.std_ppb, 3)} ppb`, true],
+      ["95 % interval", `${low} to ${high} ppb`],
+      [`More than ${threshold} ppb`, `${(100 * point.exceedance).toFixed(1)} %`],
+      ["Information of one sample", `${fixed(point.information_nats, 2)} nat`],
+      ["Ground", point.traversable ? "traversable" : "not traversable"],
+    ].map(fact)));
+  });
+}
+
+// --- an area --------------------------------------------------------------------------------------------------------
+
+function showArea() {
+  const corners = map.draft;
+  $("undo").disabled = $("clear").disabled = corners.length === 0;
+  $("area").hidden = corners.length < 3;
+  if (map.drawing) $("place-hint").textContent = `${corners.length} corners; click to add one, three at least`;
+  else if (!map.chosen) $("place-hint").textContent = HINT;
+  if (corners.length >= 3) {
+    let twice = 0;
+    corners.forEach(([x, y], index) => { const [u, v] = corners[(index + 1) % corners.length]; twice += x * v - u * y; });
+    $("area-facts").textContent = `${corners.length} corners, ${grouped(Math.abs(twice) / 2)} m²`;
+  }
+  $("estimate-result").replaceChildren();
+  map.draw();
+}
+
+function setDrawing(on) {
+  map.drawing = on;
+  $("draw").setAttribute("aria-pressed", String(on));
+  $("draw").textContent = on ? "Done" : "Draw area";
+  showArea();
+  if (on) $("map").focus({ preventScroll: true });
+}
+
+$("draw").addEventListener("click", () => setDrawing(!map.drawing));
+$("undo").addEventListener("click", () => { map.draft.pop(); showArea(); });
+$("clear").addEventListener("click", () => { map.draft = []; showArea(); });
+$("map").addEventListener("keydown", (event) => {
+  if (event.key === "d" || event.key === "D") setDrawing(!map.drawing);
+  if (event.key === "Backspace" && map.draft.length) { map.draft.pop(); showArea(); }
+  if (event.key === "Escape") { map.draft = []; setDrawing(false); }
+});
+
+$("estimate").addEventListener("click", () => attempt(async () => {
+  const cutoff = Number($("cutoff").value);
+  const got = await askJson("map/resource", { polygon: map.draft.flat().join(","), cutoff_ppb: cutoff, as_of: state.past?.revision });
+  const between = (interval, digits, scale = 1) => `${fixed(interval.expected * scale, digits)} (${fixed(interval.low * scale, digits)} to ${fixed(interval.high * scale, digits)})`;
+  const percent = `${Math.round(got.probability * 100)} %`;
+  const rows = [
+    ["Helium-3 a metre deep", `${between(got.mass_kg_per_m, 2, 1000)} g/m`],
+    ["Mean abundance", `${between(got.mean_ppb, 3)} ppb`],
+    [`Area above ${cutoff} ppb`, `${between(got.area_above_m2, 0)} m²`],
+    [`Area above it with ${percent} probability`, `${grouped(got.confident_area_m2)} m²`],
+  ];
+  $("estimate-result").replaceChildren(
+    element("table", { class: "result num" }, ...rows.map(([name, value]) => element("tr", {}, element("td", {}, name), element("td", {}, value)))),
+    element("p", { class: "dim" }, `${percent} intervals of the joint posterior; bulk density ${got.bulk_density_kg_m3} kg/m³`),
+  );
+}));
+
+$("send-keepout").addEventListener("click", () => attempt(async () => {
+  await command({ kind: "set_keep_out", area_id: $("area-name").value, polygon_m: map.draft });
+  areaSent();
+}));
+$("send-interest").addEventListener("click", () => attempt(async () => {
+  const weight = Number($("weight").value);
+  takeInterests(await send("interest", { area_id: $("area-name").value, polygon_m: map.draft, weight }));
+  toast("Area of interest set");
+  areaSent();
+}));
+
+function areaSent() {
+  map.draft = [];
+  setDrawing(false);
+  const number = Number(/(\d+)$/.exec($("area-name").value)?.[1] ?? 0) + 1;
+  $("area-name").value = `area-${number}`;
+}
+
+export function takeInterests({ areas }) { state.interests = areas; showAreas(); }
+
+export function showAreas() {
+  const keepOuts = new Map();
+  for (const { command: sent, end } of state.commands.values()) {
+    if (sent.kind !== "set_keep_out" || (end && end !== "completed")) continue;
+    if (sent.polygon_m) keepOuts.set(sent.area_id, sent.polygon_m); else keepOuts.delete(sent.area_id);
+  }
+  map.areas = [
+    ...[...keepOuts].map(([name, corners]) => ({ name, corners, kind: "keepout" })),
+    ...state.interests.map(({ area_id, polygon_m, weight }) => ({ name: `${area_id} ×${weight}`, corners: polygon_m, kind: "interest" })),
+  ];
+  map.draw();
+}
