@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from he3.errors import He3Error
+from services.runtime.file_lock import FileLock, lock_beside
 
 BUFFER_BYTES = 65_536
 """Bytes that gather before they are written without a flush."""
@@ -27,8 +28,10 @@ class RawFile(Protocol):
 class RecordingFile:
     """A binary file whose `write` never fails. Use it in a `with` statement."""
 
-    def __init__(self, path: Path, raw: RawFile) -> None:
+    def __init__(self, path: Path, raw: RawFile, lock: FileLock | None = None) -> None:
+        """lock: released when the file is closed."""
         self.path = path
+        self._lock = lock
         self.failure: str | None = None
         """Why the system refuses to write; None while it does not."""
         self._raw = raw
@@ -74,6 +77,8 @@ class RecordingFile:
             self._raw.close()
         except OSError as error:  # some file systems tell only now that there was no room
             self.failure = error.strerror or type(error).__name__
+        if self._lock is not None:
+            self._lock.release()
 
     def __enter__(self) -> Self:
         return self
@@ -85,14 +90,15 @@ class RecordingFile:
 def open_recording(path: Path) -> RecordingFile:
     """An empty file of that name, its folder made; an earlier recording is kept beside it as mission-1.mcap, -2, ...
 
-    Raises He3Error if that cannot be done.
+    Raises He3Error if that cannot be done, InvalidInput if another process writes that recording.
     """
+    lock = lock_beside(path, f"{path}: expected a recording that no other process writes")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file() and path.stat().st_size > 0:
             path.rename(_free_name(path))
-        return RecordingFile(path, path.open("wb", buffering=0))
+        return RecordingFile(path, path.open("wb", buffering=0), lock)
     except OSError as error:
+        lock.release()
         raise He3Error(f"{path}: cannot write the recording: {error.strerror}") from None
 
 

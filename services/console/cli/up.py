@@ -43,18 +43,17 @@ def up(
     from services.console.launch.launcher import Endpoints
     from services.console.launch.scenarios import choose
     from services.console.launch.separate import checked_region, services_of
-    from services.console.report.outputs import clear_for, outputs
+    from services.console.report.outputs import claimed, outputs
 
     chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
     mission = chosen.scenario
     where = outputs(out, None)
     checked_region(mission)
-    clear_for(where)
     endpoints = Endpoints(mission.network.moon, mission.network.earth)
     services = services_of(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
     )
-    with services as (launcher, _):
+    with claimed(where, journal=journal), services as (launcher, _):
         with MissionClient.when_up(endpoints.earth, mission.name, launcher.check) as client:
             client.wait_for_ground(launcher.check)
         typer.echo(

@@ -12,14 +12,16 @@ from schemas.ground import MissionTrack
 from schemas.link import LinkChange, LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
 from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK
-from services.console.report.mission_report import Run, gather
-from services.console.report.outputs import Outputs, Written, clear_for, write_outcome
+from services.console.report.mission_report import Outcome, Run, gather
+from services.console.report.outputs import Outputs, Written, claimed, write_outcome
 from services.console.report.progress import Moment, Progress, moment_of
 from services.mission.in_process import RECORDING_FLUSH_S, InProcessMission, build_nodes
 from services.runtime.event_log import EventLog, merge_event_logs
 
 if TYPE_CHECKING:
+    from he3.reference import Region
     from services.mission.scenario import Scenario
+    from services.runtime.node import Node
 
 
 def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, events: Path | None = None) -> Written:
@@ -27,16 +29,25 @@ def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, event
 
     A mission that fails has a report too. Raises InvalidInput before anything is written.
     """
-    from services.ground.planner_process import PlannerProcess
     from services.mission.regions import load_region
+
+    region = load_region(scenario.region, scenario.field.field_seed)
+    nodes = build_nodes(scenario, region=region)
+    with claimed(where, events):
+        outcome, problems = _run_in_process(scenario, region, nodes, where, progress, events)
+        return write_outcome(outcome, region, where, events, problems)
+
+
+def _run_in_process(
+    scenario: Scenario, region: Region, nodes: tuple[Node, ...], where: Outputs, progress: Progress, events: Path | None
+) -> tuple[Outcome, list[str]]:
+    """The outcome of the mission, and one line on each output that could not be written while it ran."""
+    from services.ground.planner_process import PlannerProcess
     from services.recorder.files import open_recording
     from services.recorder.node import build_node as build_recorder
     from services.recorder.sink import RecordingSink
 
-    region = load_region(scenario.region, scenario.field.field_seed)
-    nodes = build_nodes(scenario, region=region)
     began = time.monotonic()
-    clear_for(where, events)
     sink: RecordingSink | None = None
     with ExitStack() as stack:
         if where.recording is not None:
@@ -53,8 +64,7 @@ def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, event
         assert mission.status is not None, "its phase has ended the run"
         run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
         outcome = gather(_Asked(mission), scenario, mission.status, run)
-    problems = [] if sink is None or sink.problem is None else [sink.problem]
-    return write_outcome(outcome, region, where, events, problems)
+    return outcome, [] if sink is None or sink.problem is None else [sink.problem]
 
 
 class _Asked:

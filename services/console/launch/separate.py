@@ -17,7 +17,7 @@ from services.console.client.mission_state import MissionState
 from services.console.client.run_file import RunningMission, announced
 from services.console.launch.launcher import Endpoints, Launcher, endpoints_near
 from services.console.report.mission_report import Outcome, Run, gather
-from services.console.report.outputs import Outputs, Written, clear_for, make_folder, write_outcome
+from services.console.report.outputs import Outputs, Written, claimed, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
 from services.mission.processes import GROUND, LINK, VITAL
@@ -43,14 +43,14 @@ def run_separate(
     service dies.
     """
     region = checked_region(chosen.scenario)
-    clear_for(where, events)
-    if events is None:
-        outcome, problems = _run_separate(chosen, region, where, progress, lockstep, None)
-    else:
-        with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
-            outcome, problems = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
-            merge_event_logs(Path(parts).iterdir(), events)
-    return write_outcome(outcome, region, where, events, problems)
+    with claimed(where, events):
+        if events is None:
+            outcome, problems = _run_separate(chosen, region, where, progress, lockstep, None)
+        else:
+            with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
+                outcome, problems = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
+                merge_event_logs(Path(parts).iterdir(), events)
+        return write_outcome(outcome, region, where, events, problems)
 
 
 def _run_separate(

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from he3.errors import He3Error, InvalidInput
+from services.runtime.file_lock import FileLock, lock_beside
 
 if TYPE_CHECKING:
     from he3.reference import Region
     from schemas.report import MissionReport
     from services.console.report.mission_report import Outcome
+
+
+LOCK = ".lock"
+"""Name of the lock file in a folder that belongs to one mission at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,15 +75,33 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
-def clear_for(where: Outputs, events: Path | None = None) -> None:
-    """Make way for a mission that begins: what an earlier one has left would otherwise pass for this one's.
+@contextmanager
+def claimed(where: Outputs, events: Path | None = None, journal: Path | None = None) -> Iterator[None]:
+    """Keep the outputs of a mission that begins for this process, and remove those that an earlier mission left there.
 
-    Report, pictures and event log go; a recording stays, and is set aside by whoever writes the next. Raises He3Error
-    when that cannot be done.
+    An earlier recording stays: the recorder keeps it beside the new one. journal: a folder that is kept for this
+    process as well. Raises InvalidInput if another process uses one of them, He3Error if they cannot be prepared.
     """
+    with ExitStack() as held:
+        if where.folder is not None:
+            make_folder(where.folder)
+            expected = f"--out {where.folder}: expected a folder that no other mission writes to"
+            held.enter_context(FileLock(where.folder / LOCK, expected))
+        for flag, path in (("--report", where.report), ("--events", events)):
+            if path is not None and (path.is_file() or not path.exists()):
+                expected = f"{flag} {path}: expected a file that no other mission writes"
+                held.enter_context(lock_beside(path, expected))
+        if journal is not None:
+            make_folder(journal)
+            expected = f"--journal {journal}: expected a folder that no other mission uses"
+            held.enter_context(FileLock(journal / LOCK, expected))
+        _remove_stale(where, events)
+        yield
+
+
+def _remove_stale(where: Outputs, events: Path | None) -> None:
     stale = [*where.wanted(), *(() if events is None else (events,))]
     if where.folder is not None:
-        make_folder(where.folder)
         stale.append(where.folder / "report.json")
     for path in stale:
         if path.is_file():

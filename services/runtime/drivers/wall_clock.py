@@ -26,6 +26,7 @@ from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyErro
 from services.runtime.clock import mission_time, newer, wall_time
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.event_log import EventLog
+from services.runtime.file_lock import lock_beside
 from services.runtime.heartbeat import Heartbeat
 from services.runtime.host import Host
 from services.runtime.inputs import (
@@ -140,6 +141,9 @@ class Process:
 
     def _seated(self, host: Host, executor: Executor) -> NodeScheduler:
         """The seat of that host, where its journal says that it was."""
+        if self.options.journal is not None:
+            expected = f"--journal {self.options.journal}: expected a folder that no other {self.name} uses"
+            self._journal_lock = lock_beside(self.options.journal / self.name, expected)  # until this process ends
         if self.options.journal is None or not self._service.journals:
             # Without a journal a start must still differ from an earlier one: the other side remembers what it had.
             self._incarnation = 1 if self.options.lockstep else int(time.time())

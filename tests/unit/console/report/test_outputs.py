@@ -8,7 +8,7 @@ import pytest
 
 from he3.errors import He3Error
 from services.console.__main__ import main
-from services.console.report.outputs import Outputs, clear_for
+from services.console.report.outputs import Outputs, claimed
 from services.recorder.files import open_recording
 
 LEFT = {"report.json": b"{}", "map.png": b"map", "rmse.png": b"rmse", "mission.mcap": b"earlier", "notes.txt": b"mine"}
@@ -53,16 +53,19 @@ def test_what_an_earlier_mission_left_makes_way_but_not_its_recording_nor_what_i
     elsewhere, events = folder.parent / "r.json", folder.parent / "events.log"
     elsewhere.write_text("{}")
     events.write_text("")
-    clear_for(Outputs(folder, elsewhere), events)
+    with claimed(Outputs(folder, elsewhere), events):
+        pass
     assert files(folder) == {name: LEFT[name] for name in ("mission.mcap", "notes.txt")}
     assert not elsewhere.exists()
     assert not events.exists()
 
 
 def test_nothing_is_removed_that_is_no_file(tmp_path: Path) -> None:
-    clear_for(Outputs(None, Path("/dev/null")))
+    with claimed(Outputs(None, Path("/dev/null"))):
+        pass
     assert Path("/dev/null").exists()
-    clear_for(Outputs(tmp_path / "new", None))
+    with claimed(Outputs(tmp_path / "new", None)):
+        pass
     assert files(tmp_path / "new") == {}
 
 
