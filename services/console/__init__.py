@@ -1,4 +1,8 @@
-"""The operator: command line, pictures and web page; `MissionClient` for whoever asks from Python."""
+"""The operator's side: command line, web page and pictures, and `MissionClient` for Python programs.
+
+`client` reaches a mission, `launch` starts one, `report` writes what it leaves, `cli` and `web` adapt these for people.
+The console stands above all services and may import them; no service imports it.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ __all__ = ["MissionClient"]
 
 
 def __getattr__(name: str) -> Any:
-    # Only on demand: the command line starts with what it needs.
+    # Imported on demand: the command line starts without Zenoh.
     if name == "MissionClient":
         from services.console.client.mission_client import MissionClient
 

@@ -1,4 +1,4 @@
-"""The operator's command ``he3``: everything that goes wrong is one line on standard error and an exit code."""
+"""The operator's command ``he3``: every failure is one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-# Everything else is imported within the net below, so that a Ctrl-C during the start is one line too.
+# Everything else is imported inside `main`, so that Ctrl-C during the start is one line as well.
 
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 TRACEBACK = "HE3_TRACEBACK"
-"""Environment variable that asks for the traceback of an error that should not have happened."""
+"""Environment variable that asks for the traceback of an unexpected error."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             except Terminated:
                 return _say("terminated", TERMINATED)
             except Exception as error:
-                # What foreign code makes of a signal that finds it in a callback is no defect.
+                # An exception that foreign code makes of a signal in one of its callbacks is no defect.
                 told = told_to_end()
                 if told is None and os.environ.get(TRACEBACK):
                     raise
@@ -81,8 +81,8 @@ def _run(words: list[str]) -> int:
 
 
 def _enough_read() -> int:
-    """Exit code when whoever reads the output, as `head` does, wants no more of it: that is no failure."""
-    # So that the interpreter's last flush has a place to go.
+    """Exit code when the reader of the output, such as `head`, closes it: that is no failure."""
+    # The interpreter flushes once more at its end.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 

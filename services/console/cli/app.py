@@ -1,4 +1,4 @@
-"""The ``he3`` command: what commands there are, and what stands in its help."""
+"""The ``he3`` command line: its commands and their place in the help."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from services.console.cli import (
     web,
 )
 
-ABOUT = """Helium-3 prospecting on the Moon: a rover, an honest map, and the light time between them.
+ABOUT = """Helium-3 prospecting on the Moon: a rover, a map with its uncertainty, and the light time to Earth.
 
 Start with: he3 demo
 """
@@ -41,22 +41,24 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
     app.callback()(_common)
-    app.command("demo", short_help="The main job: a whole mission, now.", epilog=demo.EXAMPLES)(demo.demo)
-    app.command("run", short_help="A whole mission, and a report on it.", epilog=run.EXAMPLES)(run.run)
-    app.command("up", short_help="Start the services and stay; Ctrl-C ends it.", epilog=up.EXAMPLES)(up.up)
-    app.command("status", short_help="Who is alive, where the rover is.", epilog=status.EXAMPLES)(status.status)
+    app.command("demo", short_help="Run a demonstration mission.", epilog=demo.EXAMPLES)(demo.demo)
+    app.command("run", short_help="Run a whole mission and report on it.", epilog=run.EXAMPLES)(run.run)
+    app.command("up", short_help="Start the services and keep them running.", epilog=up.EXAMPLES)(up.up)
+    app.command("status", short_help="Show processes, rover, map and link.", epilog=status.EXAMPLES)(status.status)
     app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
-    app.command("web", short_help="The operator's page, in a browser.", epilog=web.EXAMPLES)(web.web)
-    app.add_typer(map.app, name="map", help="The live map: a place, a picture, numbers.")
+    app.command("web", short_help="Serve the operator's page for a browser.", epilog=web.EXAMPLES)(web.web)
+    app.add_typer(map.app, name="map", help="The live map: a place, a picture, files, tables, an area.")
     app.add_typer(
-        time.app, name="time", help="Mission time: see it, pause it, step it, slow it down.", epilog=time.EXAMPLES
+        time.app, name="time", help="Mission time: show it, pause it, step it, limit its speed.", epilog=time.EXAMPLES
     )
-    app.add_typer(link.app, name="link", help="The link between Earth and Moon: see it, change it.")
+    app.add_typer(link.app, name="link", help="The link between Earth and Moon: show it, change it.")
     app.add_typer(command.app, name="command", help="Send the rover a telecommand.")
-    app.command("commands", short_help="What became of every telecommand.", epilog=command.EXAMPLES)(command.commands)
-    app.add_typer(reference.app, name="reference", help="The reference field of a region.")
-    app.command("replay", short_help="What a recording holds.", epilog=replay.EXAMPLES)(replay.replay)
-    app.command("schemas", short_help="JSON Schema of what goes over the wire.", epilog=schemas.EXAMPLES)(
+    app.command("commands", short_help="List the telecommands and their stages.", epilog=command.EXAMPLES)(
+        command.commands
+    )
+    app.add_typer(reference.app, name="reference", help="The reference field of a region: show it, build it.")
+    app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
+    app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
         schemas.schemas
     )
     app.add_typer(bench.app, name="bench", help="Measure against the paper, other software, the machine.")

@@ -110,7 +110,9 @@ def go_to(
     _issue("go-to", {"target_m": (x, y)}, mission, earth, command_id, expires_in, wait, timeout, json)
 
 
-@app.command("keep-out", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
+@app.command(
+    "keep-out", short_help="Close an area, or open it again.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS
+)
 def keep_out(
     area: Area,
     corners: Corners = None,

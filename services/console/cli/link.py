@@ -66,7 +66,7 @@ def _share(flag: str, what: str) -> Any:
 _seconds = within(0, MAX_DELAY_S)
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Show conditions, counts and messages in flight.", epilog=EXAMPLES)
 def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
     """Conditions, counts, and every message in flight with its arrival time."""
     from services.console.client.mission_client import MissionClient
@@ -76,7 +76,7 @@ def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> 
     _print(status, json)
 
 
-@app.command("set", epilog=EXAMPLES)
+@app.command("set", short_help="Change conditions.", epilog=EXAMPLES)
 def change(
     mission: Mission = None,
     earth: Earth = None,

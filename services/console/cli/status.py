@@ -1,4 +1,4 @@
-"""``he3 status``: which processes are alive, where the rover is, what the map is worth, what is in flight."""
+"""``he3 status``: the processes that are alive, the rover, the map and the link."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Examples:
 
 
 def status(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
-    """Which processes are alive, where the rover is, what the map is worth, what is in flight."""
+    """Show the processes that are alive, the rover, the map and the link."""
     import json as json_format
 
     from services.console.client.mission_client import MissionClient

@@ -1,4 +1,4 @@
-"""A layer drawn in a terminal: two cells a character in colour, letters of growing weight where there is none."""
+"""A layer drawn in a terminal: two cells a character in colour, or one cell as a letter of growing weight."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def _moment(text: str) -> str:
     return text
 
 
-@app.command()
+@app.command(short_help="Show mission time.")
 def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
     """The mission time, how it goes on, and which process it waits for."""
     _change(mission, earth, json)
@@ -57,7 +57,7 @@ def resume(mission: Mission = None, earth: Earth = None, json: AsJson = False) -
     _change(mission, earth, json, clock_rate=1.0, paused=False)
 
 
-@app.command()
+@app.command(short_help="Go on to the next instant, then pause.")
 def step(
     count: Annotated[
         int, typer.Argument(metavar="[N]", help="How many instants (1 to 1000000).", callback=within(1, 1_000_000))

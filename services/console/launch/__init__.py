@@ -1,1 +1,1 @@
-"""Starting a mission: its services as processes of their own, or all of its nodes in this process."""
+"""Starts a mission: its services as separate processes, or all of its nodes in this process."""

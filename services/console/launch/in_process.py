@@ -1,4 +1,4 @@
-"""A whole mission in this process, watched, and its files written."""
+"""A whole mission in this process, with its progress and its files."""
 
 from __future__ import annotations
 

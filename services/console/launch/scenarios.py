@@ -1,4 +1,4 @@
-"""The scenario that a command means, with what its flags change, and the same flags for the services' processes."""
+"""The scenario of a command with the changes of its flags, and the same flags for the services' processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Chosen:
     scenario: Scenario
     path: Path
     flags: tuple[str, ...]
-    """What a service must be given, after the path, to see the same scenario."""
+    """The flags with which a service loads the same scenario."""
 
 
 def choose(
@@ -32,7 +32,7 @@ def choose(
 ) -> Chosen:
     """The scenario of a file or of a shipped name, with seed, planner, rate and ``section.key=value`` changed.
 
-    Raises InvalidInput with one line for a scenario, a key or a value that is not right.
+    Raises InvalidInput with one line for a scenario, a key or a value that is not valid.
     """
     from services.mission.deployment import find_scenario
     from services.mission.scenario import load_scenario

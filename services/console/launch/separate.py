@@ -1,4 +1,4 @@
-"""A whole mission in separate processes over Zenoh: started, watched to its end, reported, ended."""
+"""A whole mission in separate processes over Zenoh, from the start of the services to the report."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _run_separate(
 
 
 def checked_region(scenario: Scenario) -> Region:
-    """The region of that scenario, which a mission can have: its nodes were built here, as its services will.
+    """The region of that scenario, after its nodes were built here as the services will build them.
 
     Raises InvalidInput, in one line, for a scenario that one of the services would refuse.
     """

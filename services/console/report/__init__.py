@@ -1,1 +1,1 @@
-"""What a mission leaves behind and shows on its way: progress, the report, pictures, files of numbers."""
+"""A mission's progress on the terminal, and its outputs: the report, pictures, and the map as numbers."""

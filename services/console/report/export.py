@@ -73,7 +73,7 @@ def write_csv(export: Export, path: Path) -> None:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Turns what the operating system refuses into one line."""
+    """Turns an error of the operating system into He3Error with one line."""
     try:
         yield
     except OSError as error:

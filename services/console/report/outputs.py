@@ -1,4 +1,4 @@
-"""What a finished mission leaves behind: report, pictures, recording; checked before the mission, written after it."""
+"""The outputs of a mission: report, pictures, recording; checked before the mission, written after it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOCK = ".lock"
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """Where things go; None: nowhere."""
+    """Where the outputs go; None: they are not written."""
 
     folder: Path | None
     report: Path | None
@@ -40,9 +40,9 @@ class Outputs:
 
 
 def outputs(folder: Path | None, report: Path | None, events: Path | None = None) -> Outputs:
-    """Where a mission's files go, after checking that they can go there; nothing is created.
+    """Where a mission's files go, after a check that they can be written there; nothing is created.
 
-    Raises InvalidInput for a folder that is a file, or a place where nothing may be written.
+    Raises InvalidInput for a folder that is a file, or a place without permission to write.
     """
     if folder is not None:
         if folder.exists() and not folder.is_dir():
@@ -113,7 +113,7 @@ def _remove_stale(where: Outputs, events: Path | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What is left of a mission that is over."""
+    """What was written of a mission that is over."""
 
     report: MissionReport
     """With a line on each output that could not be written."""

@@ -68,7 +68,7 @@ class MapPicture:
     title: str
     note: str
     reference_ppb: NDArray[Any] | None
-    """None where nobody knows the truth: then the belief stands alone."""
+    """None where the truth is not known: then the belief is shown alone."""
     mean_ppb: NDArray[Any]
     std_ppb: NDArray[Any]
     traversable: NDArray[np.bool_] | None

@@ -27,14 +27,16 @@ Examples:
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
-app.command("at", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)(point.at)
-app.command("show", epilog=EXAMPLES)(layer.show)
-app.command("box", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)(layer.box)
-app.command("save", epilog=EXAMPLES)(files.save)
-app.command("export", epilog=EXAMPLES)(files.export)
-app.command("resource", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)(area.resource)
-app.command("samples", epilog=EXAMPLES)(tables.samples)
-app.command("plan", epilog=EXAMPLES)(tables.plan)
-app.command("history", epilog=EXAMPLES)(tables.history)
-app.command("score", epilog=EXAMPLES)(point.score)
-app.command("follow", epilog=EXAMPLES)(feed.follow)
+app.command("at", short_help="The belief at one place.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)(point.at)
+app.command("show", short_help="A whole layer in the terminal.", epilog=EXAMPLES)(layer.show)
+app.command("box", short_help="A part of a layer.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)(layer.box)
+app.command("save", short_help="A layer as a file.", epilog=EXAMPLES)(files.save)
+app.command("export", short_help="The whole map and the samples as a file.", epilog=EXAMPLES)(files.export)
+app.command(
+    "resource", short_help="Helium-3 in an area, with intervals.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS
+)(area.resource)
+app.command("samples", short_help="The samples.", epilog=EXAMPLES)(tables.samples)
+app.command("plan", short_help="The driven and the planned path.", epilog=EXAMPLES)(tables.plan)
+app.command("history", short_help="The earlier maps.", epilog=EXAMPLES)(tables.history)
+app.command("score", short_help="Error against the reference field.", epilog=EXAMPLES)(point.score)
+app.command("follow", short_help="The map's feed, a line for each change.", epilog=EXAMPLES)(feed.follow)
