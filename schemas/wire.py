@@ -21,7 +21,10 @@ Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:-]{0,63}$")
 MissionTimeNs = Annotated[int, Field(ge=0, lt=2**63)]
 """Mission time (UTC), integer nanoseconds since 1970-01-01T00:00:00Z."""
 
-PositionM = Annotated[float, Field(ge=-1e5, le=1e5)]
+MAX_POSITION_M = 1e5
+"""Largest coordinate that messages hold [m]: no site is longer on a side."""
+
+PositionM = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
 """A site coordinate [m]."""
 
 Text = Annotated[str, Field(max_length=500)]

@@ -27,7 +27,8 @@ from he3.trend import OrbitalTrend
 PRIOR_MEAN_PPB = 7.5
 PRIOR_SCALE_PPB = 4.0
 PRIOR_KERNEL = "matern52"  # where the kernel is left to the evidence, and there is none yet
-SANE_PPB = (-1e3, HELIUM3_MAX_PPB)  # no instrument says less, no soil holds more
+BELOW_ZERO_PPB = 1e3  # an instrument may read so far below zero, or beyond what a soil can hold
+NOISE_STDS = 10.0  # or so many standard deviations of its noise: of honest readings none is lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +129,8 @@ class Belief:
         """
         if sample_id in self._observations:
             return False
-        low, high = SANE_PPB
+        margin = max(BELOW_ZERO_PPB, NOISE_STDS * self._noise_std_ppb)
+        low, high = -margin, HELIUM3_MAX_PPB + margin
         if not (isfinite(observation.value_ppb) and low <= observation.value_ppb <= high):
             raise InvalidInput(f"sample {sample_id}: expected {low:g} to {high:g} ppb, got {observation.value_ppb:g}")
         self.grid.cells_of(np.array([observation.place_m], dtype=np.float64))

@@ -82,7 +82,16 @@ class RoundPlanning:
     def _request(
         self, number: int, start_m: Place, samples: int, remaining: RemainingBudget, pending: Sequence[PlannedSample]
     ) -> PlanningRequest:
-        ground = self._scenario.ground
+        ground, cell_m = self._scenario.ground, self._grid.resolution_m
+        # A tree whose edges are shorter than a cell would need thousands of them to cross the site.
+        tree = PlannerOptions()
+        options = replace(
+            tree,
+            step_m=max(tree.step_m, cell_m),
+            goal_tolerance_m=max(tree.goal_tolerance_m, cell_m),
+            clearance_m=ground.clearance_m,
+            information_exponent=ground.information_exponent,
+        )
         seed = np.random.SeedSequence((self._scenario.seed, _SEED, number, self.revision + 1, self._attempt))
         return PlanningRequest(
             grid=self._grid,
@@ -96,7 +105,7 @@ class RoundPlanning:
             budget_m=remaining.metres,
             seed=int(seed.generate_state(1)[0]),
             interest=self._interests.weights,
-            options=PlannerOptions(clearance_m=ground.clearance_m, information_exponent=ground.information_exponent),
+            options=options,
             outlook_m=self._outlook_m,
         )
 

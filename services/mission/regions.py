@@ -18,6 +18,7 @@ from he3.frames import FloatArray, SiteGrid
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
 from he3.terrain import relief_m, slope_deg, traversable
 from schemas.maps import MAX_CELLS
+from schemas.wire import MAX_POSITION_M
 
 # Name of a region -> its coarse rasters in this package. They are synthetic stand-ins, and their file names say so.
 EMBEDDED: Final[Mapping[str, str]] = {
@@ -72,6 +73,9 @@ def _region_from_file(path: Path) -> Region:
         raise InvalidInput(f"{path}: key he3_ppb: expected 0 to {HELIUM3_MAX_PPB:g} ppb, got {low:g} to {high:g}")
     resolution_m = _resolution_m(path, arrays)
     grid = SiteGrid(he3.shape[0], he3.shape[1], resolution_m)
+    if max(grid.width_m, grid.height_m) > MAX_POSITION_M:
+        raise InvalidInput(f"{path}: expected a site of at most {MAX_POSITION_M / 1000:g} km on a side, got "
+                           f"{grid.width_m / 1000:g} x {grid.height_m / 1000:g} km")  # fmt: skip
     elevation = _layer(path, arrays, "elevation_m", he3.shape)
     open_cells = _open_cells(path, arrays, he3.shape)
     orbital = _layer(path, arrays, "orbital_ppb", he3.shape)

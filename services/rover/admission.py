@@ -16,6 +16,7 @@ from services.rover.keep_outs import KeepOuts
 
 JOIN_TOLERANCE_M: Final = 2.0  # m between where a round begins and where the rover will be
 MAX_ROUND_M: Final = 50_000.0  # m of path in one round; more is an error: a whole mission drives 20 km
+MAX_ROUND_SIDES: Final = 100.0  # of a site so large that this allows more, times its longer side
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +76,9 @@ def _admit_round(planned: RoundPlan, start: Place, admission: Admission) -> tupl
     if stray is not None:
         return f"round {planned.round}: {stray}"
     length = sum(math.dist(a, b) for a, b in zip(planned.path_m, planned.path_m[1:], strict=False))
-    if length > MAX_ROUND_M:
-        return f"round {planned.round}: expected a path of at most {MAX_ROUND_M:g} m, got {length:.0f} m"
+    longest = max(MAX_ROUND_M, MAX_ROUND_SIDES * max(admission.site.width_m, admission.site.height_m))
+    if length > longest:
+        return f"round {planned.round}: expected a path of at most {longest:g} m, got {length:.0f} m"
     legs = legs_of(planned)
     if isinstance(legs, str):
         return legs

@@ -120,6 +120,16 @@ def test_the_map_of_a_wide_region_learns_a_length_scale_longer_than_500_m() -> N
     assert float(np.sqrt(np.mean((belief.map.mean_ppb - truth) ** 2))) < 0.25 * float(truth.std())
 
 
+def test_honest_readings_of_a_noisy_instrument_are_all_taken_whatever_their_sign() -> None:
+    noise_ppb = 1000.0
+    belief = Belief(GRID, "matern52", noise_ppb)
+    for number, value in enumerate(np.random.default_rng(3).normal(8.0, noise_ppb, 40)):
+        belief.add(f"s{number}", Observation((1, 1, number), (float(number) + 0.5, 10.0), float(value)))
+    assert len(belief) == 40
+    with pytest.raises(InvalidInput, match=r"expected -10000 to 1\.01e\+06 ppb, got -10001"):
+        belief.add("low", Observation((1, 1, 40), (1.0, 1.0), -10_001.0))
+
+
 def test_without_a_sample_there_is_nothing_to_fit() -> None:
     assert Belief(GRID, "se", NOISE).fit_request(1, (1,)) is None
 

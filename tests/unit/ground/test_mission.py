@@ -672,7 +672,7 @@ def sample_report(**changes: object) -> SampleReport:
     [
         ({"sample_id": "r77s1"}, "expected one that was planned"),
         ({"x_m": 61.0}, "expected a place within"),
-        ({"helium3_ppb": 1e9}, "expected -1000 to 1e+06 ppb"),
+        ({"helium3_ppb": 1e9}, "expected -1000 to 1.001e+06 ppb"),
     ],
 )
 def test_a_sample_that_cannot_be_is_left_out_and_changes_nothing(changes: dict[str, object], complaint: str) -> None:

@@ -281,6 +281,14 @@ def test_a_region_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
         load_region(path)
 
 
+def test_a_site_longer_than_messages_can_tell_is_refused(tmp_path: Path) -> None:
+    open_cells = np.ones((30, 101), dtype=bool)
+    cells = {"he3_ppb": np.full((30, 101), 8.0), "elevation_m": None, "orbital_ppb": None, "traversable": open_cells}
+    with pytest.raises(InvalidInput, match=r"expected a site of at most 100 km on a side, got 101 x 30 km"):
+        load_region(saved(tmp_path / "long.npz", **cells, resolution_m=1000.0))
+    assert load_region(saved(tmp_path / "long.npz", **cells, resolution_m=990.0)).grid.columns == 101
+
+
 def test_an_archive_that_would_unpack_to_too_much_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "bomb.npz"
     header = io.BytesIO()
