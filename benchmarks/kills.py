@@ -39,7 +39,6 @@ from services.mission.deployment import find_scenario
 from services.mission.processes import LINK, VITAL, waited_for
 from services.mission.scenario import Scenario, load_scenario
 from services.runtime.child import child_environment, python_command
-from services.runtime.inputs import MessageArrived
 from services.runtime.journal import JournalReader, identity_of
 from services.runtime.options import parse_setting, with_settings
 from services.runtime.transport.client import Client
@@ -221,9 +220,9 @@ class Mission:
         reported: dict[str, set[tuple[int, int]]] = {}
         for path in sorted(self._folder.glob("ground-*.mcap")):
             with path.open("rb") as stream:
-                for _, given in JournalReader(stream, identity, str(path)):
-                    if isinstance(given, MessageArrived) and given.topic is SAMPLE:
-                        header, body = decode(SAMPLE, given.payload, self.scenario.name)
+                for record in JournalReader(stream, identity, str(path)):
+                    if record.channel == f"message/{SAMPLE.name}":
+                        header, body = decode(SAMPLE, record.data, self.scenario.name)
                         told = (header.incarnation, header.sequence)
                         reported.setdefault(body.sample_id, set()).add(told)
         return reported

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
-from typing import Any
 
 from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestChange, InterestList, MissionTrack, Presence
@@ -80,12 +78,6 @@ class Topic:
     reply: type[Wire] | None = None
     max_bytes: int = 16_384
     max_reply_bytes: int = 1_048_576
-
-    def __reduce__(self) -> tuple[Callable[..., Topic], tuple[Any, ...]]:
-        """Pickled, a row of the table comes back as that very row."""
-        if BY_NAME.get(self.name) is self:
-            return _row, (self.name,)
-        return Topic, tuple(getattr(self, each.name) for each in fields(self))
 
     def key(self, mission: str) -> str:
         """The Zenoh key expression of this topic in that mission."""
@@ -203,10 +195,6 @@ TOPICS: tuple[Topic, ...] = (
 
 BY_NAME: dict[str, Topic] = {topic.name: topic for topic in TOPICS}
 """Every topic, by its name (the key without root and mission)."""
-
-
-def _row(name: str) -> Topic:
-    return BY_NAME[name]
 
 
 def topic_of(key: str, mission: str) -> Topic | None:

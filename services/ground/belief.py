@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
 from he3.kernels import AUTO, kernel_from
 from he3.posterior.grid import GridPosterior, PosteriorMap
 from he3.trend import OrbitalTrend
+from services.runtime.state_codec import SavedState
 
 # Before the first sample the map says what is known of lunar soils: the site means of six landing sites lie at 1.4 to
 # 15.1 ppb [assumed; see the facts on helium-3].
@@ -91,10 +91,6 @@ class Belief:
         self._posterior: GridPosterior | None = GridPosterior(grid, prior, threads=MAP_THREADS)
         self._map, self._process = self._posterior.snapshot(), self._posterior.process
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Everything but what takes a gigabyte to keep and a moment to make again, to the byte."""
-        return {**vars(self), "_posterior": None}
 
     def __len__(self) -> int:
         """Number of measurements in the map."""
@@ -182,3 +178,20 @@ class Belief:
 
     def _in_order(self) -> list[Observation]:
         return sorted(self._observations.values(), key=lambda observed: observed.planned)
+
+    # --- checkpoints ------------------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> SavedState:
+        """All of it but the posterior, as named parts: that would be a gigabyte, and is made again to the byte."""
+        return {
+            "observations": dict(self._observations),
+            "map": self._map,
+            "process": self._process,
+            "built": self._built,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the belief that had this state."""
+        self._observations, self._built = state["observations"], state["built"]
+        self._map, self._process = state["map"], state["process"]
+        self._posterior = None

@@ -8,6 +8,7 @@ from math import ceil, inf, pi, radians, tan
 
 from services.mission.scenario import Scenario
 from services.runtime.node import SECOND, MissionTime
+from services.runtime.state_codec import SavedState
 
 TOUR_CONSTANT = 0.7124
 """Length of the shortest tour through n random places in an area A is about this times sqrt(n A)
@@ -117,3 +118,13 @@ class Budget:
             half = (least + most) / 2
             least, most = (half, most) if fits(half, samples) else (least, half)
         return RemainingBudget(samples, min(metres, least))
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "charge_wh": self._charge_wh,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the budget that had this state."""
+        self._charge_wh = state["charge_wh"]

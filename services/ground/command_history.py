@@ -14,6 +14,7 @@ from schemas.link import LinkStatus
 from schemas.topics import COMMAND
 from services.ground.terrain import closes_nothing
 from services.runtime.node import SECOND, MissionTime, seconds
+from services.runtime.state_codec import SavedState
 
 MAX_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
 MAX_LISTED = 300  # commands in a list, the newest; with the largest polygons it stays under the size of a reply
@@ -179,3 +180,15 @@ class CommandHistory:
     def listed(self) -> tuple[CommandStatus, ...]:
         """The newest commands with their stages, in the order in which they were issued."""
         return tuple(self._statuses.values())[-MAX_LISTED:]
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "statuses": dict(self._statuses),
+            "sent": list(self._sent),
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the history that had this state."""
+        self._statuses = state["statuses"]
+        self._sent = state["sent"]

@@ -9,7 +9,7 @@ What is known is kept by the parts that the director is made of: belief, terrain
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -22,7 +22,7 @@ from schemas.ground import InterestChange
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
 from schemas.topics import PLAN
-from services.ground.belief import Belief
+from services.ground.belief import Belief, fit
 from services.ground.budget import Budget, RemainingBudget
 from services.ground.excursions import Excursions
 from services.ground.interests import InterestAreas
@@ -39,6 +39,7 @@ from services.ground.samples import Refused, Repeated, SampleIntake, Unplanned
 from services.ground.terrain import GroundTerrain, leads_through
 from services.mission.scenario import Scenario
 from services.runtime.node import Effect, Finish, Level, LogRecord, MissionTime, Send, SetTimer, seconds
+from services.runtime.state_codec import SavedState, Stateful
 
 MAX_FRUITLESS = 40  # rounds in a row from which no sample came
 MAX_ROUNDS = 9_000  # in all; a plan can number 10,000
@@ -96,6 +97,22 @@ class Director:
         self._detail = ""
         self._next_start_m: Place | None = scenario.start_m
         """Where the next round begins if not at the end of the chain."""
+        self._stateful: dict[str, Stateful] = {
+            "belief": belief,
+            "terrain": terrain,
+            "round_log": round_log,
+            "samples": samples,
+            "refits": refits,
+            "planning": planning,
+            "budget": budget,
+            "interests": interests,
+            "rover": self._rover,
+            "obstacles": self._obstacles,
+            "excursions": self._excursions,
+            "rejections": self._rejections,
+            "end": self._end,
+        }
+        """The parts of which the director is made, each with a state of its own."""
 
     # --- what is reported -------------------------------------------------------------------------------------------
 
@@ -423,6 +440,24 @@ class Director:
         finish = self._end.over(len(self._belief), self._scenario.samples, self._detail)
         self._detail = finish.why
         return finish
+
+    # --- checkpoints ------------------------------------------------------------------------------------------------
+
+    @property
+    def functions(self) -> dict[str, Callable[..., Any]]:
+        """The functions that its computations run, by name."""
+        return {"fit": fit, **self._planning.functions}
+
+    def checkpoint(self) -> SavedState:
+        """The state of each part by its name, and the director's own."""
+        parts = {name: part.checkpoint() for name, part in self._stateful.items()}
+        return {**parts, "detail": self._detail, "next_start_m": self._next_start_m}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the director that had this state."""
+        for name, part in self._stateful.items():
+            part.restore(state[name])
+        self._detail, self._next_start_m = state["detail"], state["next_start_m"]
 
 
 def _warning(text: str) -> LogRecord:

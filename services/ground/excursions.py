@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from services.runtime.state_codec import SavedState
+
 
 class Excursions:
     """The go-to and return-to-start commands that the rover has begun and not ended."""
@@ -23,3 +25,13 @@ class Excursions:
             return False
         self._commands.discard(command_id)
         return True
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "commands": set(self._commands),
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the excursions that had this state."""
+        self._commands = state["commands"]

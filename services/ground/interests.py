@@ -11,6 +11,7 @@ from he3.frames import BoolArray, Place, SiteGrid
 from schemas.ground import InterestArea, InterestChange, InterestList
 from services.ground.terrain import holds_nothing, interest_weights, worth_nothing
 from services.mission.scenario import InterestRegion
+from services.runtime.state_codec import SavedState
 
 MAX_AREAS = 100
 
@@ -77,3 +78,12 @@ class InterestAreas:
 
     def _weights_of(self, areas: _Areas) -> NDArray[np.float32] | None:
         return interest_weights(self._grid, list(areas.values()))
+
+    def checkpoint(self) -> SavedState:
+        """The areas, as a named part."""
+        return {"areas": self._areas}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the areas that had this state."""
+        self._areas = state["areas"]
+        self._weights = self._weights_of(self._areas)

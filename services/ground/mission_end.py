@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from services.runtime.node import Finish
+from services.runtime.state_codec import SavedState
 
 
 class MissionEnd:
@@ -55,3 +56,21 @@ class MissionEnd:
             why += f"; {self._exhausted or detail or 'the rover has completed its plan'}"
         self.finish = Finish(ok=not self._failed, why=why)
         return self.finish
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "finish": self.finish,
+            "last_sent": self._last_sent,
+            "completed": self._completed,
+            "exhausted": self._exhausted,
+            "failed": self._failed,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the end that had this state."""
+        self.finish = state["finish"]
+        self._last_sent = state["last_sent"]
+        self._completed = state["completed"]
+        self._exhausted = state["exhausted"]
+        self._failed = state["failed"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from services.ground.scoring import Scorer
 from services.ground.silence import SilenceWatch
 from services.ground.stall_guard import STALL_QUERY, StallGuard
 from services.ground.stall_watch import StallWatch
+from services.ground.state_types import STATE_TYPES
 from services.ground.status import StatusReporter
 from services.ground.telecommands import LOOK_QUERY, LOOK_TIMER, LOST_TIMER, TelecommandHandler
 from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing, interest_weights, worth_nothing
@@ -65,6 +67,7 @@ from services.runtime.node import (
     TimerFired,
     seconds,
 )
+from services.runtime.state_codec import SavedState, Stateful
 
 NAME = "ground"
 STATUS_TIMER = "status"
@@ -96,6 +99,15 @@ class GroundNode:
         self._stall = stall
         self._status_period = seconds(status_period_s)
         self._begun = False
+        self._stateful: dict[str, Stateful] = {
+            "director": director,
+            "telecommands": telecommands,
+            "publisher": publisher,
+            "status": status,
+            "silence": silence,
+            "stall": stall,
+        }
+        """The parts with a state of their own; what else there is belongs to the director."""
 
     @property
     def interface(self) -> Interface:
@@ -206,6 +218,28 @@ class GroundNode:
         effects = self._director.set_interest(change, now)
         yield SendReply(token, self._interests.listed())
         yield from effects
+
+    # --- checkpoints ------------------------------------------------------------------------------------------------
+
+    @property
+    def state_types(self) -> tuple[type, ...]:
+        """What the state is made of, beside plain values."""
+        return STATE_TYPES
+
+    @property
+    def functions(self) -> dict[str, Callable[..., Any]]:
+        """The functions that are computed elsewhere, by name."""
+        return self._director.functions
+
+    def checkpoint(self) -> SavedState:
+        """The state of each part by its name, and the node's own."""
+        return {**{name: part.checkpoint() for name, part in self._stateful.items()}, "begun": self._begun}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the ground station that had this state."""
+        for name, part in self._stateful.items():
+            part.restore(state[name])
+        self._begun = state["begun"]
 
 
 def _nothing_to_do(event: Event) -> LogRecord:

@@ -9,6 +9,7 @@ import numpy as np
 from he3.frames import Place
 from schemas.telemetry import RoverEvent
 from services.ground.terrain import GroundTerrain
+from services.runtime.state_codec import SavedState
 
 MARGIN_M = 1.5  # radius of the disc that is closed at an obstacle: the rover sees it from one side only
 SAME_OBSTACLE_M = 8.0  # obstacles met within this distance of each other are taken for one
@@ -33,3 +34,13 @@ class MetObstacles:
         before = sum(hypot(x - obstacle[0], y - obstacle[1]) < SAME_OBSTACLE_M for x, y in self._met)
         self._met.append(obstacle)
         self._terrain.block(obstacle, MARGIN_M * min(2**before, LARGEST), (event.x_m, event.y_m))
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "met": list(self._met),
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the obstacles that had this state."""
+        self._met = state["met"]

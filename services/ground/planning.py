@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from services.ground.round_plans import PlanningTask, round_plan, sample_id
 from services.ground.terrain import GroundTerrain
 from services.mission.scenario import Scenario
 from services.runtime.node import Compute
+from services.runtime.state_codec import SavedState
 
 MAX_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
 MAX_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came
@@ -56,6 +58,12 @@ class RoundPlanning:
         self._tasks = 0
         self._attempt = 0
         self._outlook_m: FloatArray | None = None
+
+    @property
+    def functions(self) -> dict[str, Callable[..., Any]]:
+        """The functions that a planning task refers to, by name."""
+        named: dict[str, Callable[..., Any]] = {"run_planner": run_planner}
+        return named if isinstance(self._planner, str) else {**named, "planner": self._planner}
 
     @property
     def busy(self) -> bool:
@@ -146,6 +154,24 @@ class RoundPlanning:
             return False
         self._attempt = 0
         return True
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "revision": self.revision,
+            "task": self._task,
+            "tasks": self._tasks,
+            "attempt": self._attempt,
+            "outlook_m": self._outlook_m,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the planning that had this state."""
+        self.revision = state["revision"]
+        self._task = state["task"]
+        self._tasks = state["tasks"]
+        self._attempt = state["attempt"]
+        self._outlook_m = state["outlook_m"]
 
 
 def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) -> PlannedRound:

@@ -8,6 +8,7 @@ from he3.gp import Hyperparameters
 from services.ground.belief import Belief, fit
 from services.ground.round_log import RoundLog
 from services.runtime.node import Compute, Effect, Level, LogRecord
+from services.runtime.state_codec import SavedState
 
 _SEED = 1  # tells the seeds of fits from those of plans
 
@@ -52,3 +53,15 @@ class RefitSchedule:
             self._belief.adopt(result)
             return []
         return [LogRecord(Level.WARNING, f"{job}: the hyperparameters stay as they were: {error}")]
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "job": self._job,
+            "rounds": self.rounds,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the schedule that had this state."""
+        self._job = state["job"]
+        self.rounds = state["rounds"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from services.runtime.node import MissionTime, seconds
+from services.runtime.state_codec import SavedState
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 30.0, 3600.0  # from the second rejection in a row until the next planning
 MAX_REJECTIONS = 10  # plans in a row that the rover may reject
@@ -37,3 +38,15 @@ class PlanRejections:
     def waiting(self, now: MissionTime) -> bool:
         """Whether planning has to wait."""
         return now < self._not_before
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "in_a_row": self.in_a_row,
+            "not_before": self._not_before,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the rejections that had this state."""
+        self.in_a_row = state["in_a_row"]
+        self._not_before = state["not_before"]

@@ -15,6 +15,7 @@ from he3.frames import FloatArray, Place
 from schemas.plans import PlannedSample, RoundPlan, Waypoint
 from services.ground.budget import Committed
 from services.runtime.node import MissionTime
+from services.runtime.state_codec import SavedState
 
 
 @dataclass(slots=True, eq=False)
@@ -115,6 +116,21 @@ class RoundRecord:
         x, y = (float(np.interp(self.reached_m, self._arc_m, self._path_m[:, axis])) for axis in (0, 1))
         return whole, (x, y)
 
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "plan": self.plan,
+            "introduced": self.introduced,
+            "begun": self.begun,
+            "ended": self.ended,
+            "ended_early": self.ended_early,
+            "ended_at": self.ended_at,
+            "settled": set(self.settled),
+            "arrived": self.arrived,
+            "done": set(self.done),
+            "reached_m": self.reached_m,
+        }
+
 
 class RoundLog:
     """The chain of rounds that is in force, and every version that was ever sent."""
@@ -131,9 +147,12 @@ class RoundLog:
         record = RoundRecord(plan, revision)
         self.chain.append(record)
         self._versions.append(record)
-        for index, planned in enumerate(plan.samples):
-            self._of_sample[planned.sample_id] = (record, index)
+        self._number_samples(record)
         return record
+
+    def _number_samples(self, record: RoundRecord) -> None:
+        for index, planned in enumerate(record.plan.samples):
+            self._of_sample[planned.sample_id] = (record, index)
 
     @property
     def next_number(self) -> int:
@@ -244,3 +263,24 @@ class RoundLog:
                 before.pop()
         self.chain = [*before, record]
         return True
+
+    # --- checkpoints ------------------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts; the chain as places in the list of all versions."""
+        place = {id(record): number for number, record in enumerate(self._versions)}
+        return {
+            "versions": [record.checkpoint() for record in self._versions],
+            "chain": [place[id(record)] for record in self.chain],
+            "paths_of": self._paths_of,
+            "paths": self._paths,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the round log that had this state."""
+        self._versions = [RoundRecord(**record) for record in state["versions"]]
+        self.chain = [self._versions[number] for number in state["chain"]]
+        self._paths_of, self._paths = state["paths_of"], state["paths"]
+        self._of_sample = {}
+        for record in self._versions:
+            self._number_samples(record)

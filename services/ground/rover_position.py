@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from he3.frames import Place
 from services.runtime.node import MissionTime
+from services.runtime.state_codec import SavedState
 
 
 class RoverPosition:
@@ -32,3 +33,17 @@ class RoverPosition:
     def sent_to(self, place_m: Place) -> None:
         """The operator has sent the rover to that place, and it has arrived."""
         self.place_m = place_m
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "place_m": self.place_m,
+            "driven_m": self.driven_m,
+            "made_at": self._made_at,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the position that had this state."""
+        self.place_m = state["place_m"]
+        self.driven_m = state["driven_m"]
+        self._made_at = state["made_at"]

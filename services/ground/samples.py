@@ -8,6 +8,7 @@ from he3.errors import He3Error
 from schemas.telemetry import SampleReport
 from services.ground.belief import Belief, Observation
 from services.ground.round_log import RoundLog, RoundRecord
+from services.runtime.state_codec import SavedState
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,3 +75,15 @@ class SampleIntake:
         record.settled.add(report.sample_id)
         record.arrived += 1
         return Taken(record)
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "refused": set(self._refused),
+            "reports": list(self._reports),
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the intake that had this state."""
+        self._refused = state["refused"]
+        self._reports = state["reports"]

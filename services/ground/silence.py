@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from services.runtime.node import SECOND, Level, LogRecord, MissionTime, seconds
+from services.runtime.state_codec import SavedState
 
 
 class SilenceWatch:
@@ -34,3 +35,15 @@ class SilenceWatch:
         self.silent = True
         since_s = (now - self._heard_at) / SECOND
         return [LogRecord(Level.WARNING, f"nothing heard of the rover for {since_s:.0f} s")]
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "heard_at": self._heard_at,
+            "silent": self.silent,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the watch that had this state."""
+        self._heard_at = state["heard_at"]
+        self.silent = state["silent"]

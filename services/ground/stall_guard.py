@@ -11,6 +11,7 @@ from services.ground.director import Director
 from services.ground.silence import SilenceWatch
 from services.ground.stall_watch import StallWatch
 from services.runtime.node import Effect, MissionTime, SendQuery
+from services.runtime.state_codec import SavedState
 
 STALL_QUERY = "link-of-a-stalled-mission"
 
@@ -53,3 +54,12 @@ class StallGuard:
             yield from self._director.give_up(
                 self._watch.why(now, self._rover, silent_s, progress.plan_revision, progress.detail)
             )
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {"watch": self._watch.checkpoint(), "rover": self._rover, "asked": self._asked}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the guard that had this state."""
+        self._watch.restore(state["watch"])
+        self._rover, self._asked = state["rover"], state["asked"]

@@ -17,6 +17,7 @@ from schemas.link import DirectionConditions, LinkStatus
 from schemas.telemetry import RoverMode, RoverState
 from services.mission.scenario import Scenario
 from services.runtime.node import SECOND, MissionTime, seconds
+from services.runtime.state_codec import SavedState
 
 CONTACT_PERIODS = 3  # that must pass without progress
 ROUND_TRIPS = 10  # that must pass: a plan goes up, its first sample comes down, each repeated a few times
@@ -124,6 +125,23 @@ class StallWatch:
         closes = [self._start + seconds(window.closes_s) for window in self._conditions.windows]
         over = sum(self._since < each <= now for each in closes)
         return over >= CONTACT_PERIODS or all(each <= now for each in closes)
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "conditions": self._conditions,
+            "ticked_at": self._ticked_at,
+            "waited": self._waited,
+            "since": self._since,
+            "work": self._work,
+            "most_wh": self._most_wh,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the watch that had this state."""
+        self._conditions, self._ticked_at = state["conditions"], state["ticked_at"]
+        self._waited, self._since = state["waited"], state["since"]
+        self._work, self._most_wh = state["work"], state["most_wh"]
 
 
 def _link_s(direction: DirectionConditions) -> float:

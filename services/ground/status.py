@@ -13,6 +13,7 @@ from services.ground.map.publisher import MapPublisher
 from services.ground.silence import SilenceWatch
 from services.mission.scenario import Scenario
 from services.runtime.node import MissionTime, Send
+from services.runtime.state_codec import SavedState
 
 
 class StatusReporter:
@@ -82,3 +83,17 @@ class StatusReporter:
         if self._silence.silent and progress.ended is None:
             return f"the rover is silent; {progress.detail}" if progress.detail else "the rover is silent"
         return progress.detail
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "rover": self._rover,
+            "rover_made_at": self._rover_made_at,
+            "sent": self._sent,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the reporter that had this state."""
+        self._rover = state["rover"]
+        self._rover_made_at = state["rover_made_at"]
+        self._sent = state["sent"]

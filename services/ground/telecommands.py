@@ -25,6 +25,7 @@ from services.runtime.node import (
     SetTimer,
     seconds,
 )
+from services.runtime.state_codec import SavedState
 
 LOOK_QUERY, LOOK_TIMER = "commands-on-the-link", "look"
 LOST_TIMER = "lost:"
@@ -129,3 +130,11 @@ class TelecommandHandler:
             yield from self._director.excursion_ended(command.command_id, target, now)
         elif stage in ENDS:
             yield from self._director.excursion_ended(command.command_id, None, now)
+
+    def checkpoint(self) -> SavedState:
+        """The command history, as named parts."""
+        return self._history.checkpoint()
+
+    def restore(self, state: SavedState) -> None:
+        """Become the handler that had this state."""
+        self._history.restore(state)

@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, Place, SiteGrid
+from services.runtime.state_codec import SavedState
 
 _BOUNDARY_STEP_CELLS = 0.25  # a polygon's edge is followed in such steps, so that it misses corners of cells at most
 BESIDE_TRACK_M = 2.5  # no further from the end of its known track, a rover is taken to stand on it
@@ -141,6 +142,23 @@ class GroundTerrain:
         self._bare = bare
         self._open = ~ndimage.binary_dilation(~bare, structure=self._footprint) if self._footprint.size > 1 else bare
         self._open.setflags(write=False)
+
+    # --- checkpoints ------------------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> SavedState:
+        """All that is not the region's, as named parts."""
+        return {
+            "areas": dict(self._areas),
+            "obstacles": dict(self._obstacles),
+            "met": self._met,
+            "bare": self._bare,
+            "open": self._open,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the terrain that had this state."""
+        self._areas, self._obstacles, self._met = state["areas"], state["obstacles"], state["met"]
+        self._bare, self._open = state["bare"], state["open"]
 
 
 def cell_of(grid: SiteGrid, place_m: Place) -> tuple[int, int]:

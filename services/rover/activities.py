@@ -11,6 +11,7 @@ from schemas.commands import Telecommand
 from schemas.plans import PlannedSample, RoundPlan
 from services.rover.drill import Borehole
 from services.rover.geometry import nearest_fraction, squared_distance
+from services.runtime.state_codec import SavedState
 
 SAMPLE_TOLERANCE_M: Final = 0.5  # m; how far a sample may lie beside its path. The rover drives to the sample itself.
 _SAME_PLACE_M: Final = 1e-6
@@ -108,3 +109,23 @@ class Activity:
             if leg.path_m:
                 return leg.path_m[-1]
         return None
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "legs": self.legs,
+            "round": self.round,
+            "revision": self.revision,
+            "command": self.command,
+            "leg": self.leg,
+            "vertex": self.vertex,
+            "borehole": None if self.borehole is None else self.borehole.checkpoint(),
+            "measured": list(self.measured),
+            "exempt_keep_outs": set(self.exempt_keep_outs),
+        }
+
+    @classmethod
+    def restored(cls, state: SavedState) -> Activity:
+        """The activity that had this state."""
+        borehole = state["borehole"]
+        return cls(**{**state, "borehole": None if borehole is None else Borehole(**borehole)})

@@ -9,6 +9,7 @@ from typing import Final
 from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
 from schemas.wire import Header
 from services.runtime.node import MissionTime
+from services.runtime.state_codec import SavedState
 
 MAX_WAITING: Final = 32
 MAX_REMEMBERED: Final = 10_000  # commands whose ids are kept; a mission sends hundreds
@@ -73,6 +74,16 @@ class CommandRegistry:
             return f"{newest[1]} was made later and came first"
         self._newest[subject] = (made, f"{command.kind} {command.command_id}")
         return None
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {"waiting": deque(self.waiting), "known": dict(self._known), "newest": dict(self._newest)}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the registry that had this state."""
+        self.waiting = state["waiting"]
+        self._known = OrderedDict(state["known"])
+        self._newest = state["newest"]
 
 
 def is_past(command: Telecommand, now: MissionTime) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from schemas.plans import PlannedSample
+from services.runtime.state_codec import SavedState
 
 _ROUNDING_M: Final = 1e-9  # m; a last bite shallower than this is rounding, not drilling
 
@@ -29,3 +30,7 @@ class Borehole:
     def begun(cls, sample: PlannedSample, bite_m: float) -> Borehole:
         """A borehole of the sample's depth with nothing drilled yet."""
         return cls(sample, list(bites_m(sample.depth_m, bite_m)))
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {"sample": self.sample, "bites_left_m": list(self.bites_left_m), "analysed": self.analysed}

@@ -23,10 +23,11 @@ from services.rover.schedule import Schedule
 from services.rover.states import Hold, Trigger
 from services.rover.vehicle import Vehicle
 from services.runtime.node import MissionTime
+from services.runtime.state_codec import SavedState
 
 
 @dataclass(frozen=True, slots=True)
-class _Scan:
+class Scan:
     """A section that waits for the reply to its scan."""
 
     section: PathSection
@@ -59,7 +60,7 @@ class Driving:
         self._schedule = schedule
         self._instruments = instruments
         self._reporter = reporter
-        self._scan: _Scan | None = None
+        self._scan: Scan | None = None
 
     def advance(self, activity: Activity, now: MissionTime) -> bool:
         """Scans the next section of the activity's leg; False if the rover is at the leg's end already."""
@@ -81,7 +82,7 @@ class Driving:
             self._stop_before(activity, now, f"the way enters keep-out {name}", place)
             return
         pattern = self._planner.pattern(section)
-        self._scan = _Scan(section, pattern)
+        self._scan = Scan(section, pattern)
         self._operating.enter(Trigger.SCAN, now)
         self._instruments.ask(TERRAIN, TerrainRequest(points_m=pattern.points_m))
 
@@ -115,3 +116,11 @@ class Driving:
         self._reporter.report_activity(EventKind.BLOCKED, activity, now, why, obstacle_m)
         self._schedule.abandon(now, why)
         self._operating.hold_for(Hold.TERRAIN, now, why)
+
+    def checkpoint(self) -> SavedState:
+        """The section that waits for its scan, as a named part."""
+        return {"scan": self._scan}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the driving that had this state."""
+        self._scan = state["scan"]

@@ -36,6 +36,7 @@ from services.rover.states import ENDED_BY_PLAN, State, Trigger
 from services.rover.vehicle import Vehicle
 from services.rover.watchdog import Watchdog
 from services.runtime.node import Effect, Finish, Level, LogRecord, MissionTime, NoReply, SetTimer
+from services.runtime.state_codec import SavedState, Stateful
 
 STEP: Final = "step"
 """Timer: the drive, the bite or the analysis under way is done."""
@@ -63,18 +64,18 @@ class Executive:
         self._watchdog = Watchdog(config.watchdog_s, self._operating, effects)
         self._instruments = Instruments(config.instrument_retry_s, self._reporter, effects)
         areas = KeepOuts(config.footprint_radius_m, keep_outs or {})
-        commands = CommandRegistry()
+        registry = CommandRegistry()
         self._schedule = Schedule(
             site=site,
             vehicle=self._vehicle,
             keep_outs=areas,
             plan_queue=self._plan_queue,
-            commands=commands,
+            commands=registry,
             reporter=self._reporter,
             effects=effects,
         )
         controls = Controls(site, self._vehicle, areas, self._operating, self._schedule)
-        self._commands = CommandHandlers(controls, commands, self._reporter, effects)
+        self._commands = CommandHandlers(controls, registry, self._reporter, effects)
         self._driving = Driving(
             config,
             site,
@@ -98,6 +99,17 @@ class Executive:
             effects=effects,
         )
         self._bite_m = config.bite_m
+        self._stateful: dict[str, Stateful] = {
+            "vehicle": self._vehicle,
+            "plan_queue": self._plan_queue,
+            "operating": self._operating,
+            "instruments": self._instruments,
+            "keep_outs": areas,
+            "registry": registry,
+            "schedule": self._schedule,
+            "driving": self._driving,
+        }
+        """The parts with a state of their own; the others only use these."""
 
     # --- what it reports ------------------------------------------------------------------------------------------
 
@@ -231,3 +243,14 @@ class Executive:
         """The battery holds enough energy again: the rover continues where it stopped."""
         if self._energy.charged(now):
             self._proceed(now)
+
+    # --- checkpoints ----------------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> SavedState:
+        """The state of each part, by its name."""
+        return {name: part.checkpoint() for name, part in self._stateful.items()}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the executive that had this state."""
+        for name, part in self._stateful.items():
+            part.restore(state[name])

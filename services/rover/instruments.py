@@ -10,6 +10,7 @@ from schemas.topics import Topic
 from schemas.wire import Wire
 from services.rover.reporter import Reporter
 from services.runtime.node import Effect, MissionTime, SendQuery, SetTimer, seconds
+from services.runtime.state_codec import SavedState
 
 RETRY: Final = "retry"
 """Timer: ask the silent instrument again."""
@@ -58,3 +59,11 @@ class Instruments:
             self._silent.add(topic.name)
             self._reporter.report_event(EventKind.INSTRUMENT_SILENT, now, f"{topic.name}: {why}")
         self._effects.append(SetTimer(RETRY, now + seconds(self._retry_s)))
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {"sent": self._sent, "pending": self._pending, "silent": set(self._silent)}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the instruments that had this state."""
+        self._sent, self._pending, self._silent = state["sent"], state["pending"], state["silent"]

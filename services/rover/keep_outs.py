@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from he3.frames import Place
 from services.rover.geometry import Area
+from services.runtime.state_codec import SavedState
 
 
 class KeepOuts:
@@ -60,3 +61,11 @@ class KeepOuts:
             if leaving and len(path_m) > 1:
                 return f"the way ends within keep-out {name}"
         return None
+
+    def checkpoint(self) -> SavedState:
+        """The areas, as a named part."""
+        return {"areas": dict(self._areas)}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the keep-outs that had this state."""
+        self._areas = state["areas"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
 
 from he3 import constants
 from he3.frames import Place, SiteGrid
@@ -14,6 +14,7 @@ from services.mission.scenario import RoverConfig, Scenario
 from services.rover.executive import STEP, Executive
 from services.rover.instruments import RETRY
 from services.rover.operating_state import CHARGED
+from services.rover.state_types import STATE_TYPES
 from services.rover.watchdog import WATCHDOG
 from services.runtime.node import (
     Effect,
@@ -30,6 +31,7 @@ from services.runtime.node import (
     TimerFired,
     seconds,
 )
+from services.runtime.state_codec import SavedState
 
 REPORT_STATE: Final = "state"
 """Timer: report the state again."""
@@ -113,6 +115,32 @@ class RoverNode:
     def _report_state(self, now: MissionTime) -> None:
         self._reported = self._executive.mode
         self._executive.effects.append(Send(STATE, self._executive.report_state(now, self._queue_depth)))
+
+    # --- checkpoints ----------------------------------------------------------------------------------------------
+
+    @property
+    def state_types(self) -> tuple[type, ...]:
+        """What the state is made of, beside plain values."""
+        return STATE_TYPES
+
+    @property
+    def functions(self) -> dict[str, Callable[..., Any]]:
+        """The rover has nothing computed elsewhere."""
+        return {}
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "executive": self._executive.checkpoint(),
+            "queue_depth": self._queue_depth,
+            "reported": self._reported,
+            "running": self._running,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the rover that had this state."""
+        self._executive.restore(state["executive"])
+        self._queue_depth, self._reported, self._running = state["queue_depth"], state["reported"], state["running"]
 
 
 def build_node(scenario: Scenario, site: SiteGrid | None = None) -> RoverNode:

@@ -12,6 +12,7 @@ from services.rover.reporter import Reporter
 from services.rover.states import HOLD_TRIGGERS, INTERRUPTIBLE, MODES, STANDING, Hold, State, Trigger, next_state
 from services.rover.vehicle import Vehicle
 from services.runtime.node import Effect, MissionTime, SetTimer
+from services.runtime.state_codec import SavedState
 
 CHARGED: Final = "charged"
 """Timer: the battery holds enough energy to continue."""
@@ -87,3 +88,11 @@ class OperatingState:
     def _stop_waiting_for_charge(self) -> None:
         if self._hold is Hold.ENERGY:
             self._effects.append(SetTimer(CHARGED, None))
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {"state": self._state, "hold": self._hold}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the operating state that was kept."""
+        self._state, self._hold = state["state"], state["hold"]

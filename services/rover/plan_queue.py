@@ -10,6 +10,7 @@ from schemas.plans import MissionPlan
 from services.rover.activities import Activity
 from services.rover.admission import Admission, admit
 from services.rover.keep_outs import KeepOuts
+from services.runtime.state_codec import SavedState
 
 BEFORE_THE_FIRST: Final = 0  # the plan revision and the round before the first
 
@@ -78,3 +79,21 @@ class PlanQueue:
         first_time = self._completed != plan.revision
         self._completed = plan.revision
         return first_time
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "plan": self.plan,
+            "on_board": [activity.checkpoint() for activity in self.on_board],
+            "round": self.round,
+            "measured": set(self.measured),
+            "aborted": self._aborted,
+            "completed": self._completed,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the queue that had this state."""
+        self.plan = state["plan"]
+        self.on_board = deque(Activity.restored(activity) for activity in state["on_board"])
+        self.round, self.measured = state["round"], state["measured"]
+        self._aborted, self._completed = state["aborted"], state["completed"]

@@ -16,6 +16,7 @@ from services.rover.plan_queue import PlanQueue
 from services.rover.reporter import Reporter
 from services.rover.vehicle import Vehicle
 from services.runtime.node import Effect, Level, LogRecord, MissionTime
+from services.runtime.state_codec import SavedState
 
 
 class Schedule:
@@ -111,3 +112,13 @@ class Schedule:
         """Whether an activity has begun since the last call."""
         begun, self._begun = self._begun, False
         return begun
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {"current": None if self._current is None else self._current.checkpoint(), "begun": self._begun}
+
+    def restore(self, state: SavedState) -> None:
+        """Become the schedule that had this state."""
+        current = state["current"]
+        self._current = None if current is None else Activity.restored(current)
+        self._begun = state["begun"]

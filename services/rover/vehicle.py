@@ -7,6 +7,7 @@ from schemas.telemetry import RoverMode, RoverState
 from services.rover.drive import Drive
 from services.rover.energy import Battery
 from services.runtime.node import MissionTime
+from services.runtime.state_codec import SavedState
 
 
 class Vehicle:
@@ -81,3 +82,21 @@ class Vehicle:
             samples_done=samples_done,
             queue_depth=queue_depth,
         )
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "battery": self.battery,
+            "drilled_m": self.drilled_m,
+            "track_m": list(self.track_m),
+            "place_m": self._place_m,
+            "heading_deg": self._heading_deg,
+            "driven_m": self._driven_m,
+            "drive": self._drive,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the vehicle that had this state."""
+        self.battery, self.drilled_m, self.track_m = state["battery"], state["drilled_m"], state["track_m"]
+        self._place_m, self._heading_deg = state["place_m"], state["heading_deg"]
+        self._driven_m, self._drive = state["driven_m"], state["drive"]

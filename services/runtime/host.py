@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Final
 
+from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.topics import Crosses, Side, Topic
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
+from services.runtime.custody.endpoint import STATE_TYPES as CUSTODY_STATE_TYPES
 from services.runtime.custody.protocol import CustodyConfig, under_custody
 from services.runtime.inputs import (
     CheckedQueryArrived,
@@ -28,9 +30,12 @@ from services.runtime.inputs import (
     TimerElapsed,
 )
 from services.runtime.node import (
+    Compute,
     Computed,
+    DurableNode,
     Effect,
     Event,
+    Finish,
     Forward,
     Interface,
     Level,
@@ -38,6 +43,7 @@ from services.runtime.node import (
     MissionTime,
     Node,
     NoReply,
+    PublishSnapshot,
     QueryFailed,
     QueryReceived,
     QueueDepthChanged,
@@ -51,6 +57,7 @@ from services.runtime.node import (
     Started,
     TimerFired,
 )
+from services.runtime.state_codec import SavedState, StateCodec
 
 
 def origin(topic: Topic) -> Side:
@@ -63,7 +70,8 @@ def origin(topic: Topic) -> Side:
 EventSink = Callable[[MissionTime, str, str], None]
 """Called with mission time, node and a line for each event handled: the event log."""
 
-_OF_THE_PROCESS = frozenset({"_trace"})
+STATE_TYPES: Final[tuple[type, ...]] = (Compute, Finish, PublishSnapshot, PutQuery, Side, *CUSTODY_STATE_TYPES)
+"""What the state of a host and its scheduler is made of, beside plain values and the node's own types."""
 
 
 class Host:
@@ -145,15 +153,42 @@ class Host:
         """Questions of this node that have not been answered: to be put again after a restart."""
         return list(self._queries.values())
 
-    # --- what a checkpoint keeps --------------------------------------------------------------------------------
+    # --- checkpoints --------------------------------------------------------------------------------------------
 
-    def state(self) -> dict[str, Any]:
-        """The node and all that stands around it, to be pickled at once; not what this process alone has."""
-        return {name: value for name, value in vars(self).items() if name not in _OF_THE_PROCESS}
+    @property
+    def codec(self) -> StateCodec:
+        """The codec of its state and of the results of its computations; raises InvalidInput unless it is durable."""
+        node = self._durable()
+        return StateCodec((*STATE_TYPES, *node.state_types), node.functions)
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def checkpoint(self) -> SavedState:
+        """The node and all that the host knows of it, as named parts; not what this process alone has."""
+        return {
+            "node": self._durable().checkpoint(),
+            "custody": None if self._custody is None else self._custody.checkpoint(),
+            "incarnation": self._incarnation,
+            "sequences": dict(self._sequences),
+            "asked": dict(self._asked),
+            "queries": dict(self._queries),
+            "refused": self._refused,
+            "events": self._events,
+            "reported_depth": self._reported_depth,
+        }
+
+    def restore(self, state: SavedState) -> None:
         """Become the host that had this state."""
-        vars(self).update(state)
+        self._durable().restore(state["node"])
+        if self._custody is not None:
+            self._custody.restore(state["custody"])
+        self._incarnation, self._sequences = state["incarnation"], state["sequences"]
+        self._asked, self._queries = state["asked"], state["queries"]
+        self._refused, self._events = state["refused"], state["events"]
+        self._reported_depth = state["reported_depth"]
+
+    def _durable(self) -> DurableNode:
+        if not isinstance(self._node, DurableNode):
+            raise InvalidInput(f"{self._interface.name}: expected a node that names its state, got one that does not")
+        return self._node
 
     # --- what a driver reports ----------------------------------------------------------------------------------
 

@@ -1,28 +1,21 @@
-"""A process's journal: every input of its node, kept before it is acted on, in MCAP files that anybody can open.
+"""A process's journal: every input of its node, kept before it is handled, in MCAP files.
 
 Each start of a process writes a file of its own, ``NAME-0001.mcap``, ``NAME-0002.mcap``, ...; together, in order, they
-are the node's history. Each record is flushed to the operating system before the node sees what it holds, so the end
-of the process loses nothing. A file may end in the middle of a record: that tail was never acted on; it is passed over
-and reported.
-
-Beside them may lie a checkpoint, ``NAME.checkpoint``: the state that all inputs up to some byte had led to, so that a
-restart handles only those again that came later. It is a short cut and no more: it replaces its predecessor at once or
-not at all, only the very program that wrote it reads it, and without it the journals tell everything.
+are the node's history. Each record is handed to the operating system before the node sees what it holds, so the end of
+the process loses nothing. A file may end in the middle of a record: that tail was never handled; it is passed over and
+reported. Beside them may lie a checkpoint, ``NAME.checkpoint``, so that a restart handles only the later inputs again.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import pickle
 import struct
-import sys
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Final
 
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
@@ -30,23 +23,16 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from he3.errors import He3Error, InvalidInput
-from schemas.topics import BY_NAME
 from services.mission.scenario import Scenario
-from services.runtime.inputs import (
-    CheckedQueryArrived,
-    ComputationEnded,
-    Input,
-    MessageArrived,
-    ProcessStarted,
-    QueryArrived,
-    QueryUnanswered,
-    ReplyArrived,
-    TimerElapsed,
-)
-from services.runtime.node import MissionTime, NoReply
+from services.runtime.checkpoint_file import CRC_BYTES, Checkpoint, Mark, read_checkpoint, write_checkpoint
+from services.runtime.input_codec import decode_input, encode_input
+from services.runtime.inputs import Input, ProcessStarted
+from services.runtime.node import MissionTime
+from services.runtime.state_codec import SavedState, StateCodec
 
-IDENTITY = "he3-journal"
-CRC_BYTES = 4
+PROFILE: Final = "he3-journal"
+FORMAT: Final = "2"
+"""Of the records; a journal of another format is refused."""
 
 
 class JournalDamaged(He3Error):
@@ -62,53 +48,46 @@ class History:
     """How often the node has been started."""
     torn_bytes: int
     """Length of the unfinished tails that were passed over."""
-    state: bytes | None = None
+    state: SavedState | None = None
     """From a checkpoint: what everything before `inputs` had led to; None: `inputs` are all."""
+    notice: str = ""
+    """One line on why a checkpoint was passed over."""
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
-    """A place in a journal file between two records."""
+class Record:
+    """An input as it is kept."""
 
-    offset: int = 0
-    channels: dict[int, str] = field(default_factory=dict)
-    """Registered before it: number and name."""
-
-
-@dataclass(frozen=True, slots=True)
-class Checkpoint:
-    """A state, where in the journals it belongs, and whose it is."""
-
-    identity: dict[str, str]
-    program: str
-    file: str
-    mark: Mark
-    starts: int
-    state: bytes
+    now: MissionTime
+    channel: str
+    data: bytes
 
 
 Keep = Callable[[Mark, int, bytes], None]
-"""Called with a place in the journal, the starts since it began, and the state that belongs there."""
+"""Called with a place in the journal, the starts since it began, and the encoded state that belongs there."""
 
 
 class JournalWriter:
     """Appends inputs to a stream, as MCAP; each call is flushed before it returns."""
 
-    def __init__(self, stream: IO[bytes], identity: dict[str, str], keep: Keep = lambda *_: None) -> None:
+    def __init__(
+        self, stream: IO[bytes], identity: dict[str, str], codec: StateCodec, keep: Keep = lambda *_: None
+    ) -> None:
         """keep: what is done with a checkpoint."""
         self._stream = stream
+        self._codec = codec
         self._keep = keep
         self._starts = 0
         self._writer = Writer(stream, use_chunking=False, compression=CompressionType.NONE)
-        self._writer.start(profile=IDENTITY)
-        self._writer.add_metadata(IDENTITY, identity)
+        self._writer.start(profile=PROFILE)
+        self._writer.add_metadata(PROFILE, {**identity, "format": FORMAT})
         self._channels: dict[str, int] = {}
         self._count = 0
 
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         """Keep inputs that are about to be handled at that time."""
         for given in inputs:
-            name, data = encode_input(given)
+            name, data = encode_input(given, self._codec)
             channel = self._channels.get(name)
             if channel is None:
                 channel = self._writer.register_channel(name, "application/octet-stream", 0)
@@ -119,10 +98,10 @@ class JournalWriter:
             self._starts += isinstance(given, ProcessStarted)
         self._stream.flush()
 
-    def checkpoint(self, state: bytes) -> None:
+    def checkpoint(self, state: SavedState) -> None:
         """Keep the state after everything that was appended so far."""
         names = {number: name for name, number in self._channels.items()}
-        self._keep(Mark(self._stream.tell(), names), self._starts, state)
+        self._keep(Mark(self._stream.tell(), names), self._starts, self._codec.encode(state))
 
     def close(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -132,34 +111,28 @@ class JournalWriter:
 class JournalFolder:
     """The journals of one node of one mission, in a folder."""
 
-    def __init__(self, folder: Path, node: str, identity: dict[str, str]) -> None:
+    def __init__(self, folder: Path, node: str, identity: dict[str, str], codec: StateCodec) -> None:
         self._folder = folder
         self._node = node
         self._identity = {**identity, "node": node}
+        self._codec = codec
         self._checkpoint = folder / f"{node}.checkpoint"
 
     def history(self) -> History:
-        """Everything that was kept; raises InvalidInput if it is another mission's, JournalDamaged if it is spoilt."""
-        inputs: list[tuple[MissionTime, Input]] = []
-        torn = 0
+        """Everything that was kept.
+
+        Raises InvalidInput if it is another mission's or not of this format, JournalDamaged if it is damaged.
+        """
         files = self._files()
-        checkpoint = self._usable_checkpoint(files)
-        if checkpoint is not None:
-            files = [path for path in files if path.name >= checkpoint.file]
-        for path in files:
-            size = path.stat().st_size
-            mark = checkpoint.mark if checkpoint is not None and path.name == checkpoint.file else Mark()
-            with path.open("rb") as stream:
-                reader = JournalReader(stream, self._identity, str(path), mark)
-                inputs.extend(reader)
-            torn += size - reader.good_bytes
-        starts = sum(1 for _, given in inputs if isinstance(given, ProcessStarted))
-        if checkpoint is None:
-            return History(tuple(inputs), starts, torn)
-        return History(tuple(inputs), checkpoint.starts + starts, torn, checkpoint.state)
+        found = self._usable_checkpoint(files)
+        if isinstance(found, str):
+            return self._read(files, notice=found)
+        checkpoint, state = found
+        later = [path for path in files if path.name >= checkpoint.file]
+        return self._read(later, checkpoint, state)
 
     def begin(self, history: History | None = None) -> JournalWriter:
-        """The writer of the next file; `history` is what the earlier ones hold, for who keeps checkpoints."""
+        """The writer of the next file; `history` is what the earlier ones hold, for one that keeps checkpoints."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._folder / f"{self._node}-{len(self._files()) + 1:04d}.mcap"
@@ -167,29 +140,48 @@ class JournalFolder:
         except OSError as error:
             raise InvalidInput(f"{self._folder}: cannot keep a journal there: {error.strerror}") from None
         if history is None:
-            return JournalWriter(stream, self._identity)
-        starts = history.starts
-        return JournalWriter(stream, self._identity, lambda *what: self._keep_checkpoint(path.name, starts, *what))
+            return JournalWriter(stream, self._identity, self._codec)
+        earlier_starts = history.starts
 
-    def _keep_checkpoint(self, file: str, earlier_starts: int, mark: Mark, starts: int, state: bytes) -> None:
-        checkpoint = Checkpoint(self._identity, _program(), file, mark, earlier_starts + starts, state)
-        data = pickle.dumps(checkpoint, pickle.HIGHEST_PROTOCOL)
-        new = self._checkpoint.with_suffix(".new")
-        new.write_bytes(zlib.crc32(data).to_bytes(CRC_BYTES, "little") + data)
-        new.replace(self._checkpoint)  # at once or not at all
+        def keep(mark: Mark, starts: int, state: bytes) -> None:
+            checkpoint = Checkpoint(path.name, mark, earlier_starts + starts, state)
+            write_checkpoint(self._checkpoint, self._identity, checkpoint)
 
-    def _usable_checkpoint(self, files: Sequence[Path]) -> Checkpoint | None:
-        """The checkpoint, if it is whole, of this mission and this very program, and its journal is there."""
+        return JournalWriter(stream, self._identity, self._codec, keep)
+
+    def _read(
+        self,
+        files: Sequence[Path],
+        checkpoint: Checkpoint | None = None,
+        state: SavedState | None = None,
+        notice: str = "",
+    ) -> History:
+        """The inputs in these files, from the checkpoint on if there is one."""
+        inputs: list[tuple[MissionTime, Input]] = []
+        torn = 0
+        for path in files:
+            mark = checkpoint.mark if checkpoint is not None and path.name == checkpoint.file else Mark()
+            with path.open("rb") as stream:
+                reader = JournalReader(stream, self._identity, str(path), mark)
+                inputs.extend((record.now, decode_input(record.channel, record.data, self._codec)) for record in reader)
+            torn += path.stat().st_size - reader.good_bytes
+        starts = sum(1 for _, given in inputs if isinstance(given, ProcessStarted))
+        if checkpoint is not None:
+            starts += checkpoint.starts
+        return History(tuple(inputs), starts, torn, state, notice)
+
+    def _usable_checkpoint(self, files: Sequence[Path]) -> tuple[Checkpoint, SavedState] | str:
+        """The checkpoint with its state, or one line on why there is none to use; empty if there is none at all."""
         if not self._checkpoint.is_file():
-            return None
-        sealed = self._checkpoint.read_bytes()
-        data = sealed[CRC_BYTES:]
-        if zlib.crc32(data) != int.from_bytes(sealed[:CRC_BYTES], "little") or _program().encode() not in data:
-            return None
-        checkpoint: Checkpoint = pickle.loads(data)
+            return ""
         sizes = {path.name: path.stat().st_size for path in files}
-        fits = checkpoint.identity == self._identity and checkpoint.program == _program()
-        return checkpoint if fits and sizes.get(checkpoint.file, -1) >= checkpoint.mark.offset else None
+        found = read_checkpoint(self._checkpoint, self._identity, sizes)
+        if isinstance(found, str):
+            return f"{self._checkpoint}: passed over: {found}"
+        try:
+            return found, self._codec.decode(found.state)
+        except InvalidInput as refusal:
+            return f"{self._checkpoint}: passed over: {refusal}"
 
     def _files(self) -> list[Path]:
         return sorted(self._folder.glob(f"{self._node}-[0-9][0-9][0-9][0-9].mcap"))
@@ -204,10 +196,10 @@ class JournalReader:
         self.good_bytes = self._mark.offset
         """Where the last complete record ends, once everything has been read."""
         self._stream = stream
-        self._identity = identity
+        self._identity = {**identity, "format": FORMAT}
         self._where = where
 
-    def __iter__(self) -> Iterator[tuple[MissionTime, Input]]:
+    def __iter__(self) -> Iterator[Record]:
         channels = dict(self._mark.channels)
         self._stream.seek(self._mark.offset)
         records = StreamReader(self._stream, skip_magic=self._mark.offset > 0).records
@@ -228,7 +220,7 @@ class JournalReader:
                     seal = int.from_bytes(data[:CRC_BYTES], "little")
                     if zlib.crc32(data[CRC_BYTES:]) != seal:
                         raise JournalDamaged(f"{self._where}: a record before byte {self._stream.tell()} is damaged")
-                    yield now, decode_input(channels[number], data[CRC_BYTES:])
+                    yield Record(now, channels[number], data[CRC_BYTES:])
             self.good_bytes = self._stream.tell()
 
     def _check(self, metadata: dict[str, str]) -> None:
@@ -239,68 +231,6 @@ class JournalReader:
                     f"{self._where}: expected a journal of {name} {expected}, got one of {came}; "
                     "name another folder to begin anew"
                 )
-
-
-# --- one input, as channel and bytes ----------------------------------------------------------------------------
-
-
-def encode_input(given: Input) -> tuple[str, bytes]:
-    """Channel and bytes of an input; messages are kept exactly as they came."""
-    match given:
-        case ProcessStarted(incarnation):
-            return "start", b"%d" % incarnation
-        case MessageArrived(topic, payload):
-            return f"message/{topic.name}", payload
-        case QueryArrived(topic, payload, token):
-            return f"query/{topic.name}", b"%d\n" % token + payload
-        case CheckedQueryArrived(topic, request, token):
-            return f"checked_query/{topic.name}", b"%d\n" % token + request.model_dump_json().encode()
-        case ReplyArrived(query, payload):
-            return "reply", query.encode() + b"\n" + payload
-        case QueryUnanswered(query, why, detail):
-            return "unanswered", json.dumps([query, why.name, detail]).encode()
-        case TimerElapsed(timer):
-            return "timer", timer.encode()
-        case ComputationEnded(job, result, error):
-            return "computation", job.encode() + b"\n" + pickle.dumps((result, error))
-
-
-def decode_input(channel: str, data: bytes) -> Input:
-    """The input that those bytes stand for. Journals are our own files: computed results in them are trusted."""
-    what, _, name = channel.partition("/")
-    head, _, rest = data.partition(b"\n")
-    match what:
-        case "start":
-            return ProcessStarted(int(data))
-        case "message":
-            return MessageArrived(BY_NAME[name], data)
-        case "query":
-            return QueryArrived(BY_NAME[name], rest, int(head))
-        case "checked_query":
-            return CheckedQueryArrived(BY_NAME[name], BY_NAME[name].payload.model_validate_json(rest), int(head))
-        case "reply":
-            return ReplyArrived(head.decode(), rest)
-        case "unanswered":
-            query, why, detail = json.loads(data)
-            return QueryUnanswered(query, NoReply[why], detail)
-        case "timer":
-            return TimerElapsed(data.decode())
-        case "computation":
-            outcome: tuple[Any, Any] = pickle.loads(rest)
-            return ComputationEnded(head.decode(), *outcome)
-    raise JournalDamaged(f"expected a record of a journal, got one of channel '{channel}'")
-
-
-@cache
-def _program() -> str:
-    """A digest of this program's files: what state they keep, and how, is known to the same files only."""
-    root = Path(__file__).resolve().parents[2]
-    digest = hashlib.sha256(sys.version.encode())
-    for package in ("he3", "schemas", "services"):
-        for path in sorted((root / package).rglob("*.py")):
-            status = path.stat()
-            digest.update(f"{path.relative_to(root)} {status.st_size} {status.st_mtime_ns}\n".encode())
-    return digest.hexdigest()
 
 
 def identity_of(scenario: Scenario) -> dict[str, str]:

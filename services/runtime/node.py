@@ -7,14 +7,15 @@ all others, and under thousands of random faults; given the same events at the s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from schemas.refusal import RefusalCode
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
+from services.runtime.state_codec import Stateful
 
 MissionTime = int
 """Nanoseconds of mission time (UTC) since 1970-01-01T00:00:00Z."""
@@ -243,6 +244,19 @@ class Node(Protocol):
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         """Effects of the event, in order. Never blocks, never raises for anything that came from outside."""
+
+
+@runtime_checkable
+class DurableNode(Node, Stateful, Protocol):
+    """A node that outlives its process: its inputs are kept in a journal, and its state in checkpoints."""
+
+    @property
+    def state_types(self) -> tuple[type, ...]:
+        """What its state, its computations and their results are made of, beside plain values."""
+
+    @property
+    def functions(self) -> Mapping[str, Callable[..., Any]]:
+        """The functions that its computations run, by name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ answers, results and timers. No scheduling, and no order in which messages happe
 from __future__ import annotations
 
 import heapq
-import pickle
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from services.runtime.actions import Action, PutQuery
 from services.runtime.host import Host
 from services.runtime.inputs import ComputationEnded, Input, TimerElapsed
 from services.runtime.node import Compute, Finish, MissionTime, PublishSnapshot, SetTimer, seconds
+from services.runtime.state_codec import SavedState
 
 CHECKPOINT_EVERY: Final = 300
 """Inputs after which a checkpoint is made at the latest: so many are handled again, at most, after a restart."""
@@ -61,7 +61,7 @@ class Journal(Protocol):
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         """Keep what is about to be handled at that time; safe against the end of this process when it returns."""
 
-    def checkpoint(self, state: bytes) -> None:
+    def checkpoint(self, state: SavedState) -> None:
         """Keep the state after all that was appended so far, in place of an earlier one; it may be lost."""
 
 
@@ -152,27 +152,36 @@ class NodeScheduler:
         self._since_checkpoint += len(batch)
         if self._since_checkpoint >= CHECKPOINT_EVERY or any(isinstance(given, ComputationEnded) for given in batch):
             assert self._journal is not None, "only who keeps a journal keeps checkpoints"
-            self._journal.checkpoint(self.state())
+            self._journal.checkpoint(self.checkpoint())
             self._since_checkpoint = 0
 
-    def state(self) -> bytes:
+    def checkpoint(self) -> SavedState:
         """Everything that the inputs so far have led to, for `replay`."""
-        begun = {each.job: (each.ends, each.what) for each in self._running}
-        state = self.host.state(), self.last, self._timers, begun, self._lasting
-        return pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
+        return {
+            "host": self.host.checkpoint(),
+            "last": self.last,
+            "timers": dict(self._timers),
+            "begun": {each.job: (each.ends, each.what) for each in self._running},
+            "lasting": [*self._lasting.values()],
+        }
 
-    def replay(self, kept: Iterable[tuple[MissionTime, Input]], state: bytes | None = None) -> list[Action]:
+    def _restore(self, state: SavedState) -> dict[str, tuple[MissionTime, Compute]]:
+        """Become the scheduler that had this state; returns the computations that were under way."""
+        self.host.restore(state["host"])
+        self.last, self._timers = state["last"], state["timers"]
+        self._lasting = {type(action): action for action in state["lasting"]}
+        self._heap = sorted((at, timer) for timer, at in self._timers.items())
+        begun: dict[str, tuple[MissionTime, Compute]] = state["begun"]
+        return begun
+
+    def replay(self, kept: Iterable[tuple[MissionTime, Input]], state: SavedState | None = None) -> list[Action]:
         """Handle again what a journal kept, doing nothing of what followed then; returns what is still to be done.
 
         That is the latest snapshot, whether the node had finished, and the questions that nobody had answered.
         Timers stand as they did; computations whose result was not in the journal begin again.
         state: what was kept of all that came before, if anything.
         """
-        begun: dict[str, tuple[MissionTime, Compute]] = {}
-        if state is not None:
-            remembered, self.last, self._timers, begun, self._lasting = pickle.loads(state)
-            self.host.restore(remembered)
-            self._heap = sorted((at, timer) for timer, at in self._timers.items())
+        begun = {} if state is None else self._restore(state)
         for now, given in kept:
             self.last = now
             match given:

@@ -14,6 +14,7 @@ from services.ground.samples import SampleIntake
 from services.ground.scoring import Scorer
 from services.ground.terrain import GroundTerrain
 from services.runtime.node import MissionTime, PublishSnapshot
+from services.runtime.state_codec import SavedState
 
 
 class MapPublisher:
@@ -107,3 +108,31 @@ class MapPublisher:
             if self._refits.rounds > self._rounds_scored:
                 self._history = (*self._history, self.score)
         self._rounds_scored = self._refits.rounds
+
+    def checkpoint(self) -> SavedState:
+        """All of it, as named parts."""
+        return {
+            "map": self._map,
+            "traversable": self._traversable,
+            "map_time": self._map_time,
+            "rounds_scored": self._rounds_scored,
+            "history": self._history,
+            "shown_at_the_end": self._shown_at_the_end,
+            "revision": self.revision,
+            "mean_std_ppb": self.mean_std_ppb,
+            "score": self.score,
+            "snapshot": self.snapshot,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the publisher that had this state."""
+        self._map = state["map"]
+        self._traversable = state["traversable"]
+        self._map_time = state["map_time"]
+        self._rounds_scored = state["rounds_scored"]
+        self._history = state["history"]
+        self._shown_at_the_end = state["shown_at_the_end"]
+        self.revision = state["revision"]
+        self.mean_std_ppb = state["mean_std_ppb"]
+        self.score = state["score"]
+        self.snapshot = state["snapshot"]

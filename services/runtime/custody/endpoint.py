@@ -14,7 +14,7 @@ from schemas.link import Acknowledgement, Direction, LinkConditions
 from schemas.topics import ACK_DOWN, ACK_UP, TOPICS, Side, Topic
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish
-from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, State, under_custody
+from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState, under_custody
 from services.runtime.custody.receiver import Arrival, CustodyReceiver, Delivery
 from services.runtime.custody.sender import CustodySender, Transmit
 from services.runtime.custody.stream import Transmission
@@ -28,7 +28,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     Arrival,
     Delivery,
     Header,
-    State,
+    MessageState,
     Transmission,
     *{topic.payload for topic in TOPICS if under_custody(topic)},
 )

@@ -70,7 +70,7 @@ def _variation_s(way: DirectionConditions) -> float:
     return way.jitter_s + (way.one_way_light_time_s if way.reorder > 0 else 0.0)
 
 
-class State(Enum):
+class MessageState(Enum):
     """Where a kept message stands."""
 
     WAITING = "waiting to be sent"
@@ -92,28 +92,28 @@ class Signal(Enum):
     ACKNOWLEDGED = "received with all before it"
 
 
-TRANSITIONS: Final[dict[tuple[State, Signal], State]] = {
-    (State.WAITING, Signal.TRANSMITTED): State.SENT,
-    (State.WAITING, Signal.OUT_OF_TURN): State.HELD,  # an earlier transmission arrived after all
-    (State.WAITING, Signal.ACKNOWLEDGED): State.ACKNOWLEDGED,
-    (State.SENT, Signal.TIMED_OUT): State.WAITING,
-    (State.SENT, Signal.MISSED): State.WAITING,
-    (State.SENT, Signal.SILENCE): State.SUSPENDED,
-    (State.SENT, Signal.OUT_OF_TURN): State.HELD,
-    (State.SENT, Signal.ACKNOWLEDGED): State.ACKNOWLEDGED,
-    (State.SUSPENDED, Signal.TIMED_OUT): State.WAITING,  # sent as a probe
-    (State.SUSPENDED, Signal.CONTACT): State.SENT,
-    (State.SUSPENDED, Signal.OUT_OF_TURN): State.HELD,
-    (State.SUSPENDED, Signal.ACKNOWLEDGED): State.ACKNOWLEDGED,
-    (State.HELD, Signal.OUT_OF_TURN): State.HELD,
-    (State.HELD, Signal.TIMED_OUT): State.WAITING,  # no other message of the stream is left to repeat
-    (State.HELD, Signal.MISSED): State.WAITING,  # the receiver restarted and no longer holds it
-    (State.HELD, Signal.ACKNOWLEDGED): State.ACKNOWLEDGED,
+TRANSITIONS: Final[dict[tuple[MessageState, Signal], MessageState]] = {
+    (MessageState.WAITING, Signal.TRANSMITTED): MessageState.SENT,
+    (MessageState.WAITING, Signal.OUT_OF_TURN): MessageState.HELD,  # an earlier transmission arrived after all
+    (MessageState.WAITING, Signal.ACKNOWLEDGED): MessageState.ACKNOWLEDGED,
+    (MessageState.SENT, Signal.TIMED_OUT): MessageState.WAITING,
+    (MessageState.SENT, Signal.MISSED): MessageState.WAITING,
+    (MessageState.SENT, Signal.SILENCE): MessageState.SUSPENDED,
+    (MessageState.SENT, Signal.OUT_OF_TURN): MessageState.HELD,
+    (MessageState.SENT, Signal.ACKNOWLEDGED): MessageState.ACKNOWLEDGED,
+    (MessageState.SUSPENDED, Signal.TIMED_OUT): MessageState.WAITING,  # sent as a probe
+    (MessageState.SUSPENDED, Signal.CONTACT): MessageState.SENT,
+    (MessageState.SUSPENDED, Signal.OUT_OF_TURN): MessageState.HELD,
+    (MessageState.SUSPENDED, Signal.ACKNOWLEDGED): MessageState.ACKNOWLEDGED,
+    (MessageState.HELD, Signal.OUT_OF_TURN): MessageState.HELD,
+    (MessageState.HELD, Signal.TIMED_OUT): MessageState.WAITING,  # no other message of the stream is left to repeat
+    (MessageState.HELD, Signal.MISSED): MessageState.WAITING,  # the receiver restarted and no longer holds it
+    (MessageState.HELD, Signal.ACKNOWLEDGED): MessageState.ACKNOWLEDGED,
 }
 """Every transition of a kept message; any other is an error."""
 
 
-def next_state(state: State, signal: Signal) -> State:
+def next_state(state: MessageState, signal: Signal) -> MessageState:
     """The state after the signal; raises He3Error, naming both, for a transition that is not in the table."""
     try:
         return TRANSITIONS[state, signal]

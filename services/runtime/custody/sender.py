@@ -20,7 +20,7 @@ from schemas.codec import restamped
 from schemas.link import Acknowledgement
 from schemas.topics import Custody, Topic
 from schemas.wire import Header
-from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, Signal, State, under_custody
+from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState, Signal, under_custody
 from services.runtime.custody.retransmission import RetransmissionTimer
 from services.runtime.custody.stream import KeptMessage, SendStream, Transmission, below, missing
 from services.runtime.custody.window import SendWindow
@@ -263,7 +263,7 @@ class CustodySender:
             stream.doublings = 0
             stream.waits_since = now
             for message in stream.sent.values():
-                if message.state is State.SUSPENDED:
+                if message.state is MessageState.SUSPENDED:
                     message.signal(Signal.CONTACT)
             if not next((message.queued for message in stream.kept.values()), False):
                 self._requeue_oldest(stream, now)
@@ -276,7 +276,7 @@ class CustodySender:
         progress = False
         for sequence in list(below(stream.kept, ack.next_sequence)):
             message = stream.kept[sequence]
-            if sequence >= complete and (message.state is State.HELD or missing(ack, sequence)):
+            if sequence >= complete and (message.state is MessageState.HELD or missing(ack, sequence)):
                 continue
             progress = True
             self._window.dequeue(message)
@@ -294,7 +294,7 @@ class CustodySender:
         """Queue the messages that a later transmission has overtaken, and those that the receiver holds no longer."""
         for message in [*stream.sent.values()]:
             if missing(ack, message.sequence) and message.last_transmission < latest_arrival:
-                if message.state is State.SUSPENDED:
+                if message.state is MessageState.SUSPENDED:
                     message.signal(Signal.CONTACT)
                 self._requeue(stream, message, Signal.MISSED)
         for message in [*stream.held.values()]:

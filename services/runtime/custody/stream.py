@@ -9,7 +9,7 @@ from typing import Final
 
 from schemas.link import Acknowledgement
 from schemas.topics import Topic
-from services.runtime.custody.protocol import MAX_GAPS, Signal, State, next_state
+from services.runtime.custody.protocol import MAX_GAPS, MessageState, Signal, next_state
 from services.runtime.node import MissionTime
 from services.runtime.state_codec import SavedState
 
@@ -39,7 +39,7 @@ class KeptMessage:
     priority: int
     order: int
     """Counts the messages offered."""
-    state: State = State.WAITING
+    state: MessageState = MessageState.WAITING
     repetitions: int = 0
     """How often it was sent."""
     transmissions: dict[int, Transmission] = field(default_factory=dict)
@@ -104,7 +104,7 @@ class SendStream:
         latest = 0
         for sequence in below(self.kept, ack.next_sequence):
             message = self.kept[sequence]
-            if message.state is State.SENT and len(message.transmissions) == 1 and not missing(ack, sequence):
+            if message.state is MessageState.SENT and len(message.transmissions) == 1 and not missing(ack, sequence):
                 latest = max(latest, message.last_transmission)
         transmission = self.acknowledged_transmission(ack)
         return max(latest, transmission.number) if transmission is not None else latest

@@ -19,12 +19,15 @@ from schemas.link import LinkConditions
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
+from services.runtime.checkpoint_file import Mark
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.host import EventSink, Host
+from services.runtime.input_codec import decode_input
 from services.runtime.inputs import Input, MessageArrived, ProcessStarted, QueryArrived, QueryUnanswered, ReplyArrived
-from services.runtime.journal import JournalReader, JournalWriter, Mark
+from services.runtime.journal import JournalReader, JournalWriter
 from services.runtime.node import SECOND, Finish, Level, LogRecord, MissionTime, Node, NoReply, PublishSnapshot, seconds
 from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
+from services.runtime.state_codec import SavedState, StateCodec
 
 Tap = Callable[[Topic, Side, bytes, MissionTime], None]
 """Called with every message published, on the side where it was, at its time."""
@@ -106,9 +109,10 @@ class Simulation:
     def keep_journals(self, names: Iterable[str], identity: dict[str, str]) -> None:
         """Let those nodes keep journals from now on; to be called before the first step."""
         for name in names:
-            journal = SimulatedJournal(identity)
+            host = self._schedulers[name].host
+            journal = SimulatedJournal(identity, host.codec)
             self._journals[name] = [journal]
-            self._schedulers[name] = NodeScheduler(self._schedulers[name].host, self._executor, journal)
+            self._schedulers[name] = NodeScheduler(host, self._executor, journal)
             self._schedulers[name].put((Kind.MESSAGE, NOBODY, 0), ProcessStarted(1))
 
     def alive(self, name: str) -> bool:
@@ -143,14 +147,14 @@ class Simulation:
             return
         journals[-1].tear(torn_tail)
         # Whoever dies in the middle of a record may lose the checkpoint as well: then the journals tell everything.
-        latest = next((n for n in reversed(range(len(journals))) if journals[n].state is not None), None)
-        state = None if latest is None or torn_tail else journals[latest].state
+        latest = next((n for n in reversed(range(len(journals))) if journals[n].has_checkpoint), None)
+        state = None if latest is None or torn_tail else journals[latest].state()
         if latest is None or state is None:
             kept = [entry for journal in journals for entry in journal.entries()]
         else:
             later = [entry for journal in journals[latest + 1 :] for entry in journal.entries()]
             kept = [*journals[latest].entries(since_checkpoint=True), *later]
-        journals.append(SimulatedJournal(journals[-1].identity))
+        journals.append(SimulatedJournal(journals[-1].identity, host.codec))
         scheduler = NodeScheduler(host, self._executor, journals[-1])
         remaining = scheduler.replay(kept, state)
         self._add_scheduler(scheduler)
@@ -297,23 +301,34 @@ class _Idle:
 class SimulatedJournal:
     """A journal in memory, in the very bytes that a process would write."""
 
-    def __init__(self, identity: dict[str, str]) -> None:
+    def __init__(self, identity: dict[str, str], codec: StateCodec) -> None:
         self.identity = identity
+        self._codec = codec
         self._stream = io.BytesIO()
-        self._writer = JournalWriter(self._stream, identity, self._keep)
+        self._writer = JournalWriter(self._stream, identity, codec, self._keep)
         self._torn = b""
         self._mark = Mark()
-        self.state: bytes | None = None
-        """What the last checkpoint kept."""
+        self._state: bytes | None = None
+
+    @property
+    def has_checkpoint(self) -> bool:
+        """Whether a state is kept."""
+        return self._state is not None
+
+    def state(self) -> SavedState:
+        """What the last checkpoint kept, decoded anew."""
+        assert self._state is not None, "asked for only when there is a checkpoint"
+        state: SavedState = self._codec.decode(self._state)
+        return state
 
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         self._writer.append(now, inputs)
 
-    def checkpoint(self, state: bytes) -> None:
+    def checkpoint(self, state: SavedState) -> None:
         self._writer.checkpoint(state)
 
     def _keep(self, mark: Mark, _starts: int, state: bytes) -> None:
-        self._mark, self.state = mark, state
+        self._mark, self._state = mark, state
 
     def tear(self, tail: bytes) -> None:
         """Leave the beginning of an unfinished record at the end."""
@@ -322,8 +337,8 @@ class SimulatedJournal:
     def entries(self, since_checkpoint: bool = False) -> list[tuple[MissionTime, Input]]:
         """What is kept, or what came after the last checkpoint, read back from the bytes."""
         stream = io.BytesIO(self._stream.getvalue() + self._torn)
-        mark = self._mark if since_checkpoint else Mark()
-        return list(JournalReader(stream, self.identity, "journal", mark))
+        reader = JournalReader(stream, self.identity, "journal", self._mark if since_checkpoint else Mark())
+        return [(record.now, decode_input(record.channel, record.data, self._codec)) for record in reader]
 
 
 def warnings_of(simulation: Simulation) -> list[str]:

@@ -148,8 +148,10 @@ class Process:
             # Without a journal a start must still differ from an earlier one: the other side remembers what it had.
             self._incarnation = 1 if self.options.lockstep else int(time.time())
             return NodeScheduler(host, executor)
-        folder = JournalFolder(self.options.journal, self.name, identity_of(self.options.scenario))
+        folder = JournalFolder(self.options.journal, self.name, identity_of(self.options.scenario), host.codec)
         history = folder.history()
+        if history.notice:
+            self.log.warning(history.notice)
         scheduler = NodeScheduler(host, executor, folder.begin(history))
         began = time.monotonic()
         self._resume = scheduler.replay(history.inputs, history.state)

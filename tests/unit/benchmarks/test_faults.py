@@ -16,8 +16,9 @@ from schemas.commands import CommandKind
 from schemas.link import LinkChange
 from schemas.telemetry import SampleReport
 from schemas.topics import SAMPLE
-from services.runtime.node import Event, Received
+from services.runtime.node import DurableNode, Event, Received
 from services.runtime.scheduler import InlineExecutor
+from services.runtime.state_codec import SavedState
 
 EXTENT_M = 120.0
 BATCH = 10
@@ -88,15 +89,18 @@ def test_a_failure_shrinks_to_the_faults_that_it_needs_and_these_to_an_instant()
 class ForgetfulGround:
     """A ground station with a bug: once restarted, it loses the next sample."""
 
-    def __init__(self, node: object) -> None:
+    def __init__(self, node: DurableNode) -> None:
         self._node = node
         self._starts = 0
         self._lost = False
+        self.interface, self.state_types, self.functions = node.interface, node.state_types, node.functions
 
-    def __getattr__(self, name: str) -> object:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.__dict__["_node"], name)
+    def checkpoint(self) -> SavedState:
+        return {"node": self._node.checkpoint(), "starts": self._starts, "lost": self._lost}
+
+    def restore(self, state: SavedState) -> None:
+        self._node.restore(state["node"])
+        self._starts, self._lost = state["starts"], state["lost"]
 
     def handle(self, event: Event, now: int) -> object:
         if type(event).__name__ == "Started":
@@ -105,7 +109,7 @@ class ForgetfulGround:
             self._lost = True
             assert isinstance(event.body, SampleReport)
             return []
-        return self._node.handle(event, now)  # type: ignore[attr-defined]
+        return self._node.handle(event, now)
 
 
 class BuggyWorld(World):

@@ -26,8 +26,8 @@ from services.runtime.custody.protocol import (
     TRANSITIONS,
     CustodyConfig,
     CustodyQueueFull,
+    MessageState,
     Signal,
-    State,
     next_state,
     under_custody,
 )
@@ -572,12 +572,12 @@ def test_messages_of_a_new_incarnation_wait_for_those_of_the_old_one() -> None:
 
 
 def test_the_life_of_a_kept_message_is_in_the_table_and_nothing_else_happens() -> None:
-    reached = {State.WAITING}
-    for _ in State:
+    reached = {MessageState.WAITING}
+    for _ in MessageState:
         reached |= {after for (before, _), after in TRANSITIONS.items() if before in reached}
-    assert reached == set(State)
-    assert all(before is not State.ACKNOWLEDGED for before, _ in TRANSITIONS)
-    for state, signal in product(State, Signal):
+    assert reached == set(MessageState)
+    assert all(before is not MessageState.ACKNOWLEDGED for before, _ in TRANSITIONS)
+    for state, signal in product(MessageState, Signal):
         if (state, signal) in TRANSITIONS:
             assert next_state(state, signal) is TRANSITIONS[state, signal]
         else:

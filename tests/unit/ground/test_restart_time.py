@@ -62,7 +62,8 @@ def test_a_ground_station_is_back_within_two_seconds_late_in_a_whole_mission(tmp
         build_ground(scenario, region, across),
     ]  # fmt: skip
     mission = InProcessMission(scenario, nodes=nodes)
-    folder = JournalFolder(tmp_path, "ground", identity_of(scenario))
+    codec = Host(build_ground(scenario, region, across), scenario.name).codec
+    folder = JournalFolder(tmp_path, "ground", identity_of(scenario), codec)
     writer: JournalWriter = folder.begin(folder.history())
     simulation = mission.simulation
     simulation.keep_journals(("ground",), identity_of(scenario))

@@ -1,0 +1,52 @@
+"""The types of which the ground station's state is made, beside plain values.
+
+They are those that a checkpoint may hold, and those of the computations that it has under way and of their results.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from he3.frames import SiteGrid
+from he3.gp import GaussianProcess, Hyperparameters
+from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
+from he3.posterior.grid import PosteriorMap
+from he3.trend import OrbitalTrend
+from schemas.commands import CommandStatus, Telecommand
+from schemas.ground import GroundStatus
+from schemas.link import LinkConditions
+from schemas.maps import MapScore
+from schemas.plans import RoundPlan
+from schemas.telemetry import RoverState, SampleReport
+from services.ground.belief import FitRequest, Observation
+from services.ground.map.snapshot import MapSnapshot
+from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
+from services.ground.round_plans import PlanningTask
+
+STATE_TYPES: Final[tuple[type, ...]] = (
+    CommandStatus,
+    FitRequest,
+    GaussianProcess,
+    GroundStatus,
+    Hyperparameters,
+    LinkConditions,
+    MapScore,
+    MapSnapshot,
+    Matern12,
+    Matern32,
+    Matern52,
+    Observation,
+    OrbitalTrend,
+    PlannedRound,
+    PlannerOptions,
+    PlanningRequest,
+    PlanningTask,
+    PosteriorMap,
+    RoundPlan,
+    RoverState,
+    SampleReport,
+    SiteGrid,
+    SmoothPlusRough,
+    SquaredExponential,
+    Telecommand,
+)

@@ -1,0 +1,95 @@
+"""A checkpoint on disk: the state of a node, and the place in its journal to which it belongs.
+
+The file holds a CRC-32 of what follows (4 bytes, little endian), the length of the head (8 bytes), the head (JSON) and
+the state as the state codec wrote it. It replaces its predecessor in one step. A checkpoint is a short cut and no more:
+one that is damaged, of another mission, of another version of the program or ahead of the journal is passed over.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+CRC_BYTES: Final = 4
+_LENGTH_BYTES: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A place in a journal file between two records."""
+
+    offset: int = 0
+    channels: dict[int, str] = field(default_factory=dict)
+    """Registered before it: number and name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """An encoded state, and where in the journals it belongs."""
+
+    file: str
+    mark: Mark
+    starts: int
+    """How often the node had been started."""
+    state: bytes
+
+
+def write_checkpoint(path: Path, identity: Mapping[str, str], checkpoint: Checkpoint) -> None:
+    """Put the checkpoint in place of an earlier one; a reader finds the one or the other."""
+    head = {
+        "identity": dict(identity),
+        "program": program_digest(),
+        "file": checkpoint.file,
+        "offset": checkpoint.mark.offset,
+        "channels": [[number, name] for number, name in checkpoint.mark.channels.items()],
+        "starts": checkpoint.starts,
+    }
+    text = json.dumps(head).encode()
+    content = b"".join((len(text).to_bytes(_LENGTH_BYTES, "little"), text, checkpoint.state))
+    scratch = path.with_suffix(".new")
+    with scratch.open("wb") as stream:
+        stream.write(zlib.crc32(content).to_bytes(CRC_BYTES, "little"))
+        stream.write(content)
+    scratch.replace(path)
+
+
+def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapping[str, int]) -> Checkpoint | str:
+    """The checkpoint, or one line on why it cannot be used. journal_sizes: bytes of each journal file, by name."""
+    sealed = path.read_bytes()
+    content = sealed[CRC_BYTES:]
+    if zlib.crc32(content) != int.from_bytes(sealed[:CRC_BYTES], "little"):
+        return "it is damaged"
+    begin = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
+    try:
+        head = json.loads(content[_LENGTH_BYTES:begin])
+        mark = Mark(int(head["offset"]), {int(number): str(name) for number, name in head["channels"]})
+        checkpoint = Checkpoint(str(head["file"]), mark, int(head["starts"]), content[begin:])
+        whose, program = head["identity"], head["program"]
+    except (ValueError, KeyError, TypeError):
+        return "it is no checkpoint of this program"
+    if whose != dict(identity):
+        return "it is of another mission"
+    if program != program_digest():
+        return "it was written by another version of the program"
+    if journal_sizes.get(checkpoint.file, -1) < mark.offset:
+        return f"{checkpoint.file} does not reach as far"
+    return checkpoint
+
+
+@cache
+def program_digest() -> str:
+    """A digest of this program's files: what a state means is known to the same files only."""
+    root = Path(__file__).resolve().parents[2]
+    digest = hashlib.sha256(sys.version.encode())
+    for package in ("he3", "schemas", "services"):
+        for path in sorted((root / package).rglob("*.py")):
+            status = path.stat()
+            digest.update(f"{path.relative_to(root)} {status.st_size} {status.st_mtime_ns}\n".encode())
+    return digest.hexdigest()
