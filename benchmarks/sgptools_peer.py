@@ -149,13 +149,13 @@ def _belief(region: Region, places: FloatArray, values: FloatArray, kernel: str,
 
 def _path(ground: OpenGround, start_m: tuple[float, float], places: FloatArray) -> tuple[FloatArray, int]:
     corners = [np.array(start_m)]
-    pieces, blocked = [np.array([start_m])], 0
+    batches, blocked = [np.array([start_m])], 0
     for place in places:
         way = shortest_path(ground, corners[-1], place)
         blocked += len(way) > 2
-        pieces.append(way[1:])
+        batches.append(way[1:])
         corners.append(place)
-    return np.vstack(pieces), blocked
+    return np.vstack(batches), blocked
 
 
 def _own_map(region: Region, places: FloatArray, values: FloatArray) -> FloatArray:

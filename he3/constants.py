@@ -17,12 +17,9 @@ from types import MappingProxyType
 from typing import Final
 
 SPEED_OF_LIGHT_M_S: Final = 299_792_458.0  # m/s, exact, BIPM
-NANOSECONDS_PER_SECOND: Final = 1_000_000_000  # 1, by definition
 
 MOON_RADIUS_M: Final = 1_737_400.0  # m, reference sphere, IAU
-MOON_DISTANCE_MIN_M: Final = 356_410e3  # m, nearest perigee, centre to centre, ALMANAC
 MOON_DISTANCE_MEAN_M: Final = 384_400e3  # m, mean, centre to centre, ALMANAC
-MOON_DISTANCE_MAX_M: Final = 406_697e3  # m, farthest apogee, centre to centre, ALMANAC
 
 ORBITAL_PIXELS_PER_DEGREE: Final = 512  # 1/deg, grid of the orbital maps, about 59 m a pixel, PRODUCTS
 SITE_CELLS: Final = 500  # cells on a side of a finished region, PAPER

@@ -7,12 +7,13 @@
     later = belief.condition([[40.0, 55.0]], [7.9])                          # belief itself is unchanged
     planned = belief.condition_on_places([[100.0, 20.0], [120.0, 20.0]])     # to be sampled: less variance, same mean
     nats = information_gain(planned.posterior_covariance(places_m), fitted.noise_variance_ppb2)
-    posterior = GridPosterior.build(grid, fitted, xy_m, values_ppb)          # he3.posterior: every cell of the site
+    posterior = GridPosterior.build(grid, fitted, xy_m, values_ppb)          # every cell of the site
     posterior.add([60.0, 61.0], 8.3)                                         # one sample, no refit
     posterior.mean_ppb, posterior.std_ppb                                    # (rows, columns) float32
 
-Algorithm: Rasmussen & Williams 2006, alg. 2.1, with the Cholesky factor extended by blocks as samples come. Inside, all
-is in standardised units (``Hyperparameters.standardise``); places are metres and values ppb at the edge.
+Algorithm: Rasmussen & Williams 2006, alg. 2.1, with the Cholesky factor extended by blocks as samples come. Internally
+everything is in standardised units (``Hyperparameters.standardise``); the interface has places in metres and values in
+ppb.
 """
 
 from __future__ import annotations
@@ -30,36 +31,35 @@ from he3.hyperparameters import Hyperparameters, fit_hyperparameters
 __all__ = ["GaussianProcess", "Hyperparameters", "fit_hyperparameters"]
 
 
-def _none() -> FloatArray:
-    return np.empty(0)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianProcess:
     """The belief about the field given n samples.
 
     places_m: (n, 2) [m]. factor: lower Cholesky factor (n, n) of their covariance plus noise. whitened: (n,), factor^-1
-    times the standardised observations. All but ``hyperparameters`` are made by ``condition``.
+    times the standardised observations. ``condition`` sets all but ``hyperparameters``.
     """
 
     hyperparameters: Hyperparameters
     places_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     factor: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    whitened: FloatArray = field(default_factory=_none)
+    whitened: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.places_m)
 
     def condition(self, xy_m: ArrayLike, values_ppb: ArrayLike) -> GaussianProcess:
-        """The belief after observations (k,) [ppb] at places (k, 2) [m]; repeated places are welcome."""
+        """The belief after observations (k,) [ppb] at places (k, 2) [m]; places may repeat.
+
+        Raises InvalidInput for shapes that do not fit or values that are not finite.
+        """
         xy = as_points(np.asarray(xy_m, dtype=np.float64))
         values = np.asarray(values_ppb, dtype=np.float64)
         if values.shape != (len(xy),) or not np.isfinite(values).all():
-            raise InvalidInput(f"expected {len(xy)} finite values, one a place, got shape {values.shape}")
+            raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
         return self._extend(xy, self.hyperparameters.standardise(xy, values))
 
     def condition_on_places(self, xy_m: ArrayLike) -> GaussianProcess:
-        """The belief after samples at places (k, 2) [m] whose values are not known yet: less variance, same mean."""
+        """The belief after samples at places (k, 2) [m] with values yet unknown: less variance, the same mean."""
         return self._extend(as_points(np.asarray(xy_m, dtype=np.float64)), None)
 
     def _extend(self, xy: FloatArray, z: FloatArray | None) -> GaussianProcess:
@@ -69,7 +69,7 @@ class GaussianProcess:
         cross = self._whiten(xy)
         block = self.hyperparameters.covariance(xy, xy) - cross.T @ cross
         noise = self.hyperparameters.noise_variance
-        # The field's own variance is never negative, whatever rounding says: a pivot is never below the noise.
+        # Rounding may make the field's own variance negative; clipped at 0, no pivot is below the noise.
         block.flat[:: k + 1] = np.maximum(block.diagonal(), 0.0) + noise
         try:
             corner = np.linalg.cholesky(block)
@@ -79,14 +79,14 @@ class GaussianProcess:
         factor[:n, :n] = self.factor
         factor[n:, :n] = cross.T
         factor[n:, n:] = corner
-        # Values that are as expected leave the mean as it is; that is a whitened residual of zero.
+        # A value equal to its expectation leaves the mean unchanged: its whitened residual is 0.
         new = np.zeros(k) if z is None else solve_triangular(corner, z - cross.T @ self.whitened, lower=True)
         return GaussianProcess(
             self.hyperparameters, np.vstack((self.places_m, xy)), factor, np.concatenate((self.whitened, new))
         )
 
     def _whiten(self, xy: FloatArray) -> FloatArray:
-        """factor^-1 K(samples, xy), (n, k): what ties the places to the samples."""
+        """Whitened covariance (n, k) between samples and places: factor^-1 K(samples, xy)."""
         if len(self) == 0:
             return np.zeros((0, len(xy)))
         covariance = self.hyperparameters.covariance(self.places_m, xy)
@@ -100,10 +100,22 @@ class GaussianProcess:
         scale = self.hyperparameters.scale_ppb
         mean = self.hyperparameters.prior_mean_ppb(xy) + scale * (cross.T @ self.whitened)
         variance = self.hyperparameters.prior_variance(xy) - np.einsum("ij,ij->j", cross, cross)
-        return mean, scale * np.sqrt(np.maximum(variance, 0.0))
+        return mean, scale * np.sqrt(np.maximum(variance, self.least_variance()))
+
+    def least_variance(self) -> float:
+        """A positive lower bound on the posterior variance anywhere, in standardised units.
+
+        After n samples at the very place the variance is k / (1 + n k / s^2), with k the kernel's variance and s^2 the
+        noise's; samples elsewhere tell no more. The bound is half of that, which only a rounding error falls below.
+        """
+        prior = self.hyperparameters.kernel.prior_variance
+        return 0.5 * prior / (1.0 + len(self) * prior / self.hyperparameters.noise_variance)
 
     def posterior_covariance(self, points_m: ArrayLike, others_m: ArrayLike | None = None) -> FloatArray:
-        """Posterior covariance (k, m) [ppb^2] of the field between places (k, 2) and others (m, 2), or one another."""
+        """Posterior covariance (k, m) [ppb^2] of the field between places (k, 2) and others (m, 2) [m].
+
+        Without others, (k, k) among the places themselves.
+        """
         xy = as_points(np.asarray(points_m, dtype=np.float64))
         cross = self._whiten(xy)
         if others_m is None:
@@ -132,22 +144,3 @@ class GaussianProcess:
             covariance -= cross @ cross.transpose(0, 2, 1)
         covariance *= self.hyperparameters.scale_ppb**2
         return covariance
-
-    def trend_coefficients(self) -> tuple[FloatArray, FloatArray]:
-        """Posterior mean (2,) and standard deviation (2,) of the trend's gain [1] and offset [ppb].
-
-        The offset is at the orbital map's site mean. Raises InvalidInput if there is no trend.
-        """
-        trend = self.hyperparameters.trend
-        if trend is None:
-            raise InvalidInput("expected a belief with an orbital trend; this one has none")
-        prior_std = np.array([trend.gain_std, trend.offset_std_ppb])
-        prior_mean = np.array([1.0, self.hyperparameters.mean_ppb])
-        basis = self.hyperparameters.trend_basis(self.places_m)
-        assert basis is not None
-        if len(self) == 0:
-            return prior_mean, prior_std
-        cross = solve_triangular(self.factor, basis, lower=True, check_finite=False)
-        mean = prior_mean + prior_std * (cross.T @ self.whitened)
-        variance = 1.0 - np.einsum("ij,ij->j", cross, cross)
-        return mean, prior_std * np.sqrt(np.maximum(variance, 0.0))

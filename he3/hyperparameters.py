@@ -1,26 +1,27 @@
-"""What the belief is made of besides the samples, and how it is found: maximum likelihood within stated bounds.
+"""The parameters of the belief other than the samples, and their fit: maximum likelihood within stated bounds.
 
-Observations are standardised by their own mean and standard deviation when hyperparameters are fitted, and the kernel
-lives in those units. Bounds, and why:
+A fit standardises the observations by their own mean and standard deviation, and the kernel is in those units. Bounds,
+and the reasons for them:
 
-- length scales from 5 m, below which samples that planners keep 5 to 15 m apart say nothing about it, to the site's own
-  width (500 m where it is less), beyond which it is a trend that no sample on the site can tell from another;
-- the smooth part's from 40 m and the rough part's up to 60 m, so that each keeps to its role, both in proportion to the
+- length scales from 5 m, below which samples that planners keep 5 to 15 m apart carry no information on them, to the
+  site's own width (500 m where it is less), beyond which the field is a trend that samples on the site cannot tell from
+  a longer one;
+- the smooth part's from 40 m and the rough part's up to 60 m, so that each keeps its role, both in proportion to the
   width where the site is wider than 500 m;
-- an exponential covariance's from the typical distance between neighbouring samples, up to 40 m: under a shorter one
-  they are all but independent, the likelihood is flat, and what it happens to prefer draws the map to its mean for
-  nothing (2 % of RMSE on a lattice of 37 m); if the scale really is shorter, the samples cannot say so. On a wider
-  site the 40 m grow with it, as samples lie farther apart there;
-- variances from 0.02 to 10 times that of the samples: a handful of samples close together may under-estimate the
-  field's variance by a lot, but hardly over-estimate it;
+- an exponential covariance's from the typical distance between neighbouring samples, up to 40 m: below it the samples
+  are almost independent, the likelihood is flat, and its accidental maximum draws the map to its mean without reason
+  (2 % of RMSE on a lattice of 37 m); if the scale really is shorter, the samples cannot show it. On a wider site the
+  40 m grow with it, because samples lie farther apart there;
+- variances from 0.02 to 10 times that of the samples: a few samples close together may under-estimate the field's
+  variance by much, but hardly over-estimate it;
 - parts of a sum may fade to 0.001, so that one part alone stays possible;
-- the noise is the instrument's, and fixed, unless bounds for it are given.
+- the noise is the instrument's, and fixed.
 
-"auto" chooses a kernel by its evidence, with caution. Samples far apart cannot see how smooth a field is in between,
-and likelihood then leans to smooth kernels, whose intervals are the narrowest: on even lattices of 144 and 196 samples
+"auto" chooses a kernel by its evidence, cautiously. Samples far apart cannot show how smooth a field is in between, and
+the likelihood then prefers smooth kernels, whose intervals are the narrowest: on even lattices of 144 and 196 samples
 of the embedded regions, the squared exponential was within 2.1 of the best evidence 19 times in 20, and its 68 %
-intervals covered 38 to 67 %. So "auto" takes the first of ``CAUTIOUS_FIRST`` that the evidence does not speak very
-strongly against.
+intervals covered 38 to 67 %. So "auto" takes the first of ``CAUTIOUS_FIRST`` that no other kernel beats by very strong
+evidence.
 """
 
 from __future__ import annotations
@@ -45,32 +46,35 @@ from he3.kernels import (
     squared_distances,
     with_log_parameters,
 )
-from he3.likelihood import likelihood_of_distances
+from he3.likelihood import log_marginal_likelihood
 from he3.trend import OrbitalTrend
 
-DEFAULT_NOISE_STD_PPB = 0.1  # ppb, the paper's sensor
-EXTENT_M = 500.0  # m, width of the site that the following length scales are for, see above
-LENGTH_SCALE_BOUNDS_M = (5.0, EXTENT_M)  # m
-SMOOTH_LENGTH_SCALE_BOUNDS_M = (40.0, EXTENT_M)  # m
-ROUGH_LENGTH_SCALE_BOUNDS_M = (5.0, 60.0)  # m
-WIDEST_SPACING_M = 40.0  # samples farther apart than this say nothing against a length scale of it, see above
-VARIANCE_BOUNDS = (0.02, 10.0)  # of the samples' variance, see above
-PART_VARIANCE_BOUNDS = (0.001, 10.0)  # of the samples' variance, see above
-# Smallest noise variance in standardised units that any computation uses: a noise of a thousandth of the field's
-# standard deviation. It bounds the condition number of n samples by n 1e6 (times the kernel's variance), which a
-# float64 Cholesky and a float32 grid both survive; a map is not better for pretending to more.
-NOISE_VARIANCE_FLOOR = 1e-6
+DEFAULT_NOISE_STD_PPB = 0.1  # ppb, the sensor's, PAPER
+EXTENT_M = 500.0  # m, width of the site that the following length scales are for, PAPER
+LENGTH_SCALE_BOUNDS_M = (5.0, EXTENT_M)  # m, see above
+SMOOTH_LENGTH_SCALE_BOUNDS_M = (40.0, EXTENT_M)  # m, see above
+ROUGH_LENGTH_SCALE_BOUNDS_M = (5.0, 60.0)  # m, see above
+WIDEST_SPACING_M = 40.0  # m, largest lower bound of an exponential covariance's length scale, see above
+VARIANCE_BOUNDS = (0.02, 10.0)  # 1, of the samples' variance, see above
+PART_VARIANCE_BOUNDS = (0.001, 10.0)  # 1, of the samples' variance, see above
+# 1, smallest noise variance that any computation uses, as a share of the field's prior variance: a noise of a
+# ten-thousandth of the field's standard deviation. It bounds the condition number of the covariance of n samples by
+# n 1e8, wherever they lie and whatever the field's unit, which a float64 Cholesky factorisation survives.
+NOISE_VARIANCE_FLOOR = 1e-8
 CAUTIOUS_FIRST = ("smooth+rough", "matern12", "matern32", "matern52", "se")
-"""Kernels from the one that promises least: not differentiable, the sum first as it holds most others; then the rest by
+"""Kernels, the least smooth first: not differentiable, the sum first because it contains most others; then the rest by
 how often their fields can be differentiated."""
-VERY_STRONG_EVIDENCE = 5.0  # logarithm of a ratio of evidences from which it is called that (Kass & Raftery 1995)
-MIN_SAMPLES = 5  # below it the likelihood says next to nothing, and the previous or default kernel stays
-SMALLEST_SCALE_IN_NOISE = (
-    5.0  # samples that vary less than 5 noise standard deviations are not yet a measure of the field
-)
-_CANDIDATE_STARTS = 8  # starts whose likelihood is looked at; the best few are followed
+VERY_STRONG_EVIDENCE = 5.0  # 1, natural logarithm of a ratio of evidences (Kass & Raftery 1995)
+MIN_SAMPLES = 5  # 1, below it the likelihood tells next to nothing: the previous or default kernel is kept
+MIN_SCALE_IN_NOISE = 5.0  # 1, samples that vary by fewer noise standard deviations do not show the field's variation
+# 1, of the samples' largest magnitude: variation below it is not resolved by a float32 map, whose rounding is 6e-8.
+MIN_SCALE_OF_LEVEL = 1e-6
+# 1, the same for fewer than ``MIN_SAMPLES``, whose own variation is no estimate of the field's, ASSUMED.
+MIN_SCALE_OF_LEVEL_OF_FEW = 0.03
+MIN_SCALE_PPB = 1e-3  # ppb, scale if all samples are 0 and so is the noise
+_CANDIDATE_STARTS = 8  # starting points whose likelihood is evaluated; the best few are followed
 _FOLLOWED_STARTS = 2
-_ITERATIONS = 60
+_MAX_ITERATIONS = 60
 
 Bounds = list[tuple[float, float]]
 
@@ -79,7 +83,7 @@ Bounds = list[tuple[float, float]]
 class Hyperparameters:
     """Kernel in standardised units, noise, and the standardisation z = (y - trend - mean_ppb) / scale_ppb.
 
-    log_likelihood is that of the observations [ppb] they were fitted to, NaN if they were not fitted.
+    log_likelihood: of the observations [ppb] that they were fitted to, NaN if they were not fitted.
     """
 
     kernel: Kernel
@@ -97,16 +101,16 @@ class Hyperparameters:
 
     @property
     def noise_variance(self) -> float:
-        """Noise variance in standardised units, never below the floor that keeps the algebra safe."""
-        return max((self.noise_std_ppb / self.scale_ppb) ** 2, NOISE_VARIANCE_FLOOR)
+        """Noise variance in standardised units, at least ``NOISE_VARIANCE_FLOOR`` of the kernel's variance."""
+        return max((self.noise_std_ppb / self.scale_ppb) ** 2, NOISE_VARIANCE_FLOOR * self.kernel.prior_variance)
 
     @property
     def noise_variance_ppb2(self) -> float:
-        """The same in ppb^2: what ``information_gain`` takes beside a covariance in ppb^2."""
+        """Noise variance [ppb^2], as ``information_gain`` takes it beside a covariance in ppb^2."""
         return self.noise_variance * self.scale_ppb**2
 
     def standardise(self, xy_m: FloatArray, values_ppb: FloatArray) -> FloatArray:
-        """Observations (n,) [ppb] at places (n, 2) [m] as the kernel sees them: no trend, no mean, unit scale."""
+        """Observations (n,) [ppb] at places (n, 2) [m] in standardised units: less trend and mean, over the scale."""
         return (values_ppb - self.prior_mean_ppb(xy_m)) / self.scale_ppb
 
     def prior_mean_ppb(self, xy_m: FloatArray) -> FloatArray:
@@ -117,13 +121,13 @@ class Hyperparameters:
 
     def trend_basis(self, xy_m: FloatArray) -> FloatArray | None:
         """Columns (n, 2) whose outer product is the trend's covariance in standardised units; None without a trend."""
-        return None if self.trend is None else self.trend.basis(xy_m) / self.scale_ppb
+        return None if self.trend is None else self.trend.basis(xy_m, self.scale_ppb)
 
     def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
         """Prior covariance (N, M) between places a (N, 2) and b (M, 2) [m] in standardised units, trend included."""
         covariance = self.kernel.covariance(a_m, b_m)
         if self.trend is not None:
-            covariance += (self.trend.basis(a_m) / self.scale_ppb) @ (self.trend.basis(b_m) / self.scale_ppb).T
+            covariance += self.trend.basis(a_m, self.scale_ppb) @ self.trend.basis(b_m, self.scale_ppb).T
         return covariance
 
     def prior_variance(self, xy_m: FloatArray) -> FloatArray:
@@ -138,7 +142,8 @@ class Hyperparameters:
 def parameter_bounds(kernel: Kernel, spacing_m: float = 0.0, extent_m: float = EXTENT_M) -> Bounds:
     """Lower and upper bound of each of the kernel's parameters, in their order.
 
-    For samples of that typical spacing [m] on a site of that width [m], the larger one if its sides differ.
+    spacing_m: typical spacing of the samples [m]. extent_m: the site's longer side [m]. Raises InvalidInput for an
+    extent that is not positive.
     """
     widening = _widening(extent_m)
     shortest_m = min(spacing_m, WIDEST_SPACING_M * widening)
@@ -155,7 +160,7 @@ def parameter_bounds(kernel: Kernel, spacing_m: float = 0.0, extent_m: float = E
 
 
 def _widening(extent_m: float) -> float:
-    """How many times wider the site is than what the length scales of this module are for, 1 if it is not."""
+    """How many times wider the site is than ``EXTENT_M``, which the length scales here are for; at least 1."""
     if not (math.isfinite(extent_m) and extent_m > 0):
         raise InvalidInput(f"expected a positive width of the site, got {extent_m!r} m")
     return max(1.0, extent_m / EXTENT_M)
@@ -170,7 +175,7 @@ def typical_spacing_m(xy_m: FloatArray) -> float:
 
 
 def _including(bounds: Bounds, previous: Hyperparameters | None, kernel: Kernel, extent_m: float) -> Bounds:
-    """The bounds, widened where earlier hyperparameters have a shorter length scale: no fit is worse than the last."""
+    """The bounds, extended to a shorter length scale of the previous fit, so that no refit is less likely than it."""
     if previous is None or previous.kernel.name != kernel.name:
         return bounds
     widest = parameter_bounds(kernel, extent_m=extent_m)
@@ -189,53 +194,69 @@ def fit_hyperparameters(
     *,
     rng: np.random.Generator,
     noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
-    noise_bounds_ppb: tuple[float, float] | None = None,
     previous: Hyperparameters | None = None,
     trend: OrbitalTrend | None = None,
     extent_m: float = EXTENT_M,
 ) -> Hyperparameters:
     """The hyperparameters under which the samples are likeliest, within the bounds of this module.
 
-    xy_m: places (n, 2) [m]; values_ppb: observations (n,) [ppb]; kernel_name: one of ``KERNEL_NAMES``, where "auto"
-    fits every kernel and keeps the most cautious that the evidence allows (see above); extent_m: the site's width [m],
-    up to which a length scale may go. The search is by L-BFGS-B from several starts, of which ``previous`` is one: the
+    xy_m: places (n, 2) [m]. values_ppb: observations (n,) [ppb]. kernel_name: one of ``KERNELS``, or "auto", which fits
+    every kernel and keeps the most cautious that the evidence allows. extent_m: the site's longer side [m], up to
+    which a length scale may go. The search is by L-BFGS-B from several starts, of which ``previous`` is one: the
     result is never less likely than the previous hyperparameters of that kernel on these samples. With fewer than
-    FEWEST_SAMPLES the kernel stays what it was, or at its default.
-    Raises InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
+    ``MIN_SAMPLES`` the kernel stays at its previous or default value. Raises InvalidInput for shapes that do not fit,
+    values that are not finite, or an unknown kernel.
     """
     xy = as_points(xy_m)
     values = np.asarray(values_ppb, dtype=np.float64)
     if values.shape != (len(xy),) or not np.isfinite(values).all():
-        raise InvalidInput(f"expected {len(xy)} finite values, one a place, got shape {values.shape}")
+        raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
+    data = _Data(xy, values, noise_std_ppb, trend, extent_m)
     if kernel_name == AUTO:
-        return _fit_best_kernel(xy, values, rng, noise_std_ppb, noise_bounds_ppb, previous, trend, extent_m)
-    return _fit(xy, values, kernel_from(kernel_name), rng, noise_std_ppb, noise_bounds_ppb, previous, trend, extent_m)
+        return _fit_best_kernel(data, rng, previous)
+    return _fit(data, kernel_from(kernel_name), rng, previous)
 
 
 def information_criterion(fitted: Hyperparameters) -> float:
     """Akaike's information criterion as a log evidence: log likelihood - p, p parameters (Akaike 1974); more is better.
 
-    Its price of a parameter does not grow with the samples, so that a kernel which holds another is not ruled out by
-    their number alone.
+    Its price of a parameter does not grow with the samples, so that their number alone never rules out a kernel that
+    contains another.
     """
     return fitted.log_likelihood - len(fitted.kernel.parameters())
 
 
-def _fit_best_kernel(
-    xy: FloatArray,
-    values: FloatArray,
-    rng: np.random.Generator,
-    noise_std_ppb: float,
-    noise_bounds_ppb: tuple[float, float] | None,
-    previous: Hyperparameters | None,
-    trend: OrbitalTrend | None,
-    extent_m: float,
-) -> Hyperparameters:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    """The samples of a fit, places (n, 2) [m] and values (n,) [ppb], with the instrument's noise, trend and extent."""
+
+    xy: FloatArray
+    values: FloatArray
+    noise_std_ppb: float
+    trend: OrbitalTrend | None
+    extent_m: float
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def residual(self) -> FloatArray:
+        """Values less the trend (n,) [ppb]."""
+        return self.values if self.trend is None else self.values - self.trend.at(self.xy)
+
+    def scale_ppb(self, residual: FloatArray) -> float:
+        """Standard deviation of the residual [ppb], or the least one that a fit believes in."""
+        level = float(np.abs(self.values).max()) if len(self) else 0.0
+        of_level = MIN_SCALE_OF_LEVEL if len(self) >= MIN_SAMPLES else MIN_SCALE_OF_LEVEL_OF_FEW
+        least = max(MIN_SCALE_IN_NOISE * self.noise_std_ppb, of_level * level)
+        return max(float(residual.std()) if len(self) else 1.0, least if least > 0.0 else MIN_SCALE_PPB)
+
+
+def _fit_best_kernel(data: _Data, rng: np.random.Generator, previous: Hyperparameters | None) -> Hyperparameters:
     fits: list[Hyperparameters] = []
     for name in KERNELS:
         warm = previous if previous is not None and previous.kernel.name == name else None
-        fits.append(_fit(xy, values, kernel_from(name), rng, noise_std_ppb, noise_bounds_ppb, warm, trend, extent_m))
-    if len(xy) < MIN_SAMPLES:
+        fits.append(_fit(data, kernel_from(name), rng, warm))
+    if len(data) < MIN_SAMPLES:
         return next((fit for fit in fits if previous is not None and fit.kernel.name == previous.kernel.name), fits[0])
     evidence = {fit.kernel.name: information_criterion(fit) for fit in fits}
     least = max(evidence.values()) - VERY_STRONG_EVIDENCE
@@ -243,61 +264,36 @@ def _fit_best_kernel(
     return next(fit for fit in fits if fit.kernel.name == chosen)
 
 
-def _fit(
-    xy: FloatArray,
-    values: FloatArray,
-    default: Kernel,
-    rng: np.random.Generator,
-    noise_std_ppb: float,
-    noise_bounds_ppb: tuple[float, float] | None,
-    previous: Hyperparameters | None,
-    trend: OrbitalTrend | None,
-    extent_m: float,
-) -> Hyperparameters:
-    residual = values if trend is None else values - trend.at(xy)
-    mean = float(residual.mean()) if len(residual) else 0.0
-    smallest = max(SMALLEST_SCALE_IN_NOISE * noise_std_ppb, 1e-3)
-    scale = max(float(residual.std()) if len(residual) else 1.0, smallest)
+def _fit(data: _Data, default: Kernel, rng: np.random.Generator, previous: Hyperparameters | None) -> Hyperparameters:
+    residual = data.residual()
+    mean = float(residual.mean()) if len(data) else 0.0
+    scale = data.scale_ppb(residual)
     z = (residual - mean) / scale
-    bounds = _including(parameter_bounds(default, typical_spacing_m(xy), extent_m), previous, default, extent_m)
+    bounds = parameter_bounds(default, typical_spacing_m(data.xy), data.extent_m)
+    bounds = _including(bounds, previous, default, data.extent_m)
     warm = None
     if previous is not None and previous.kernel.name == default.name:
         warm = _in_scale(previous, scale, bounds)
-    noise_bounds = None
-    if noise_bounds_ppb is not None:
-        low, high = noise_bounds_ppb
-        if not 0 < low <= high:
-            raise InvalidInput(f"expected noise bounds 0 < low <= high [ppb], got {noise_bounds_ppb}")
-        noise_bounds = (
-            max(low / scale, NOISE_VARIANCE_FLOOR**0.5) ** 2,
-            max(high / scale, NOISE_VARIANCE_FLOOR**0.5) ** 2,
-        )
-    noise = max((noise_std_ppb / scale) ** 2, NOISE_VARIANCE_FLOOR)
-    if noise_bounds is not None:
-        before = noise if previous is None else (previous.noise_std_ppb / scale) ** 2
-        noise = min(max(before, noise_bounds[0]), noise_bounds[1])
-    basis = None if trend is None else trend.basis(xy) / scale
+    basis = None if data.trend is None else data.trend.basis(data.xy, scale)
     problem = _Problem(
         default=default,
-        r2=squared_distances(xy, xy),
+        r2=squared_distances(data.xy, data.xy),
         z=z,
         trend_covariance=None if basis is None else basis @ basis.T,
-        noise=noise,
-        bounds=np.log(np.array(bounds + ([noise_bounds] if noise_bounds else []))),
+        noise=(data.noise_std_ppb / scale) ** 2,
+        bounds=np.log(np.array(bounds)),
     )
-    if len(xy) < MIN_SAMPLES:
+    if len(data) < MIN_SAMPLES:
         best = problem.start(warm or default)
     else:
-        best = problem.solve(_starts(problem, warm, default, rng, _widening(extent_m)))
-    kernel = with_log_parameters(default, best[: len(bounds)])
-    if noise_bounds is not None:
-        noise_std_ppb = float(np.exp(0.5 * best[-1])) * scale
+        best = problem.solve(_starts(problem, warm, default, rng, _widening(data.extent_m)))
+    kernel = with_log_parameters(default, best)
     likelihood = -problem.cost(best)[0] - len(z) * math.log(scale) if len(z) else math.nan
-    return Hyperparameters(kernel, noise_std_ppb, mean, scale, likelihood, trend)
+    return Hyperparameters(kernel, data.noise_std_ppb, mean, scale, likelihood, data.trend)
 
 
 def _in_scale(previous: Hyperparameters, scale: float, bounds: Sequence[tuple[float, float]]) -> Kernel:
-    """The previous kernel in units of the new scale, within bounds."""
+    """The previous kernel in units of the new scale, within the bounds."""
     ratio = (previous.scale_ppb / scale) ** 2
     parameters = {
         key: min(max(value * ratio if key.endswith("variance") else value, low), high)
@@ -308,7 +304,11 @@ def _in_scale(previous: Hyperparameters, scale: float, bounds: Sequence[tuple[fl
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """Minimise minus the log likelihood over the logarithms of the parameters, the noise's last if it is free."""
+    """Minus the log likelihood, to be minimised over the logarithms of the kernel's parameters.
+
+    noise: the instrument's noise variance in standardised units. Where it is below the floor, the floor is used, which
+    grows with the kernel's variances.
+    """
 
     default: Kernel
     r2: FloatArray
@@ -317,24 +317,25 @@ class _Problem:
     noise: float
     bounds: FloatArray
 
-    @property
-    def noise_is_free(self) -> bool:
-        return len(self.bounds) > len(self.default.parameters())
-
     def start(self, kernel: Kernel) -> FloatArray:
+        """The kernel's log parameters (p,), within bounds."""
         parameters = np.log(list(kernel.parameters().values()))
-        if self.noise_is_free:
-            parameters = np.append(parameters, np.log(self.noise))
         return np.clip(parameters, self.bounds[:, 0], self.bounds[:, 1])
 
     def cost(self, log_parameters: FloatArray) -> tuple[float, FloatArray]:
-        count = len(self.default.parameters())
-        noise = float(np.exp(log_parameters[-1])) if self.noise_is_free else self.noise
-        kernel = with_log_parameters(self.default, log_parameters[:count])
-        value, gradient = likelihood_of_distances(kernel, noise, self.r2, self.z, self.trend_covariance)
-        return -value, -gradient[: len(self.bounds)]
+        """Minus the log likelihood, and its gradient (p,)."""
+        kernel = with_log_parameters(self.default, log_parameters)
+        floor = NOISE_VARIANCE_FLOOR * kernel.prior_variance
+        noise = max(self.noise, floor)
+        value, gradient = log_marginal_likelihood(kernel, noise, self.r2, self.z, self.trend_covariance)
+        by_parameters, by_noise = gradient[:-1], float(gradient[-1])
+        if noise > self.noise:  # noise is proportional to the sum of the variances
+            shares = [v if name.endswith("variance") else 0.0 for name, v in kernel.parameters().items()]
+            by_parameters = by_parameters + by_noise * np.array(shares) / kernel.prior_variance
+        return -value, -by_parameters
 
     def solve(self, starts: Sequence[FloatArray]) -> FloatArray:
+        """The best of the optima (p,) that the starts lead to. Raises NumericalFailure if none is finite."""
         best, lowest = starts[0], math.inf
         for start in starts:
             found = minimize(
@@ -343,7 +344,7 @@ class _Problem:
                 jac=True,
                 method="L-BFGS-B",
                 bounds=self.bounds,
-                options={"maxiter": _ITERATIONS, "ftol": 1e-9, "gtol": 1e-4},
+                options={"maxiter": _MAX_ITERATIONS, "ftol": 1e-9, "gtol": 1e-4},
             )
             if found.fun < lowest:
                 best, lowest = np.asarray(found.x), float(found.fun)
@@ -355,10 +356,10 @@ class _Problem:
 def _starts(
     problem: _Problem, warm: Kernel | None, default: Kernel, rng: np.random.Generator, widening: float
 ) -> list[FloatArray]:
-    """Where to start: the previous optimum if there is one, and the likeliest of the default and some random places.
+    """Starting points: the previous optimum if there is one, and the likeliest of the default and random ones.
 
-    On a wide site the default is far shorter than samples lie apart, where the likelihood is flat; so there the default
-    in proportion to the site is another start.
+    On a wide site the default is far shorter than the samples' spacing, where the likelihood is flat; there the default
+    in proportion to the site is another candidate.
     """
     low, high = problem.bounds.T
     candidates = [problem.start(default)]
@@ -372,7 +373,7 @@ def _starts(
 
 
 def _widened(kernel: Kernel, widening: float) -> Kernel:
-    """The kernel with length scales so many times as long."""
+    """The kernel with its length scales multiplied by the widening."""
     parameters = {
         key: value * widening if key.endswith("length_scale_m") else value for key, value in kernel.parameters().items()
     }

@@ -1,4 +1,4 @@
-"""Light time between Earth and Moon: how late each side hears the other."""
+"""One-way light time between Earth and Moon, by distance and by named case."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from types import MappingProxyType
 from typing import Final
 
-from he3.constants import MOON_DISTANCE_MEAN_M, NANOSECONDS_PER_SECOND, SPEED_OF_LIGHT_M_S
+from he3.constants import MOON_DISTANCE_MEAN_M, SPEED_OF_LIGHT_M_S
 from he3.errors import InvalidInput
 
 
@@ -17,12 +17,7 @@ def light_time_s(distance_m: float) -> float:
     return distance_m / SPEED_OF_LIGHT_M_S
 
 
-def light_time_ns(distance_m: float) -> int:
-    """One-way light time over a distance [m], in whole nanoseconds of mission time, rounded to the nearest."""
-    return round(light_time_s(distance_m) * NANOSECONDS_PER_SECOND)
-
-
-NOMINAL_LIGHT_TIME_S: Final = 1.28  # s, one way, mean distance of 384,400 km (1.2822 s) as everyone quotes it
+NOMINAL_LIGHT_TIME_S: Final = 1.28  # s, one way, mean distance of 384,400 km (1.2822 s), as usually quoted
 
 # One-way light time [s] of each named case. Round trips studied by agencies: 6 and 8 s (NASA), 10 s (CSA).
 PRESET_LIGHT_TIMES_S: Final = MappingProxyType(
@@ -41,12 +36,12 @@ PRESET_LIGHT_TIMES_S: Final = MappingProxyType(
 
 
 def preset_light_time_s(name: str) -> float:
-    """One-way light time [s] of a named case; raises InvalidInput, listing the names, for one that is not known."""
+    """One-way light time [s] of a named case; raises InvalidInput, listing the names, for an unknown one."""
     try:
         return PRESET_LIGHT_TIMES_S[name]
     except KeyError:
         known = ", ".join(PRESET_LIGHT_TIMES_S)
-        raise InvalidInput(f"expected a light-time preset out of {known}; got {name!r}") from None
+        raise InvalidInput(f"expected a light-time preset among {known}, got {name!r}") from None
 
 
 MEAN_LIGHT_TIME_S: Final = light_time_s(MOON_DISTANCE_MEAN_M)  # s, one way at the mean distance

@@ -3,8 +3,8 @@
     log p(z) = -1/2 z' A^-1 z - 1/2 log det A - n/2 log 2 pi,      A = K + T + s^2 I
     d log p / d t = 1/2 tr((a a' - A^-1) dA/dt),                   a = A^-1 z
 
-(Rasmussen & Williams 2006, eqs. 5.8 and 5.9), with T the fixed covariance of a trend, if there is one. Gradients are
-with respect to the logarithms of the kernel's parameters, and then of the noise variance.
+(Rasmussen & Williams 2006, eqs. 5.8 and 5.9), with T the fixed covariance of a trend, if there is one. The gradient is
+with respect to the logarithms of the kernel's parameters, in their order, and then of the noise variance.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-from he3.errors import InvalidInput, NumericalFailure
-from he3.frames import FloatArray, as_points
-from he3.kernels import Kernel, squared_distances
+from he3.errors import NumericalFailure
+from he3.frames import FloatArray
+from he3.kernels import Kernel
 
 _factor: Callable[..., tuple[Any, int]] = lapack.dpotrf
 _solve: Callable[..., tuple[Any, int]] = lapack.dpotrs
@@ -27,30 +27,16 @@ _invert: Callable[..., tuple[Any, int]] = lapack.dpotri
 def log_marginal_likelihood(
     kernel: Kernel,
     noise_variance: float,
-    xy_m: FloatArray,
-    observations: FloatArray,
-    trend_covariance: FloatArray | None = None,
-) -> tuple[float, FloatArray]:
-    """Log marginal likelihood of observations (n,) at places (n, 2) [m], and its gradient (parameters + 1,).
-
-    noise_variance and trend_covariance (n, n) are in the squared unit of the observations. Raises NumericalFailure when
-    the covariance cannot be factorised, InvalidInput for shapes that do not fit.
-    """
-    xy = as_points(xy_m)
-    z = np.asarray(observations, dtype=np.float64)
-    if z.shape != (len(xy),):
-        raise InvalidInput(f"expected {len(xy)} observations, one a place, got shape {z.shape}")
-    return likelihood_of_distances(kernel, noise_variance, squared_distances(xy, xy), z, trend_covariance)
-
-
-def likelihood_of_distances(
-    kernel: Kernel,
-    noise_variance: float,
     r2: FloatArray,
     z: FloatArray,
     trend_covariance: FloatArray | None = None,
 ) -> tuple[float, FloatArray]:
-    """As ``log_marginal_likelihood``, from squared distances (n, n) [m^2] that an optimiser computes once."""
+    """Log marginal likelihood of observations z (n,), and its gradient (parameters + 1,).
+
+    r2: squared distances (n, n) [m^2] between their places, which an optimiser computes once. noise_variance and
+    trend_covariance (n, n) are in the squared unit of the observations. Raises NumericalFailure if the covariance
+    cannot be factorised.
+    """
     n = len(z)
     covariance, derivatives = kernel.with_log_gradients(r2)
     total = covariance.copy() if trend_covariance is None else covariance + trend_covariance
@@ -66,7 +52,7 @@ def likelihood_of_distances(
     log_determinant_half = float(np.log(factor.diagonal()).sum())
     value = -0.5 * float(z @ weights) - log_determinant_half - 0.5 * n * float(np.log(2.0 * np.pi))
     inverse, _ = _invert(factor, lower=1, overwrite_c=1)
-    # The lower triangle holds the inverse, the upper one zeros; read in C order it is the other way round.
+    # The inverse is in the lower triangle in Fortran order, so in the upper one in C order; the other holds zeros.
     triangle = np.ascontiguousarray(inverse.T)
     diagonal = triangle.diagonal()
     gradient = np.empty(len(derivatives) + 1)

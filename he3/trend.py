@@ -4,9 +4,9 @@ The field is modelled as m(x) + g(x), with g the zero-mean Gaussian process of t
 
     m(x) = M + offset + gain (o(x) - M),      gain ~ N(1, gain_std^2),  offset ~ N(0, offset_std^2)
 
-where o is the orbital map and M its mean over the site, so that gain and offset are nearly independent. Gain and offset
-being Gaussian, they are marginalised exactly by adding their covariance to the kernel's (Rasmussen & Williams 2006,
-sect. 2.7): their uncertainty is part of the posterior variance from the first sample on.
+where o is the orbital map and M its mean over the site, so that gain and offset are nearly independent. Both being
+Gaussian, they are marginalised exactly by adding their covariance to the kernel's (Rasmussen & Williams 2006, sect.
+2.7): their uncertainty is part of the posterior variance from the first sample on.
 """
 
 from __future__ import annotations
@@ -18,22 +18,25 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, SiteGrid, as_points
+from he3.frames import FloatArray, IntArray, SiteGrid, as_points
+
+MAX_TREND_STD = 30.0  # 1, prior standard deviation of the trend anywhere, in units of the field's scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitalTrend:
-    """The orbital map over the site [ppb], as ``[row, column]`` at cell centres, and how far it may be off.
+    """The orbital map over the site [ppb], as ``[row, column]`` at cell centres, and its prior uncertainty.
 
-    The defaults are weak: a map that is a third too steep and several ppb too high is within them. Raises
+    The defaults are weak: a map that is a third too steep and several ppb too high lies within them. Raises
     InvalidInput for a map of another shape than the grid, or one with a value that is not finite.
     """
 
     grid: SiteGrid
     orbital_ppb: NDArray[np.floating]
-    gain_std: float = 0.5  # 1, weak: half of everything the map shows may be wrong
-    offset_std_ppb: float = 2.0  # ppb, weak: about the mean misfit of the samples, which a fit takes out first
+    gain_std: float = 0.5  # 1, weak: half of all contrast that the map shows may be wrong, ASSUMED
+    offset_std_ppb: float = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
     _mean_ppb: float = field(init=False)
+    _contrast_ppb: float = field(init=False)
 
     def __post_init__(self) -> None:
         values = np.array(self.orbital_ppb, dtype=np.float64)
@@ -44,11 +47,7 @@ class OrbitalTrend:
         values.setflags(write=False)
         object.__setattr__(self, "orbital_ppb", values)
         object.__setattr__(self, "_mean_ppb", float(values.mean()))
-
-    @property
-    def site_mean_ppb(self) -> float:
-        """Mean of the orbital map over the site [ppb]: where the gain turns about."""
-        return self._mean_ppb
+        object.__setattr__(self, "_contrast_ppb", float(np.abs(values - self._mean_ppb).max()))
 
     def at(self, points_m: FloatArray) -> FloatArray:
         """The map (N,) [ppb] at places (N, 2) [m]: bilinear between cell centres, constant beyond the outermost."""
@@ -68,10 +67,18 @@ class OrbitalTrend:
         interpolated: FloatArray = south_edge * (1.0 - north) + north_edge * north
         return interpolated
 
-    def basis(self, points_m: FloatArray) -> FloatArray:
-        """Columns (N, 2) for gain and offset [ppb per prior standard deviation of each] at places (N, 2) [m]."""
+    def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
+        """Columns (N, 2) at places (N, 2) [m] whose outer product is the covariance of gain and offset.
+
+        In units of scale_ppb. A prior that allows more than ``MAX_TREND_STD`` of them is narrowed to that: as good as
+        flat, and the covariance keeps enough digits for the rest of the field.
+        """
         contrast = self.at(points_m) - self._mean_ppb
-        return np.column_stack((contrast * self.gain_std, np.full(len(contrast), self.offset_std_ppb)))
+        gain_std = min(self.gain_std, MAX_TREND_STD * scale_ppb / self._contrast_ppb) if self._contrast_ppb else 0.0
+        offset_std_ppb = min(self.offset_std_ppb, MAX_TREND_STD * scale_ppb)
+        columns: FloatArray = np.column_stack((contrast * gain_std, np.full(len(contrast), offset_std_ppb)))
+        columns /= scale_ppb
+        return columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +97,15 @@ class TrendOnCells:
         )
 
     def subtract(self, start: int, rows_of_v: NDArray[np.floating], cells: slice) -> None:
-        """Take from the cells what k samples from number ``start`` on explain; rows_of_v is (k, cells)."""
+        """Subtract in place, on the cells, what k samples from number ``start`` on explain; rows_of_v is (k, cells)."""
         self.residual[:, cells] -= self.whitened[start : start + len(rows_of_v)].T.astype(rows_of_v.dtype) @ rows_of_v
 
-    def contribution(self, whitened_values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the trend adds to mean and variance, each (cells,)."""
-        count = len(self.residual)
-        covariance = np.linalg.inv(self.whitened.T @ self.whitened + np.eye(count))
+    def contribution(
+        self, whitened_values: FloatArray, cells: slice | IntArray = slice(None)
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the trend adds to mean and variance on the cells, each (k,). whitened_values: (n,)."""
+        residual = self.residual[:, cells]
+        covariance = np.linalg.inv(self.whitened.T @ self.whitened + np.eye(len(residual)))
         coefficients = covariance @ (self.whitened.T @ whitened_values)
-        spread = np.linalg.cholesky(covariance).T @ self.residual
-        return coefficients @ self.residual, np.einsum("ij,ij->j", spread, spread)
+        spread = np.linalg.cholesky(covariance).T @ residual
+        return coefficients @ residual, np.einsum("ij,ij->j", spread, spread)

@@ -39,11 +39,6 @@ def short_tour(distances: FloatArray, first_guess: IntArray | None = None, kicks
     return best[:-1]
 
 
-def tour_length(distances: FloatArray, order: IntArray) -> float:
-    """Length [m] of the open tour that visits the places of ``distances`` (n, n) in this order."""
-    return _length(np.asarray(distances, dtype=np.float64), np.asarray(order, dtype=np.intp))
-
-
 def _with_open_end(distances: FloatArray) -> FloatArray:
     """The (n + 1, n + 1) distances with one more place, no distance from anywhere: the tour's end."""
     d = np.asarray(distances, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Exact posterior mean and variance on every cell of the site, kept up to date one sample at a time.
+"""Exact posterior mean and variance on every cell of the site, updated one sample at a time.
 
 With L the Cholesky factor of n samples, let V = L^-1 K(samples, cells). A new sample adds one row v to V
 (``he3.posterior.rows``), and with its whitened residual b
@@ -6,13 +6,10 @@ With L the Cholesky factor of n samples, let V = L^-1 K(samples, cells). A new s
     v = (k(new, cells) - l' V) / d,      mean += b v,      variance -= v^2
 
 which is the Cholesky factor extended by one row, seen from the cells: nothing is refitted and nothing approximated. The
-small factor, l, d and b, and the sums of mean and variance, are in float64; rows that are kept are in float32, and of
-those that cannot change v by more than float32 rounds off, tile by tile (``he3.posterior.tiles``), none is read.
-At 1,000 samples the error is below 1e-4 of the prior variance, and below 1e-5 of the mean (see the tests of this room).
-
-A trend's columns H are kept apart: their prior variance is large, and what float32 rounds off is a part of it. With
-R = H - V' (L^-1 H) on the cells, updated like the mean, and the coefficients' posterior covariance S, the trend adds
-R b to the mean and R S R' to the variance (Rasmussen & Williams 2006, eqs. 2.41 and 2.42).
+small factor, l, d and b, and the sums of mean and variance, are in float64. Rows are in float32 where that suffices:
+the mean is then off by less than 1e-5 of the field's scale and the variance by less than 1e-4 of the prior variance,
+which ``he3.posterior.probes`` verifies after every change. Where it does not suffice, as with an instrument whose noise
+is far below the field's own variation, all rows are recomputed in float64 and stay so.
 """
 
 from __future__ import annotations
@@ -26,21 +23,23 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from he3.errors import InvalidInput
+from he3.errors import InvalidInput, NumericalFailure
 from he3.frames import Float32Array, FloatArray, SiteGrid, as_points
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
-from he3.posterior.rows import rows_for
-from he3.posterior.tiles import Tile, TiledGrid, Work
-from he3.trend import TrendOnCells
+from he3.posterior.probes import LEAST_VARIANCE, Probes
+from he3.posterior.rows import row_source
+from he3.posterior.sums import PosteriorSums
+from he3.posterior.tiles import Task, Tile, TiledGrid
 
-MAX_SAMPLES = 4000  # 4 GB of V at 500 x 500 cells
-_CELLS_TO_BUILD = 4096  # cells whose rows are solved for together: what is worked on stays in cache
+MAX_SAMPLES = 4000  # 1, their Cholesky factor takes 128 MB, and a second to extend by a block
+MAX_ROW_BYTES = 4 * 1024**3  # bytes of stored rows: 4000 samples on 500 x 500 cells in float32
+_CELLS_PER_PART = 4096  # cells whose rows are solved for together: what is worked on stays in cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosteriorMap:
-    """The map after n samples, read-only (rows, columns) float32 arrays [ppb] that no later sample touches."""
+    """The map after n samples: read-only (rows, columns) float32 arrays [ppb] that no later sample changes."""
 
     samples: int
     mean_ppb: Float32Array
@@ -48,31 +47,27 @@ class PosteriorMap:
 
 
 class GridPosterior:
-    """The belief on every cell of a grid; ``add`` changes it in place, ``snapshot`` and ``fork`` let go of it."""
+    """The belief on every cell of a grid. ``add`` changes it in place; a ``snapshot`` does not change."""
 
     def __init__(self, grid: SiteGrid, hyperparameters: Hyperparameters, *, threads: int = 1) -> None:
-        """The prior: no samples yet. With several threads the cells are shared out among them; results are the same."""
+        """The prior: no samples yet. Several threads share the cells; the results do not depend on their number."""
         if threads < 1:
             raise InvalidInput(f"expected one thread or more, got {threads}")
         self.grid = grid
         self._threads = threads
         self._process = GaussianProcess(hyperparameters)
+        self._without_trend = GaussianProcess(replace(hyperparameters, trend=None))
+        # Everything kept about the cells is in tile order; a snapshot is in the grid's.
         self._tiled = TiledGrid(grid)
-        cells = self._tiled.cells
-        # In tile order, as all that is kept of the cells here; a snapshot has them in the grid's.
-        self._variance: FloatArray = np.full(cells, hyperparameters.kernel.prior_variance, dtype=np.float64)
-        self._mean: FloatArray = np.zeros(cells)
-        self._prior_mean: FloatArray | float = hyperparameters.mean_ppb
-        self._without_trend = self._process
-        self._trend: TrendOnCells | None = None
+        # Near a sample, the variance is at most that of the noise.
+        noise_share = hyperparameters.noise_variance / hyperparameters.kernel.prior_variance
+        self._dtype = np.dtype(np.float64 if noise_share < LEAST_VARIANCE else np.float32)
+        self._sums = self._prior_sums()
+        self._prior_mean_ppb: FloatArray | float = hyperparameters.mean_ppb
         if hyperparameters.trend is not None:
-            points = self._tiled.in_tile_order(grid.points())
-            basis = hyperparameters.trend_basis(points)
-            assert basis is not None
-            self._without_trend = GaussianProcess(replace(hyperparameters, trend=None))
-            self._prior_mean = hyperparameters.prior_mean_ppb(points)
-            self._trend = TrendOnCells(basis.T.copy(), np.empty((0, basis.shape[1])))
-        self._rows = rows_for(self._tiled, self._without_trend.hyperparameters)
+            self._prior_mean_ppb = hyperparameters.prior_mean_ppb(self._points())
+        self._rows = row_source(self._tiled, self._without_trend.hyperparameters, self._dtype)
+        self._probes = Probes(self._tiled, hyperparameters)
         self._snapshot: PosteriorMap | None = None
 
     @classmethod
@@ -85,10 +80,14 @@ class GridPosterior:
         *,
         threads: int = 1,
     ) -> GridPosterior:
-        """The posterior given observations (n,) [ppb] at places (n, 2) [m], all at once."""
+        """The posterior given observations (n,) [ppb] at places (n, 2) [m], all at once.
+
+        Raises InvalidInput for shapes that do not fit, values that are not finite, or more samples than a map holds.
+        """
         posterior = cls(grid, hyperparameters, threads=threads)
-        posterior._take(*posterior._conditioned(np.asarray(xy_m, dtype=np.float64), values_ppb))
-        posterior._fill()
+        posterior._set_processes(*posterior._conditioned(np.asarray(xy_m, dtype=np.float64), values_ppb))
+        posterior._recompute()
+        posterior._ensure_precision()
         return posterior
 
     def __len__(self) -> int:
@@ -101,21 +100,27 @@ class GridPosterior:
 
     @property
     def process(self) -> GaussianProcess:
-        """The same belief at arbitrary places: immutable, stays as it is when samples are added here."""
+        """The same belief at arbitrary places: immutable, unchanged by samples added here."""
         return self._process
 
     @property
     def values_read(self) -> int:
-        """How many float32 values of the rows kept the last sample took; the benchmark asks."""
+        """How many stored values the last sample's row was computed from; for the benchmark."""
         return self._rows.values_read
 
     def add(self, xy_m: ArrayLike, value_ppb: float) -> None:
-        """Take in one observation [ppb] at the place (2,) [m]."""
-        self._append(*self._conditioned(_one_place(xy_m), [value_ppb]))
-
-    def add_place(self, xy_m: ArrayLike) -> None:
-        """Take in that the place (2,) [m] will be sampled: the variance falls, the mean stays."""
-        self._append(*self._conditioned(_one_place(xy_m), None))
+        """Add one observation [ppb] at the place (2,) [m]. Raises InvalidInput, and changes nothing, as ``build``."""
+        place = np.asarray(xy_m, dtype=np.float64)
+        if place.shape != (2,):
+            raise InvalidInput(f"expected one place (2,) [m], got shape {place.shape}")
+        process, without_trend = self._conditioned(as_points(place[None, :]), [value_ppb])
+        n = len(self)
+        row = self._rows.next_row(without_trend, self._run_tasks)
+        self._set_processes(process, without_trend)
+        residual = float(without_trend.whitened[n])
+        for tile in self._tiled.tiles:
+            self._sums.add_row(n, row[tile.cells], residual, tile.cells)
+        self._ensure_precision()
 
     def at(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (k,) and standard deviation (k,) [ppb] at arbitrary places (k, 2) [m], exact."""
@@ -132,113 +137,111 @@ class GridPosterior:
         return self.snapshot().std_ppb
 
     def snapshot(self) -> PosteriorMap:
-        """The map as it is now, for other threads: its arrays never change."""
+        """The map as it is now, safe to hand to other threads: its arrays never change."""
         if self._snapshot is None:
             scale = self.hyperparameters.scale_ppb
-            mean, variance = self._mean, self._variance
-            if self._trend is not None:
-                by_trend, of_trend = self._trend.contribution(self._without_trend.whitened)
-                mean, variance = mean + by_trend, variance + of_trend
-            std = np.sqrt(np.maximum(variance, 0.0))
+            least = self._without_trend.least_variance()
+            mean, variance = self._sums.posterior(self._without_trend.whitened, least)
             maps = [
                 self._tiled.on_grid(values.astype(np.float32))
-                for values in (mean * scale + self._prior_mean, std * scale)
+                for values in (mean * scale + self._prior_mean_ppb, np.sqrt(variance) * scale)
             ]
             for values in maps:
                 values.setflags(write=False)
             self._snapshot = PosteriorMap(len(self), *maps)
         return self._snapshot
 
-    def fork(self) -> GridPosterior:
-        """An independent copy for what-if: what either adds, the other does not see. Most of V is shared."""
-        copy = object.__new__(GridPosterior)
-        copy.__dict__.update(self.__dict__)
-        copy._rows = self._rows.fork()
-        copy._variance = self._variance.copy()
-        copy._mean = self._mean.copy()
-        copy._trend = self._trend and replace(self._trend, residual=self._trend.residual.copy())
-        return copy
+    def _points(self) -> FloatArray:
+        """Centres of the cells (cells, 2) [m], in tile order."""
+        return self._tiled.in_tile_order(self.grid.points())
 
-    def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike | None) -> tuple[GaussianProcess, GaussianProcess]:
-        """The process with more samples, with and without the trend; values that are None are as expected."""
-        if len(self) + len(xy) > MAX_SAMPLES:
-            raise InvalidInput(f"expected at most {MAX_SAMPLES} samples on a grid, got {len(self) + len(xy)}")
-        if values_ppb is None:
-            process = self._process.condition_on_places(xy)
-        else:
-            process = self._process.condition(xy, values_ppb)
+    def _prior_sums(self) -> PosteriorSums:
+        points = None if self.hyperparameters.trend is None else self._points()
+        return PosteriorSums.prior(self.hyperparameters, points, self._tiled.cells)
+
+    def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike) -> tuple[GaussianProcess, GaussianProcess]:
+        """The process with more samples, with and without the trend."""
+        count = len(self) + len(xy)
+        if count > MAX_SAMPLES:
+            raise InvalidInput(f"expected at most {MAX_SAMPLES} samples on a grid, got {count}")
+        self._expect_room(count)
+        process = self._process.condition(xy, values_ppb)
         trend = self.hyperparameters.trend
         if trend is None:
             return process, process
-        values = self._process.predict(xy)[0] if values_ppb is None else np.asarray(values_ppb, dtype=np.float64)
+        values = np.asarray(values_ppb, dtype=np.float64)
         return process, self._without_trend.condition(xy, values - trend.at(xy))
 
-    def _take(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
+    def _expect_room(self, samples: int) -> None:
+        size = samples * self._rows.bytes_per_sample
+        if size > MAX_ROW_BYTES:
+            raise InvalidInput(
+                f"expected a map that takes at most {MAX_ROW_BYTES / 1024**3:.0f} GiB, got {samples} samples on "
+                f"{self.grid.rows} x {self.grid.columns} cells in {self._dtype.name}: {size / 1024**3:.1f} GiB"
+            )
+
+    def _set_processes(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
         first = len(self)
         self._process, self._without_trend = process, without_trend
         self._snapshot = None
-        if self._trend is not None:
+        if self._sums.trend is not None:
             basis = self.hyperparameters.trend_basis(process.places_m[first:])
             assert basis is not None
-            self._trend = self._trend.extended(without_trend.factor[first:], basis)
+            self._sums.trend = self._sums.trend.extended(without_trend.factor[first:], basis)
 
-    def _append(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
-        n = len(self)
-        row = self._rows.next_row(without_trend, self._share_out)
-        self._take(process, without_trend)
-        residual = float(without_trend.whitened[n])
-        for tile in self._tiled.tiles:
-            part = row[tile.cells]
-            if residual != 0.0:
-                self._mean[tile.cells] += part * row.dtype.type(residual)
-            self._variance[tile.cells] -= part * part
-            if self._trend is not None:
-                self._trend.subtract(n, part[None, :], tile.cells)
-
-    def _fill(self) -> None:
-        """Compute mean, variance and V from all samples at once."""
+    def _recompute(self) -> None:
+        """Compute mean, variance and rows from all samples at once, beginning from the prior's sums."""
         process = self._without_trend
-        self._rows = rows_for(self._tiled, process.hyperparameters, len(process))
-        rows_on = self._rows.rows_anew(process)
-        whitened = process.whitened.astype(np.float32)
+        self._rows = row_source(self._tiled, process.hyperparameters, self._dtype, len(process))
+        rows_on = self._rows.recompute(process)
+        whitened = process.whitened.astype(self._dtype)
 
         def fill(part: Tile) -> None:
-            cells = part.cells
             for first, rows in rows_on(part):
-                self._mean[cells] += whitened[first : first + len(rows)] @ rows
-                self._variance[cells] -= np.einsum("ij,ij->j", rows, rows)
-                if self._trend is not None:
-                    self._trend.subtract(first, rows, cells)
+                self._sums.add_rows(first, rows, whitened[first : first + len(rows)], part.cells)
 
-        parts = (part for tile in self._tiled.tiles for part in tile.parts(_CELLS_TO_BUILD))
-        self._share_out(partial(fill, part) for part in parts)
+        parts = (part for tile in self._tiled.tiles for part in tile.parts(_CELLS_PER_PART))
+        self._run_tasks(partial(fill, part) for part in parts)
 
-    def _share_out(self, works: Iterable[Work]) -> None:
-        """Do all pieces of work, on this thread and the others; which does what changes no result."""
-        waiting = deque(works)
+    def _ensure_precision(self) -> None:
+        """Recompute everything in float64 if float32 rows do not suffice for the samples so far."""
+        if self._dtype == np.float64:
+            return
+        trend = self._sums.trend
+        self._probes.extend(self._without_trend, None if trend is None else trend.whitened)
+        if self._probes.agree_with(self._sums, self._without_trend.whitened):
+            return
+        size = len(self) * self._rows.bytes_per_sample * 2
+        if size > MAX_ROW_BYTES:
+            raise NumericalFailure(
+                f"the map of these {len(self)} samples needs float64, which takes {size / 1024**3:.1f} GiB of at most "
+                f"{MAX_ROW_BYTES / 1024**3:.0f}: use fewer samples, larger cells or a larger noise"
+            )
+        self._dtype = np.dtype(np.float64)
+        self._sums = self._prior_sums()
+        if trend is not None and self._sums.trend is not None:
+            self._sums.trend = replace(self._sums.trend, whitened=trend.whitened)
+        self._recompute()
 
-        def take_turns() -> None:
+    def _run_tasks(self, tasks: Iterable[Task]) -> None:
+        """Run all tasks, on this thread and the others; which thread runs which changes no result."""
+        waiting = deque(tasks)
+
+        def run_waiting() -> None:
             while True:
                 try:
-                    work = waiting.popleft()
+                    task = waiting.popleft()
                 except IndexError:
                     return
-                work()
+                task()
 
-        others = [_pool(self._threads - 1).submit(take_turns) for _ in range(self._threads - 1)]
-        take_turns()
+        others = [_pool(self._threads - 1).submit(run_waiting) for _ in range(self._threads - 1)]
+        run_waiting()
         for other in others:
-            if not other.cancel():  # it is not needed any more if it has not begun
+            if not other.cancel():  # one that has not begun is no longer needed
                 other.result()
 
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="map")
-
-
-def _one_place(xy_m: ArrayLike) -> FloatArray:
-    place = np.asarray(xy_m, dtype=np.float64)
-    if place.shape != (2,):
-        raise InvalidInput(f"expected one place (2,) [m], got shape {place.shape}")
-    return as_points(place[None, :])

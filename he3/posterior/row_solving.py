@@ -1,72 +1,90 @@
-"""Rows of V = L^-1 K(samples, cells) from the kernel, on a part of a grid: the covariances, and the triangle solved."""
+"""Rows of V = L^-1 K(samples, cells) on a part of a grid: covariances from the kernel, and the triangular solve."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import blas
 
-from he3.frames import Float32Array, FloatArray, SiteGrid
+from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess
 from he3.kernels import Kernel, SmoothPlusRough, SquaredExponential
+from he3.posterior.screening import RowBlock
 from he3.posterior.tiles import Tile, TiledGrid
 
-_ROWS_TO_SOLVE = 128  # rows solved for together when many are; more waste in the triangle, fewer waste in the product
+_ROWS_TO_SOLVE = 128  # rows solved for together; more waste time in the triangle, fewer in the product [measured]
 
 
 def solve_rows(
-    process: GaussianProcess, factor: Float32Array, grid: SiteGrid, part: Tile
-) -> Iterator[tuple[int, Float32Array]]:
+    process: GaussianProcess, factor: NDArray[np.floating], grid: SiteGrid, part: Tile
+) -> Iterator[tuple[int, RowBlock]]:
     """All rows of V on a part, by block forward substitution: (number of the first row, rows (k, cells)), in order.
 
-    factor: the process's Cholesky factor in float32, which the caller converts once for all parts.
+    factor: the process's Cholesky factor (n, n) in the precision of the rows, converted once for all parts.
     """
-    dx2 = squared_offsets(process.places_m, grid.x_m[part.columns], 0)
-    dy2 = squared_offsets(process.places_m, grid.y_m[part.rows], 1)
-    done: list[tuple[int, Float32Array]] = []
+    dtype = factor.dtype
+    trsm = blas.strsm if dtype == np.float32 else blas.dtrsm
+    dx2 = squared_offsets(process.places_m, grid.x_m[part.columns], 0, dtype)
+    dy2 = squared_offsets(process.places_m, grid.y_m[part.rows], 1, dtype)
+    solved_before: list[tuple[int, RowBlock]] = []
     for first in range(0, len(process), _ROWS_TO_SOLVE):
         last = min(first + _ROWS_TO_SOLVE, len(process))
-        work = np.empty((last - first, part.size), dtype=np.float32)
+        work = np.empty((last - first, part.size), dtype=dtype)
         covariance_on_cells(process.hyperparameters.kernel, dx2[first:last], dy2[first:last], work)
-        for before, rows in done:
+        for before, rows in solved_before:
             work -= factor[first:last, before : before + len(rows)] @ rows
         # Transposed, work is in Fortran order, and X L' = work' is solved in place: X' are the rows of V.
         corner = factor[first:last, first:last]
-        solved: Float32Array = blas.strsm(1.0, corner, work.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-        done.append((first, solved))
+        solved: RowBlock = trsm(1.0, corner, work.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+        solved_before.append((first, solved))
         yield first, solved
 
 
-def fill_covariance(kernel: Kernel, place_m: FloatArray, tiled: TiledGrid, out: Float32Array) -> None:
-    """Write the kernel between one place (2,) [m] and all cells into out (cells,), in tile order and float32."""
-    dx2 = squared_offsets(place_m[None, :], tiled.grid.x_m, 0)
-    dy2 = squared_offsets(place_m[None, :], tiled.grid.y_m, 1)
+def fill_covariance(kernel: Kernel, place_m: FloatArray, tiled: TiledGrid, out: NDArray[np.floating]) -> None:
+    """Write the kernel between one place (2,) [m] and all cells, in tile order, into out (cells,)."""
+    dx2 = squared_offsets(place_m[None, :], tiled.grid.x_m, 0, out.dtype)
+    dy2 = squared_offsets(place_m[None, :], tiled.grid.y_m, 1, out.dtype)
     for tile in tiled.tiles:
         covariance_on_cells(kernel, dx2[:, tile.columns], dy2[:, tile.rows], out[tile.cells])
 
 
-def squared_offsets(places: FloatArray, axis_m: FloatArray, coordinate: int) -> Float32Array:
-    """Squared distances (k, cells) [m^2] of k places (k, 2) [m] from the cells along an axis; coordinate 0 is east."""
-    offsets: Float32Array = ((places[:, coordinate, None] - axis_m) ** 2).astype(np.float32)
+def squared_offsets(
+    places_m: FloatArray, axis_m: FloatArray, coordinate: int, dtype: np.dtype[Any]
+) -> NDArray[np.floating]:
+    """Squared offsets (k, cells) [m^2] of places (k, 2) [m] from the cells along one axis; coordinate 0 is east."""
+    offsets: NDArray[np.floating] = ((places_m[:, coordinate, None] - axis_m) ** 2).astype(dtype)
     return offsets
 
 
-def covariance_on_cells(kernel: Kernel, dx2: Float32Array, dy2: Float32Array, out: Float32Array) -> None:
-    """Write the kernel between k places and cells in rows and columns into out (k, rows * columns), in float32.
+def covariance_on_cells(
+    kernel: Kernel, dx2: NDArray[np.floating], dy2: NDArray[np.floating], out: NDArray[np.floating]
+) -> None:
+    """Write the kernel between k places and rows x columns of cells into out (k, rows * columns).
 
-    dx2: (k, columns) and dy2: (k, rows), the places' ``squared_offsets`` [m^2].
+    dx2: (k, columns) and dy2: (k, rows), the ``squared_offsets`` [m^2] in the precision of out.
     """
     shaped = out.reshape(len(dy2), dy2.shape[1], dx2.shape[1])
     if isinstance(kernel, SquaredExponential):  # separable: two short exponentials instead of one long one
-        decay = np.float32(-0.5 / kernel.length_scale_m**2)
-        east = np.exp(dx2 * decay) * np.float32(kernel.variance)
+        scalar = out.dtype.type
+        decay = scalar(-0.5 / kernel.length_scale_m**2)
+        east = np.exp(dx2 * decay) * scalar(kernel.variance)
         north = np.exp(dy2 * decay)
         np.multiply(north[:, :, None], east[:, None, :], out=shaped)
     elif isinstance(kernel, SmoothPlusRough):
         covariance_on_cells(kernel.smooth, dx2, dy2, out)
-        rough = dy2[:, :, None] + dx2[:, None, :]
-        kernel.rough.fill(rough, rough)
-        shaped += rough
-    else:
+        shaped += _of_squared_distance(kernel.rough, dy2[:, :, None] + dx2[:, None, :])
+    elif out.dtype == np.float32:
         kernel.fill(dy2[:, :, None] + dx2[:, None, :], shaped)
+    else:
+        shaped[...] = _of_squared_distance(kernel, dy2[:, :, None] + dx2[:, None, :])
+
+
+def _of_squared_distance(kernel: Kernel, r2: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The kernel at squared distances [m^2] in their own precision; float32 distances are used up."""
+    if r2.dtype == np.float32:
+        kernel.fill(r2, r2)
+        return r2
+    return kernel.of_squared_distance(r2.astype(np.float64, copy=False))

@@ -1,27 +1,31 @@
-"""Rows of V for the sum of a smooth kernel S and a rough one R, of which only the rough part's are kept.
+"""Rows of V for the sum of a smooth kernel S and a rough one R, of which only the rough part's rows are stored.
 
-The smooth part makes every sample matter everywhere, and so nothing of V = L^-1 K could be left out. But the two can be
-told apart: with w = L^-T l, and M the Cholesky factor of the rough covariance plus noise,
+The smooth part makes every sample matter everywhere, so that screening could leave out nothing of V = L^-1 K. But the
+two parts can be separated: with w = L^-T l, and M the Cholesky factor of the rough covariance plus noise,
 
     (k_n - w' K) / d = (s_n - w' S) / d + (r_n - (M' w)' U) / d,      U = M^-1 R(samples, cells)
 
-The first term is separable (``he3.posterior.separable_rows``), the second needs the rows U of a process that is rough
-alone, which are local (``he3.posterior.stored_rows``). It is as safe as V itself: M M' <= K plus noise = L L', so
-|M' w| <= |L' w| = |l|.
+The first term is separable (``he3.posterior.separable_rows``), the second needs the rows U of a process with the rough
+kernel alone, which are local (``he3.posterior.stored_rows``). It is as stable as V itself: M M' <= K plus noise = L L',
+so |M' w| <= |L' w| = |l|.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
-from he3.frames import Float32Array, FloatArray
+import numpy as np
+
+from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import SmoothPlusRough
+from he3.posterior.screening import RowBlock
 from he3.posterior.separable_rows import SeparableRows, row_weights
-from he3.posterior.stored_rows import SCREENED, StoredRows, Tied
-from he3.posterior.tiles import ShareOut, Tile, TiledGrid
+from he3.posterior.stored_rows import FLOAT32, RowCombination, StoredRows
+from he3.posterior.tiles import RunTasks, Tile, TiledGrid
 
 
 class SplitRows:
@@ -32,47 +36,46 @@ class SplitRows:
         tiled: TiledGrid,
         kernel: SmoothPlusRough,
         hyperparameters: Hyperparameters,
+        dtype: np.dtype[Any] = FLOAT32,
         *,
-        screened: float = SCREENED,
+        screening: float | None = None,
     ) -> None:
-        """No rows yet. kernel: that of the hyperparameters."""
-        self._tiled = tiled
+        """No rows yet. kernel: that of the hyperparameters. screening: see ``StoredRows``."""
         self._kernel = kernel
-        self._smooth = SeparableRows(tiled, kernel.smooth)
-        self._rough = StoredRows(tiled, kernel.rough, screened=screened)
-        self._rough_alone = GaussianProcess(replace(hyperparameters, kernel=kernel.rough))
+        self._smooth = SeparableRows(tiled, kernel.smooth, dtype)
+        self._rough = StoredRows(tiled, kernel.rough, dtype, screening=screening)
+        self._rough_process = GaussianProcess(replace(hyperparameters, kernel=kernel.rough))
 
     @property
     def values_read(self) -> int:
+        """How many values of stored rows the last row was computed from."""
         return self._rough.values_read
 
-    def next_row(self, process: GaussianProcess, share_out: ShareOut) -> FloatArray:
+    @property
+    def bytes_per_sample(self) -> int:
+        """Memory that one more row takes [bytes]."""
+        return self._rough.bytes_per_sample
+
+    def next_row(self, process: GaussianProcess, run_tasks: RunTasks) -> FloatArray:
         """The last of the process's n rows, (cells,) in tile order; all before are known."""
         weights = row_weights(process)
         pivot = float(process.factor[-1, -1])
-        tie = self._rough_alone.factor.T @ (-pivot * weights[:-1])
-        self._rough_alone = self._rough_alone.condition_on_places(process.places_m[-1:])
-        rough = Tied(tie, pivot, self._rough.allowed(self._kernel))
-        row = self._smooth.next_sum(process.places_m, weights, share_out)
-        row += self._rough.next_rows(self._rough_alone, share_out, rough)[1]
+        coefficients = self._rough_process.factor.T @ (-pivot * weights[:-1])
+        self._rough_process = self._rough_process.condition_on_places(process.places_m[-1:])
+        rough = RowCombination(coefficients, pivot, self._rough.tolerance(self._kernel))
+        row = self._smooth.weighted_sum(process.places_m, weights, run_tasks)
+        row += self._rough.next_rows(self._rough_process, run_tasks, rough)[1]
         return row
 
-    def rows_anew(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, Float32Array]]]:
-        """All rows of a process, in place of those known, as a function of a part of a tile: see ``RowsOnGrid``."""
-        self._rough_alone = GaussianProcess(self._rough_alone.hyperparameters).condition_on_places(process.places_m)
-        all_on = self._smooth.rows_anew(process)
-        rough_on = self._rough.rows_anew(self._rough_alone)  # those to keep; mean and variance need all of the kernel's
+    def recompute(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, RowBlock]]]:
+        """All rows of a process, replacing those known, as a function of a part of a tile: see ``RowSource``."""
+        self._rough_process = GaussianProcess(self._rough_process.hyperparameters).condition_on_places(process.places_m)
+        all_on = self._smooth.recompute(process)
+        rough_on = self._rough.recompute(self._rough_process)  # stored; mean and variance need the whole kernel's rows
 
-        def on_part(part: Tile) -> Iterator[tuple[int, Float32Array]]:
+        def on_part(part: Tile) -> Iterator[tuple[int, RowBlock]]:
             for _ in rough_on(part):
                 pass
             yield from all_on(part)
 
         return on_part
-
-    def fork(self) -> SplitRows:
-        """An independent copy, sharing what neither will change."""
-        copy: SplitRows = object.__new__(SplitRows)
-        copy.__dict__.update(self.__dict__)
-        copy._smooth, copy._rough = self._smooth.fork(), self._rough.fork()
-        return copy

@@ -1,9 +1,9 @@
-"""All rows of V = L^-1 K(samples, cells), kept in float32, and a new one from those that matter where it is computed.
+"""All rows of V = L^-1 K(samples, cells), stored, and a new row computed from the significant ones.
 
-To read n float32 values a cell for a new row v = (k_n - l' V) / d takes as long as memory takes to deliver them: a
-gigabyte, at 1,000 samples. But of most rows a tile sees far less than float32 rounds off. So the peak of each row on
-each tile is kept with it, and ``he3.posterior.screening`` leaves out what together cannot change a value by
-``SCREENED``.
+Reading n values a cell for a new row v = (k_n - l' V) / d takes as long as memory takes to deliver them: a gigabyte in
+float32 at 1,000 samples. But on a given tile most rows are far smaller than what the precision rounds off. So the peak
+of each row on each tile is stored with it, and ``he3.posterior.screening`` leaves out what together cannot change a
+value by more than the screening tolerance.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -19,141 +20,143 @@ from he3.frames import Float32Array, FloatArray
 from he3.gp import GaussianProcess
 from he3.kernels import Kernel
 from he3.posterior.row_solving import fill_covariance, solve_rows
-from he3.posterior.screening import Reading, rows_that_matter
-from he3.posterior.tiles import ShareOut, Tile, TiledGrid
+from he3.posterior.screening import ReadPlan, RowBlock, significant_rows
+from he3.posterior.tiles import RunTasks, Tile, TiledGrid
 
-ROWS_A_BLOCK = 64  # rows of V allocated together: 64 MB at 500 x 500 cells; V grows by blocks and is never moved
-SCREENED = 2.0**-22  # of the prior standard deviation: four times what float32 may round off a value as large (2^-24)
+ROWS_PER_BLOCK = 64  # rows of V allocated together: 64 MB at 500 x 500 cells in float32; V grows and is never moved
+FLOAT32: np.dtype[Any] = np.dtype(np.float32)
+
+
+def screening_tolerance(dtype: np.dtype[Any]) -> float:
+    """How far screening may change a value of a row, in prior standard deviations.
+
+    Four times what rounding may do to a value of that size: 2^-22 for float32, 2^-51 for float64.
+    """
+    return 2.0 * float(np.finfo(dtype).eps)
 
 
 @dataclass(frozen=True, slots=True)
-class Tied:
-    """A row (k_n - tie' V) / pivot, tied to the n rows known, and by how much each of its values may be off."""
+class RowCombination:
+    """A row (k_n - coefficients' V) / pivot of the n rows known, and how far each of its values may be off."""
 
-    tie: FloatArray
+    coefficients: FloatArray
     pivot: float
-    allowed: float
+    tolerance: float
 
 
 class StoredRows:
-    """The rows in blocks, and in those tile by tile: ``_blocks[block][tile]`` is (ROWS_A_BLOCK, cells of the tile)."""
+    """The rows, in blocks and then by tile: ``_blocks[block][tile]`` is (ROWS_PER_BLOCK, cells of the tile)."""
 
-    def __init__(self, tiled: TiledGrid, kernel: Kernel, *, screened: float = SCREENED) -> None:
-        """No rows yet. screened: by how much a row may be off, in prior standard deviations, for what it leaves out."""
+    def __init__(
+        self, tiled: TiledGrid, kernel: Kernel, dtype: np.dtype[Any] = FLOAT32, *, screening: float | None = None
+    ) -> None:
+        """No rows yet. screening: tolerance in prior standard deviations; None is that of the precision."""
         self._tiled = tiled
         self._kernel = kernel
-        self._screened = screened
-        self._blocks: list[list[Float32Array]] = []
+        self._dtype = dtype
+        self._screening = screening_tolerance(dtype) if screening is None else screening
+        self._blocks: list[list[RowBlock]] = []
         self._peaks: Float32Array = np.zeros((len(tiled.tiles), 0), dtype=np.float32)
-        self._tail_is_shared = False
-        self._scratch: list[Float32Array] = []
+        self._scratch: list[RowBlock] = []
         self._lock = Lock()
         self.values_read = 0
 
-    def next_row(self, process: GaussianProcess, share_out: ShareOut) -> Float32Array:
-        """The last of the process's n rows, (cells,) in tile order, good until the next; all before are known."""
-        return self.next_rows(process, share_out)[0]
+    @property
+    def bytes_per_sample(self) -> int:
+        """Memory that one more row takes [bytes]."""
+        return self._tiled.cells * self._dtype.itemsize
 
-    def next_rows(self, process: GaussianProcess, share_out: ShareOut, *others: Tied) -> list[Float32Array]:
-        """The last of the process's rows, which is kept, and others for the same place, which are not."""
+    def next_row(self, process: GaussianProcess, run_tasks: RunTasks) -> RowBlock:
+        """The last of the process's n rows, (cells,) in tile order, valid until the next; all before are known."""
+        return self.next_rows(process, run_tasks)[0]
+
+    def next_rows(self, process: GaussianProcess, run_tasks: RunTasks, *others: RowCombination) -> list[RowBlock]:
+        """The last of the process's rows, which is stored, and other combinations for the same place, which are not."""
         n = len(process) - 1
-        tied = (Tied(process.factor[n, :n], float(process.factor[n, n]), self.allowed(self._kernel)), *others)
-        matter = [rows_that_matter(row.tie, self._peaks[:, :n], row.allowed * row.pivot) for row in tied]
-        reading = Reading(np.logical_or.reduce(matter), ROWS_A_BLOCK)
+        own = RowCombination(process.factor[n, :n], float(process.factor[n, n]), self.tolerance(self._kernel))
+        combinations = (own, *others)
+        needed = [significant_rows(row.coefficients, self._peaks[:, :n], row.tolerance * row.pivot)
+                  for row in combinations]  # fmt: skip
+        plan = ReadPlan(np.logical_or.reduce(needed), ROWS_PER_BLOCK)
         self.values_read = sum(
-            int(count) * tile.size for count, tile in zip(reading.rows_read, self._tiled.tiles, strict=True)
+            int(count) * tile.size for count, tile in zip(plan.rows_read, self._tiled.tiles, strict=True)
         )
-        ties = [row.tie.astype(np.float32) for row in tied]
-        covariance, *values = self._scratch_for(1 + len(tied))
+        coefficients = [row.coefficients.astype(self._dtype) for row in combinations]
+        covariance, *values = self._scratch_arrays(1 + len(combinations))
 
-        def explain(tile: Tile) -> None:
+        def sum_rows(tile: Tile) -> None:
             on_tile = [explained[tile.cells] for explained in values]
             for explained in on_tile:
                 explained.fill(0.0)
-            for numbers, known in reading.pieces(tile, self._blocks):
-                for explained, tie, needed in zip(on_tile, ties, matter, strict=True):
-                    if not others or needed[tile.number, numbers].any():
-                        explained += tie[numbers] @ known
+            for numbers, known in plan.batches(tile, self._blocks):
+                for explained, factors, wanted in zip(on_tile, coefficients, needed, strict=True):
+                    if not others or wanted[tile.number, numbers].any():
+                        explained += factors[numbers] @ known
 
-        # The covariance is many short steps, which two threads at once would spend waiting for the interpreter's lock.
+        # The covariance is many short steps, during which two threads would wait for the interpreter's lock.
         fill = partial(fill_covariance, self._kernel, process.places_m[n], self._tiled, covariance)
-        share_out([fill, *(partial(explain, tile) for tile in self._tiled.tiles)])
-        for row, way in zip(values, tied, strict=True):
+        run_tasks([fill, *(partial(sum_rows, tile) for tile in self._tiled.tiles)])
+        for row, combination in zip(values, combinations, strict=True):
             np.subtract(covariance, row, out=row)
-            row *= np.float32(1.0 / way.pivot)
-        self._keep(n, values[0])
+            row *= self._dtype.type(1.0 / combination.pivot)
+        self._store(n, values[0])
         return values
 
-    def _scratch_for(self, count: int) -> list[Float32Array]:
-        """Arrays (cells,), the same at each call: memory that is new takes longer to get than to fill."""
-        while len(self._scratch) < count:
-            self._scratch.append(np.empty(self._tiled.cells, dtype=np.float32))
-        return self._scratch[:count]
+    def tolerance(self, kernel: Kernel) -> float:
+        """How far a value of a row of that kernel may be off."""
+        return self._screening * float(np.sqrt(kernel.prior_variance))
 
-    def _keep(self, n: int, row: Float32Array) -> None:
-        self._make_room_for(n)
-        block, offset = divmod(n, ROWS_A_BLOCK)
-        for tile in self._tiled.tiles:
-            self._blocks[block][tile.number][offset] = row[tile.cells]
-        starts = [tile.cells.start for tile in self._tiled.tiles]
-        self._peaks[:, n] = np.maximum.reduceat(np.abs(row), starts)
-
-    def allowed(self, kernel: Kernel) -> float:
-        """By how much a row of that kernel may be off."""
-        return self._screened * float(np.sqrt(kernel.prior_variance))
-
-    def rows_anew(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, Float32Array]]]:
-        """All rows of a process, in place of those known, as a function of a part of a tile: see ``RowsOnGrid``."""
+    def recompute(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, RowBlock]]]:
+        """All rows of a process, replacing those known, as a function of a part of a tile: see ``RowSource``."""
         n = len(process)
         self._blocks = []
-        self._tail_is_shared = False
         self._peaks = np.zeros((len(self._tiled.tiles), n), dtype=np.float32)
-        for first in range(0, n, ROWS_A_BLOCK):
-            self._make_room_for(first)
-        factor = process.factor.astype(np.float32)
+        for first in range(0, n, ROWS_PER_BLOCK):
+            self._allocate_row(first)
+        factor = process.factor.astype(self._dtype)
 
-        def on_part(part: Tile) -> Iterator[tuple[int, Float32Array]]:
+        def on_part(part: Tile) -> Iterator[tuple[int, RowBlock]]:
             start = part.cells.start - self._tiled.tiles[part.number].cells.start
             cells = slice(start, start + part.size)
             for first, rows in solve_rows(process, factor, self._tiled.grid, part):
-                for begin in range(0, len(rows), ROWS_A_BLOCK):
-                    piece = rows[begin : begin + ROWS_A_BLOCK]
-                    self._blocks[(first + begin) // ROWS_A_BLOCK][part.number][: len(piece), cells] = piece
+                for begin in range(0, len(rows), ROWS_PER_BLOCK):
+                    piece = rows[begin : begin + ROWS_PER_BLOCK]
+                    self._blocks[(first + begin) // ROWS_PER_BLOCK][part.number][: len(piece), cells] = piece
                 peaks = self._peaks[part.number, first : first + len(rows)]
                 largest = np.abs(rows).max(axis=1)
-                with self._lock:  # another thread may be at another part of the same tile
+                with self._lock:  # another thread may work on another part of the same tile
                     np.maximum(peaks, largest, out=peaks)
                 yield first, rows
 
         return on_part
 
-    def fork(self) -> StoredRows:
-        """An independent copy, sharing what neither will change."""
-        copy = StoredRows(self._tiled, self._kernel, screened=self._screened)
-        copy._blocks = list(self._blocks)
-        copy._peaks = self._peaks.copy()
-        copy._tail_is_shared = self._tail_is_shared = True
-        copy.values_read = self.values_read
-        return copy
+    def _scratch_arrays(self, count: int) -> list[RowBlock]:
+        """Arrays (cells,), the same ones at each call: new memory takes longer to get than to fill."""
+        while len(self._scratch) < count:
+            self._scratch.append(np.empty(self._tiled.cells, dtype=self._dtype))
+        return self._scratch[:count]
 
-    def _make_room_for(self, n: int) -> None:
-        """See to it that row n can be written. The last block may be another fork's too, and is then copied first."""
-        block, offset = divmod(n, ROWS_A_BLOCK)
-        if block == len(self._blocks):
+    def _store(self, n: int, row: RowBlock) -> None:
+        self._allocate_row(n)
+        block, offset = divmod(n, ROWS_PER_BLOCK)
+        for tile in self._tiled.tiles:
+            self._blocks[block][tile.number][offset] = row[tile.cells]
+        starts = [tile.cells.start for tile in self._tiled.tiles]
+        self._peaks[:, n] = np.maximum.reduceat(np.abs(row), starts)
+
+    def _allocate_row(self, n: int) -> None:
+        """Make room for row n: a block and its peaks, where it begins one."""
+        if n // ROWS_PER_BLOCK == len(self._blocks):
             self._blocks.append(self._new_block())
-        elif self._tail_is_shared:
-            tail = self._new_block()
-            for mine, shared in zip(tail, self._blocks[block], strict=True):
-                mine[:offset] = shared[:offset]
-            self._blocks[block] = tail
-        self._tail_is_shared = False
         if n >= self._peaks.shape[1]:
-            more = np.zeros((len(self._tiled.tiles), ROWS_A_BLOCK), dtype=np.float32)
+            more = np.zeros((len(self._tiled.tiles), ROWS_PER_BLOCK), dtype=np.float32)
             self._peaks = np.hstack((self._peaks, more))
 
-    def _new_block(self) -> list[Float32Array]:
-        flat = np.empty(ROWS_A_BLOCK * self._tiled.cells, dtype=np.float32)
+    def _new_block(self) -> list[RowBlock]:
+        flat = np.empty(ROWS_PER_BLOCK * self._tiled.cells, dtype=self._dtype)
         return [
-            flat[ROWS_A_BLOCK * tile.cells.start : ROWS_A_BLOCK * tile.cells.stop].reshape(ROWS_A_BLOCK, tile.size)
+            flat[ROWS_PER_BLOCK * tile.cells.start : ROWS_PER_BLOCK * tile.cells.stop].reshape(
+                ROWS_PER_BLOCK, tile.size
+            )
             for tile in self._tiled.tiles
         ]

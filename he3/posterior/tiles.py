@@ -1,7 +1,8 @@
-"""The grid cut into tiles, and its cells in tile order: a tile's cells follow one another.
+"""The grid cut into rectangular tiles, and the order of its cells by tile.
 
-What is worked on together should lie together, in memory and on the site: then it stays in cache, and one number can
-say for the whole tile how much a far sample matters there. Arrays over cells in tile order are flat, ``(..., cells)``.
+Cells that are processed together are stored together: a tile's values fit into a core's cache, and one number per
+tile bounds how much a distant sample matters there. Arrays over cells in tile order are flat, ``(..., cells)``, and
+the cells of a tile are consecutive.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from he3.frames import SiteGrid
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-# Cells at most. A row of V on a tile is then 64 kB, long enough to be read at speed; on tiles of 64 it is not, and on
-# tiles of 250 too many rows matter somewhere [measured].
+# cells, longest edge of a tile. A float32 row of V on a tile is then 64 kB, long enough to be read at full memory
+# speed. On tiles of 64 cells it is not; on tiles of 250 too many rows matter somewhere [measured].
 TILE_EDGE = 128
 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A rectangle of the grid: its rows and columns there, its cells in tile order, row by row."""
+    """A rectangle of the grid: its row and column ranges, and its range of cells in tile order, row by row."""
 
     number: int
     rows: slice
@@ -34,7 +35,7 @@ class Tile:
 
     @property
     def shape(self) -> tuple[int, int]:
-        return _length(self.rows), _length(self.columns)
+        return _slice_length(self.rows), _slice_length(self.columns)
 
     @property
     def size(self) -> int:
@@ -42,7 +43,7 @@ class Tile:
         return rows * columns
 
     def parts(self, cells: int) -> Iterator[Tile]:
-        """The tile cut into whole rows of about that many cells, each a tile with the same number."""
+        """The tile cut into strips of whole rows with about ``cells`` cells each, all with the tile's number."""
         rows, columns = self.shape
         height = max(1, cells // columns)
         for first in range(0, rows, height):
@@ -55,14 +56,14 @@ class Tile:
             )
 
 
-Work = Callable[[], None]
-ShareOut = Callable[[Iterable[Work]], None]
-"""What does all pieces of work: in any order, and on several threads perhaps."""
+Task = Callable[[], None]
+RunTasks = Callable[[Iterable[Task]], None]
+"""Runs all tasks, in any order and possibly on several threads, and returns when all are done."""
 
 
 @dataclass(frozen=True, slots=True)
 class TiledGrid:
-    """A grid and its tiles, all about the same size, and no edge longer than ``edge`` cells."""
+    """A grid and its tiles: all of about the same size, none with an edge longer than ``edge`` cells."""
 
     grid: SiteGrid
     edge: int = TILE_EDGE
@@ -70,8 +71,8 @@ class TiledGrid:
 
     def __post_init__(self) -> None:
         tiles: list[Tile] = []
-        for rows in _cut(self.grid.rows, self.edge):
-            for columns in _cut(self.grid.columns, self.edge):
+        for rows in _even_slices(self.grid.rows, self.edge):
+            for columns in _even_slices(self.grid.columns, self.edge):
                 first = tiles[-1].cells.stop if tiles else 0
                 count = (rows.stop - rows.start) * (columns.stop - columns.start)
                 tiles.append(Tile(len(tiles), rows, columns, slice(first, first + count)))
@@ -82,7 +83,7 @@ class TiledGrid:
         return self.grid.rows * self.grid.columns
 
     def in_tile_order(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Values (cells, ...) in the order of ``array.ravel()`` as ones in tile order."""
+        """Values (cells, ...) given in the order of ``array.ravel()``, reordered by tile."""
         on_grid = values.reshape(*self.grid.shape, *values.shape[1:])
         ordered = np.empty_like(values)
         for tile in self.tiles:
@@ -90,19 +91,20 @@ class TiledGrid:
         return ordered
 
     def on_grid(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Values (cells,) in tile order as ``[row, column]``."""
+        """Values (cells,) given in tile order, as an array [row, column]."""
         array = np.empty(self.grid.shape, dtype=values.dtype)
         for tile in self.tiles:
             array[tile.rows, tile.columns] = values[tile.cells].reshape(tile.shape)
         return array
 
 
-def _length(of: slice) -> int:
+def _slice_length(of: slice) -> int:
     length: int = of.stop - of.start
     return length
 
 
-def _cut(length: int, edge: int) -> list[slice]:
+def _even_slices(length: int, edge: int) -> list[slice]:
+    """``range(length)`` cut into the fewest slices of at most ``edge``, equal to within one."""
     count = -(-length // edge)
     bounds = [length * i // count for i in range(count + 1)]
     return [slice(first, last) for first, last in pairwise(bounds)]

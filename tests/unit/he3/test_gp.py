@@ -155,5 +155,3 @@ def test_bad_places_and_values_are_refused() -> None:
         belief.condition([1.0, 2.0], [3.0])
     with pytest.raises(InvalidInput, match="expected 1 finite values"):
         belief.condition([[1.0, 2.0]], [np.inf])
-    with pytest.raises(InvalidInput, match="expected a belief with an orbital trend"):
-        belief.trend_coefficients()

@@ -37,9 +37,6 @@ def test_a_map_that_is_off_by_gain_and_offset_is_corrected_by_the_samples(gain: 
     values = truth[cells[:, 0], cells[:, 1]] + 0.1 * rng.normal(size=60)
     fitted = fit_hyperparameters(places, values, "se", rng=rng, trend=trend)
     belief = GaussianProcess(fitted).condition(places, values)
-    (mean, offset), (gain_std, offset_std) = belief.trend_coefficients()
-    assert abs(mean - 1.0 / gain) < max(3.0 * gain_std, 0.05)
-    assert abs(offset - (truth.mean() - seen.mean())) < max(3.0 * offset_std, 0.1)
     estimate, deviation = belief.predict(GRID.points())
     assert np.sqrt(np.mean((estimate - truth.ravel()) ** 2)) < 0.1
     assert np.mean(np.abs(estimate - truth.ravel()) <= 2.0 * deviation) > 0.85
@@ -53,7 +50,7 @@ def test_the_belief_is_that_of_generalised_least_squares_with_a_gaussian_prior()
     places, points = rng.uniform(0, 400, (20, 2)), rng.uniform(0, 400, (15, 2))
     values = rng.normal(8.0, 1.0, 20)
     everything = np.vstack((places, points))
-    contrast = trend.at(everything) - trend.site_mean_ppb
+    contrast = trend.at(everything) - hilly().mean()
     covariance = 0.49 * SquaredExponential(0.8, 60.0).covariance(everything, everything)
     covariance += 0.16 * np.outer(contrast, contrast) + 4.0
     prior = trend.at(everything) + 0.3
@@ -72,7 +69,6 @@ def test_before_any_sample_the_uncertainty_of_gain_and_offset_is_in_the_variance
     trend = OrbitalTrend(GRID, hilly())
     belief = GaussianProcess(Hyperparameters(SquaredExponential(), trend=trend))
     assert belief.predict([[250.0, 200.0]])[1][0] > trend.offset_std_ppb
-    np.testing.assert_array_equal(belief.trend_coefficients(), [[1.0, 0.0], [0.5, 2.0]])
 
 
 def test_a_map_that_does_not_fit_the_grid_is_refused() -> None:

@@ -14,8 +14,8 @@ from he3.kernels import Kernel, Matern12, Matern32, Matern52, SmoothPlusRough, S
 from he3.posterior.grid import GridPosterior
 from he3.posterior.rows import SPLIT_FROM
 from he3.posterior.separable_rows import SeparableRows
-from he3.posterior.stored_rows import ROWS_A_BLOCK, StoredRows
-from he3.posterior.tiles import TILE_EDGE, TiledGrid, Work
+from he3.posterior.stored_rows import ROWS_PER_BLOCK, StoredRows
+from he3.posterior.tiles import TILE_EDGE, Task, TiledGrid
 from he3.trend import OrbitalTrend
 
 GRID = SiteGrid(45, 60, 5.0)
@@ -35,7 +35,7 @@ def samples(count: int, seed: int, grid: SiteGrid = GRID) -> tuple[np.ndarray, n
     return places, 8.0 + np.sin(places[:, 0] / 30.0) + 0.1 * rng.normal(size=count)
 
 
-def one_by_one(works: Iterable[Work]) -> None:
+def one_by_one(works: Iterable[Task]) -> None:
     for work in works:
         work()
 
@@ -51,7 +51,7 @@ def assert_exact(posterior: GridPosterior) -> None:
 @every_kernel
 def test_built_at_once_or_sample_by_sample_the_map_is_the_exact_posterior(kernel: Kernel) -> None:
     hyperparameters = Hyperparameters(kernel, 0.1, 8.0, 0.9)
-    places, values = samples(ROWS_A_BLOCK + 20, seed=1)
+    places, values = samples(ROWS_PER_BLOCK + 20, seed=1)
     built = GridPosterior.build(GRID, hyperparameters, places, values)
     grown = GridPosterior(GRID, hyperparameters)
     for place, value in zip(places, values, strict=True):
@@ -133,17 +133,17 @@ def test_without_noise_crowded_and_repeated_places_keep_the_map_finite_and_its_v
         assert (after <= before).all()
         before = after
     assert np.isfinite(posterior.mean_ppb).all()
-    assert (posterior.std_ppb >= 0).all()
+    assert (posterior.std_ppb > 0).all()
     mean, deviation = posterior.at(GRID.points())
-    np.testing.assert_allclose(posterior.mean_ppb.ravel(), mean, atol=0.02)
-    np.testing.assert_allclose(posterior.std_ppb.ravel().astype(float) ** 2, deviation**2, atol=2e-3)
+    np.testing.assert_allclose(posterior.mean_ppb.ravel(), mean, rtol=1e-5)
+    np.testing.assert_allclose(posterior.std_ppb.ravel(), deviation, rtol=1e-3)
 
 
 def test_rows_of_a_separable_kernel_are_those_that_are_stored() -> None:
     kernel = SquaredExponential(1.2, 40.0)
     places, values = samples(90, seed=10)
     tiled = TiledGrid(GRID)
-    stored, separable = StoredRows(tiled, kernel), SeparableRows(tiled, kernel)
+    stored, separable = StoredRows(tiled, kernel), SeparableRows(tiled, kernel, np.dtype(np.float64))
     process = GaussianProcess(Hyperparameters(kernel, 0.1, 8.0, 1.0))
     for place, value in zip(places, values, strict=True):
         process = process.condition(place[None, :], [value])
@@ -164,34 +164,6 @@ def test_a_snapshot_cannot_be_written_and_is_not_touched_by_later_samples() -> N
         snapshot.mean_ppb[0, 0] = 1.0
 
 
-@pytest.mark.parametrize("shared", [0, 5, ROWS_A_BLOCK, ROWS_A_BLOCK + 3, SPLIT_FROM])
-@pytest.mark.parametrize("kernel", [SquaredExponential(1.0, 30.0), Matern32(1.0, 30.0), SmoothPlusRough()])
-def test_forks_do_not_see_each_other(shared: int, kernel: Kernel) -> None:
-    hyperparameters = Hyperparameters(kernel, 0.1, 8.0, 1.0)
-    places, values = samples(shared + 6, seed=6)
-    trunk = GridPosterior.build(GRID, hyperparameters, places[:shared], values[:shared])
-    fork = trunk.fork()
-    second = fork.fork()
-    for i in range(shared, shared + 3):
-        trunk.add(places[i], values[i])
-        fork.add(places[i + 3], values[i + 3])
-        second.add_place(places[i])
-    np.testing.assert_array_equal(second.std_ppb, trunk.std_ppb)
-    for posterior in (trunk, fork, second):
-        assert len(posterior) == shared + 3
-        assert_exact(posterior)
-
-
-def test_places_without_values_lower_the_variance_and_keep_the_mean() -> None:
-    places, values = samples(10, seed=7)
-    posterior = GridPosterior.build(GRID, Hyperparameters(Matern32(1.0, 30.0), 0.1, 8.0, 1.0), places, values)
-    ahead = posterior.fork()
-    ahead.add_place([33.0, 44.0])
-    np.testing.assert_array_equal(ahead.mean_ppb, posterior.mean_ppb)
-    assert (ahead.std_ppb <= posterior.std_ppb).all()
-    assert ahead.std_ppb[8, 6] < 0.5 * posterior.std_ppb[8, 6]
-
-
 @pytest.mark.parametrize(
     ("kernel", "built"),
     [(SquaredExponential(1.0, 60.0), 66), (Matern12(1.0, 60.0), 66), (SmoothPlusRough(), 0), (SmoothPlusRough(), 66)],
@@ -210,7 +182,7 @@ def test_the_number_of_threads_changes_no_bit(kernel: Kernel, built: int) -> Non
 
 
 @every_kernel
-@pytest.mark.parametrize("count", [ROWS_A_BLOCK + 5, 600])
+@pytest.mark.parametrize("count", [ROWS_PER_BLOCK + 5, 600])
 def test_a_map_with_an_orbital_prior_is_the_exact_posterior(kernel: Kernel, count: int) -> None:
     orbital = 7.0 + np.add.outer(np.linspace(0, 2, GRID.rows), np.linspace(0, 1, GRID.columns))
     hyperparameters = Hyperparameters(kernel, 0.1, 0.4, 0.9, trend=OrbitalTrend(GRID, orbital))
@@ -219,11 +191,6 @@ def test_a_map_with_an_orbital_prior_is_the_exact_posterior(kernel: Kernel, coun
     for place, value in zip(places[-3:], values[-3:], strict=True):
         built.add(place, value)
     assert_exact(built)
-    ahead = built.fork()
-    ahead.add_place([33.0, 44.0])
-    np.testing.assert_allclose(ahead.mean_ppb, built.mean_ppb, rtol=2e-6)
-    assert_exact(ahead)
-    assert (ahead.std_ppb <= built.std_ppb * (1 + 1e-4)).all()
 
 
 def test_bad_input_is_refused_and_changes_nothing() -> None:

@@ -11,11 +11,11 @@ from scipy.linalg import solve_triangular
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import Kernel, Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
-from he3.posterior.rows import SPLIT_FROM, RowsOnGrid, rows_for
-from he3.posterior.separable_rows import SeparableRows, SmoothPiece
+from he3.posterior.rows import SPLIT_FROM, RowSource, row_source
+from he3.posterior.separable_rows import ChebyshevPiece, SeparableRows
 from he3.posterior.split_rows import SplitRows
-from he3.posterior.stored_rows import SCREENED, StoredRows
-from he3.posterior.tiles import TiledGrid, Work
+from he3.posterior.stored_rows import StoredRows, screening_tolerance
+from he3.posterior.tiles import Task, TiledGrid
 
 SITE = TiledGrid(SiteGrid(50, 64, 5.0), 13)
 NOISE = 0.1
@@ -27,6 +27,8 @@ KERNELS = [
     Matern52(1.1, 15.0),
     SmoothPlusRough(0.8, 90.0, 0.3, 12.0),
 ]
+FLOAT32 = np.dtype(np.float32)
+every_precision = pytest.mark.parametrize("dtype", [FLOAT32, np.dtype(np.float64)], ids=lambda dtype: dtype.name)
 every_kernel = pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.name)
 
 
@@ -48,7 +50,7 @@ def in_clusters(rng: np.random.Generator) -> FloatArray:
 every_order = pytest.mark.parametrize("order", [anywhere, along_a_tour, in_clusters], ids=lambda order: order.__name__)
 
 
-def one_by_one(works: Iterable[Work]) -> None:
+def one_by_one(works: Iterable[Task]) -> None:
     for work in works:
         work()
 
@@ -64,56 +66,61 @@ def process_at(kernel: Kernel, places: FloatArray) -> GaussianProcess:
     return GaussianProcess(Hyperparameters(kernel, NOISE)).condition_on_places(places)
 
 
-def ways(kernel: Kernel, **options: float) -> list[RowsOnGrid]:
-    found: list[RowsOnGrid] = [StoredRows(SITE, kernel, **options)]
+def sources(kernel: Kernel, dtype: np.dtype, screening: float | None = None) -> list[RowSource]:
+    found: list[RowSource] = [StoredRows(SITE, kernel, dtype, screening=screening)]
     if isinstance(kernel, SquaredExponential):
-        found.append(SeparableRows(SITE, kernel))
+        found.append(SeparableRows(SITE, kernel, dtype))
     if isinstance(kernel, SmoothPlusRough):
-        found.append(SplitRows(SITE, kernel, Hyperparameters(kernel, NOISE), **options))
+        found.append(SplitRows(SITE, kernel, Hyperparameters(kernel, NOISE), dtype, screening=screening))
     return found
+
+
+def recompute(source: RowSource, process: GaussianProcess, tiled: TiledGrid = SITE, part_cells: int = 10**6) -> None:
+    rows_on = source.recompute(process)
+    for tile in tiled.tiles:
+        for part in tile.parts(part_cells):
+            for _ in rows_on(part):
+                pass
 
 
 @every_kernel
 @every_order
-def test_a_row_is_exact_to_what_float32_rounds_off(
-    kernel: Kernel, order: Callable[[np.random.Generator], FloatArray]
+@every_precision
+def test_a_row_is_exact_to_what_its_precision_rounds_off(
+    kernel: Kernel, order: Callable[[np.random.Generator], FloatArray], dtype: np.dtype
 ) -> None:
     places = order(np.random.default_rng(11))
-    grown, built = ways(kernel), ways(kernel)
+    grown, built = sources(kernel, dtype), sources(kernel, dtype)
     process = GaussianProcess(Hyperparameters(kernel, NOISE))
     for place in places[:-1]:
         process = process.condition_on_places(place[None, :])
-        for rows in grown:
-            rows.next_row(process, one_by_one)
-    for rows in built:
-        rows_on = rows.rows_anew(process)
-        for tile in SITE.tiles:
-            for part in tile.parts(50):
-                for _ in rows_on(part):
-                    pass
+        for source in grown:
+            source.next_row(process, one_by_one)
+    for source in built:
+        recompute(source, process, part_cells=50)
     process = process.condition_on_places(places[-1:])
     exact = exact_row(process, SITE)
-    for rows in (*grown, *built):
-        error = np.abs(rows.next_row(process, one_by_one) - exact).max()
-        # A few roundings of float32 in the rows before are magnified up to 1 / NOISE times; screening adds less.
-        assert error <= (2.0**-21 / NOISE + SCREENED) * np.sqrt(kernel.prior_variance)
+    # A few roundings in the rows before are magnified up to 1 / NOISE times; screening adds less.
+    allowed = 4 * float(np.finfo(dtype).eps) / NOISE + screening_tolerance(dtype)
+    # What it is compared with is rounded in float64 itself, and so is the interpolation of the separable rows.
+    allowed = max(allowed, 1e-13 / NOISE)
+    for source in (*grown, *built):
+        error = np.abs(source.next_row(process, one_by_one) - exact).max()
+        assert error <= allowed * np.sqrt(kernel.prior_variance)
 
 
 @every_kernel
-def test_what_a_row_leaves_out_is_not_to_be_seen(kernel: Kernel) -> None:
+@every_precision
+def test_what_a_row_leaves_out_changes_it_by_less_than_the_tolerance(kernel: Kernel, dtype: np.dtype) -> None:
     places = anywhere(np.random.default_rng(12))
-    allowed = SCREENED * np.sqrt(kernel.prior_variance)
-    rounding = 2.0**-22 * np.sqrt(kernel.prior_variance)
-    for screened, whole in zip(ways(kernel), ways(kernel, screened=1e-30), strict=True):
+    rounding = max(2 * float(np.finfo(dtype).eps), 1e-14)
+    for screened, whole in zip(sources(kernel, dtype), sources(kernel, dtype, screening=1e-30), strict=True):
         process = process_at(kernel, places[:-1])
-        for rows in (screened, whole):
-            rows_on = rows.rows_anew(process)
-            for tile in SITE.tiles:
-                for _ in rows_on(tile):
-                    pass
+        for source in (screened, whole):
+            recompute(source, process)
         process = process.condition_on_places(places[-1:])
         difference = screened.next_row(process, one_by_one) - whole.next_row(process, one_by_one)
-        assert np.abs(difference).max() <= allowed + rounding
+        assert np.abs(difference).max() <= (screening_tolerance(dtype) + rounding) * np.sqrt(kernel.prior_variance)
         assert screened.values_read <= whole.values_read
 
 
@@ -125,28 +132,27 @@ def test_what_a_row_leaves_out_is_not_to_be_seen(kernel: Kernel) -> None:
 def test_on_a_wide_site_most_rows_are_not_read(kernel: Kernel, most: float) -> None:
     wide = TiledGrid(SiteGrid(80, 80, 5.0), 16)
     places = np.random.default_rng(13).uniform(0, 400, (SPLIT_FROM + 1, 2))
-    rows = rows_for(wide, Hyperparameters(kernel, NOISE), SPLIT_FROM)
+    source = row_source(wide, Hyperparameters(kernel, NOISE), FLOAT32, SPLIT_FROM)
     process = process_at(kernel, places[:-1])
-    rows_on = rows.rows_anew(process)
-    for tile in wide.tiles:
-        for _ in rows_on(tile):
-            pass
+    recompute(source, process, wide)
     process = process.condition_on_places(places[-1:])
-    row = rows.next_row(process, one_by_one)
-    assert 0 < rows.values_read < most * SPLIT_FROM * wide.cells
-    assert np.abs(row - exact_row(process, wide)).max() <= 8 * SCREENED * np.sqrt(kernel.prior_variance)
+    row = source.next_row(process, one_by_one)
+    assert 0 < source.values_read < most * SPLIT_FROM * wide.cells
+    assert np.abs(row - exact_row(process, wide)).max() <= 8 * screening_tolerance(FLOAT32) * np.sqrt(
+        kernel.prior_variance
+    )
 
 
-def test_each_kernel_has_its_way() -> None:
-    def way(kernel: Kernel, at_once: int | None = None) -> type[RowsOnGrid]:
-        return type(rows_for(SITE, Hyperparameters(kernel), at_once))
+def test_each_kernel_has_its_fastest_source() -> None:
+    def source(kernel: Kernel, bulk_count: int | None = None) -> type[RowSource]:
+        return type(row_source(SITE, Hyperparameters(kernel), FLOAT32, bulk_count))
 
     smooth_plus_rough = SmoothPlusRough()
-    assert way(SquaredExponential()) is SeparableRows
-    assert way(Matern32()) is StoredRows
-    assert way(smooth_plus_rough) is SplitRows
-    assert way(smooth_plus_rough, SPLIT_FROM) is SplitRows
-    assert way(smooth_plus_rough, SPLIT_FROM - 1) is StoredRows
+    assert source(SquaredExponential()) is SeparableRows
+    assert source(Matern32()) is StoredRows
+    assert source(smooth_plus_rough) is SplitRows
+    assert source(smooth_plus_rough, SPLIT_FROM) is SplitRows
+    assert source(smooth_plus_rough, SPLIT_FROM - 1) is StoredRows
 
 
 @settings(max_examples=200)
@@ -155,7 +161,7 @@ def test_a_squared_exponential_is_known_from_its_nodes_wherever_it_is_centred(
     length: float, cells: int, centre: float
 ) -> None:
     cells_m = 3.0 + np.arange(cells)
-    piece = SmoothPiece.of(cells_m, length)
+    piece = ChebyshevPiece.of(cells_m, length)
     assert len(piece.nodes_m) <= cells
 
     def at(x_m: FloatArray) -> FloatArray:
@@ -166,4 +172,4 @@ def test_a_squared_exponential_is_known_from_its_nodes_wherever_it_is_centred(
 
 
 def test_a_long_length_scale_takes_few_nodes() -> None:
-    assert len(SmoothPiece.of(np.arange(125.0), 60.0).nodes_m) < 30
+    assert len(ChebyshevPiece.of(np.arange(125.0), 60.0).nodes_m) < 30

@@ -1,4 +1,4 @@
-"""What a sum leaves out of its rows is bounded by what it may be off by, and all that is needed is read."""
+"""The rows that a sum leaves out are bounded by its tolerance, and every row that is needed is read."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ from scipy.linalg import solve_triangular
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import KERNELS, Kernel
-from he3.posterior.screening import Reading, rows_that_matter
-from he3.posterior.stored_rows import SCREENED
+from he3.posterior.screening import ReadPlan, significant_rows
+from he3.posterior.stored_rows import FLOAT32, screening_tolerance
 from he3.posterior.tiles import TiledGrid
 
 seeds = st.integers(0, 2**32 - 1)
@@ -21,22 +21,22 @@ seeds = st.integers(0, 2**32 - 1)
 @given(seeds, st.integers(0, 80), st.floats(-9, 1))
 def test_as_many_rows_are_left_out_as_may_be_and_no_more(seed: int, n: int, exponent: float) -> None:
     rng = np.random.default_rng(seed)
-    tie = rng.normal(size=n) * 10.0 ** rng.uniform(-8, 0, n)
+    coefficients = rng.normal(size=n) * 10.0 ** rng.uniform(-8, 0, n)
     peaks = (10.0 ** rng.uniform(-8, 0, (5, n))).astype(np.float32)
-    allowed = 10.0**exponent
-    matter = rows_that_matter(tie, peaks, allowed)
-    assert matter.shape == (5, n)
-    share = np.abs(tie) * peaks
-    left_out = np.where(matter, 0.0, share).sum(axis=1)
-    assert (left_out <= allowed * (1 + 1e-6)).all()
-    for tile in np.flatnonzero(matter.any(axis=1)):
-        assert left_out[tile] + share[tile, matter[tile]].min() >= allowed * (1 - 1e-6)
+    tolerance = 10.0**exponent
+    needed = significant_rows(coefficients, peaks, tolerance)
+    assert needed.shape == (5, n)
+    share = np.abs(coefficients) * peaks
+    left_out = np.where(needed, 0.0, share).sum(axis=1)
+    assert (left_out <= tolerance * (1 + 1e-6)).all()
+    for tile in np.flatnonzero(needed.any(axis=1)):
+        assert left_out[tile] + share[tile, needed[tile]].min() >= tolerance * (1 - 1e-6)
 
 
-def test_of_equal_rows_none_is_preferred() -> None:
-    matter = rows_that_matter(np.ones(4), np.ones((1, 4), dtype=np.float32), allowed=2.5)
-    assert matter.all()
-    assert not rows_that_matter(np.ones(4), np.ones((1, 4), dtype=np.float32), allowed=4.5).any()
+def test_rows_of_equal_bounds_are_kept_or_left_out_together() -> None:
+    needed = significant_rows(np.ones(4), np.ones((1, 4), dtype=np.float32), tolerance=2.5)
+    assert needed.all()
+    assert not significant_rows(np.ones(4), np.ones((1, 4), dtype=np.float32), tolerance=4.5).any()
 
 
 @settings(max_examples=60)
@@ -49,7 +49,7 @@ def test_of_equal_rows_none_is_preferred() -> None:
     st.integers(3, 30),
     st.booleans(),
 )
-def test_what_is_left_out_of_a_row_changes_no_cell_by_more_than_is_allowed(
+def test_what_is_left_out_of_a_row_changes_no_cell_by_more_than_the_tolerance(
     seed: int, name: str, n: int, length: float, noise: float, edge: int, clustered: bool
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -61,13 +61,13 @@ def test_what_is_left_out_of_a_row_changes_no_cell_by_more_than_is_allowed(
     process = GaussianProcess(Hyperparameters(kernel, noise)).condition_on_places(places)
     points = tiled.in_tile_order(tiled.grid.points())
     rows = solve_triangular(process.factor[:-1, :-1], kernel.covariance(places[:-1], points), lower=True)
-    tie, pivot = process.factor[-1, :-1], process.factor[-1, -1]
+    coefficients, pivot = process.factor[-1, :-1], process.factor[-1, -1]
     peaks = np.maximum.reduceat(np.abs(rows), [tile.cells.start for tile in tiled.tiles], axis=1).T
-    allowed = SCREENED * np.sqrt(kernel.prior_variance)
-    matter = rows_that_matter(tie, peaks.astype(np.float32), allowed * pivot)
-    for tile, needed in zip(tiled.tiles, matter, strict=True):
-        left_out = tie[~needed] @ rows[~needed, tile.cells] / pivot
-        assert np.abs(left_out).max() <= allowed * (1 + 1e-5)
+    tolerance = screening_tolerance(FLOAT32) * np.sqrt(kernel.prior_variance)
+    needed = significant_rows(coefficients, peaks.astype(np.float32), tolerance * pivot)
+    for tile, kept in zip(tiled.tiles, needed, strict=True):
+        left_out = coefficients[~kept] @ rows[~kept, tile.cells] / pivot
+        assert np.abs(left_out).max() <= tolerance * (1 + 1e-5)
 
 
 def _kernel(name: str, length: float) -> Kernel:
@@ -76,34 +76,34 @@ def _kernel(name: str, length: float) -> Kernel:
 
 
 @given(seeds, st.integers(0, 150), st.floats(0, 1), st.integers(1, 40))
-def test_every_row_that_matters_is_read_once(seed: int, n: int, density: float, rows_a_block: int) -> None:
+def test_every_row_that_is_needed_is_read_once(seed: int, n: int, density: float, rows_per_block: int) -> None:
     rng = np.random.default_rng(seed)
     tiled = TiledGrid(SiteGrid(3, 8), 4)
-    matter = rng.random((len(tiled.tiles), n)) < density
+    needed = rng.random((len(tiled.tiles), n)) < density
     rows = rng.integers(-9, 10, (n, tiled.cells)).astype(np.float32)
-    blocks = _blocks(rows, tiled, rows_a_block)
-    reading = Reading(matter, rows_a_block)
+    blocks = _blocks(rows, tiled, rows_per_block)
+    plan = ReadPlan(needed, rows_per_block)
     for tile in tiled.tiles:
         read: list[int] = []
-        for numbers, known in reading.pieces(tile, blocks):
+        for numbers, known in plan.batches(tile, blocks):
             here = np.arange(n)[numbers]
             np.testing.assert_array_equal(known, rows[here, tile.cells])
             read += here.tolist()
-        assert len(set(read)) == len(read) == reading.rows_read[tile.number] <= 1.5 * matter[tile.number].sum()
-        assert set(np.flatnonzero(matter[tile.number])) <= set(read)
+        assert len(set(read)) == len(read) == plan.rows_read[tile.number] <= 1.5 * needed[tile.number].sum()
+        assert set(np.flatnonzero(needed[tile.number])) <= set(read)
 
 
-def _blocks(rows: np.ndarray, tiled: TiledGrid, rows_a_block: int) -> Sequence[Sequence[np.ndarray]]:
+def _blocks(rows: np.ndarray, tiled: TiledGrid, rows_per_block: int) -> Sequence[Sequence[np.ndarray]]:
     blocks = []
-    for first in range(0, len(rows), rows_a_block):
-        block = np.full((rows_a_block, tiled.cells), np.nan, dtype=np.float32)
-        block[: len(rows) - first] = rows[first : first + rows_a_block]
+    for first in range(0, len(rows), rows_per_block):
+        block = np.full((rows_per_block, tiled.cells), np.nan, dtype=np.float32)
+        block[: len(rows) - first] = rows[first : first + rows_per_block]
         blocks.append([block[:, tile.cells].copy() for tile in tiled.tiles])
     return blocks
 
 
-@pytest.mark.parametrize("needed", [[], [0], [63], [0, 63], [10, 11, 12], list(range(64))])
-def test_rows_far_apart_in_a_block_are_read_without_those_between(needed: list[int]) -> None:
-    matter = np.zeros((1, 64), dtype=bool)
-    matter[0, needed] = True
-    assert Reading(matter, 64).rows_read.tolist() == [len(needed)]
+@pytest.mark.parametrize("numbers", [[], [0], [63], [0, 63], [10, 11, 12], list(range(64))])
+def test_rows_far_apart_in_a_block_are_read_without_those_between(numbers: list[int]) -> None:
+    needed = np.zeros((1, 64), dtype=bool)
+    needed[0, numbers] = True
+    assert ReadPlan(needed, 64).rows_read.tolist() == [len(numbers)]
