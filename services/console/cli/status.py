@@ -56,7 +56,8 @@ def _lines(document: dict[str, Any], state: MissionState) -> list[str]:
         pace = "lockstep" if clock.mode.value == "lockstep" else speed(clock.rate)
     rows = [
         ("mission", f"{document['mission']} at {document['earth']}"),
-        ("time", f"{duration(document['mission_time_s'] or 0.0)} since the beginning, {pace}"),
+        ("time", f"{duration(document['mission_time_s'] or 0.0)} since the beginning"),
+        ("speed", pace),
         ("on Earth", ", ".join(document["alive_on_earth"]) or "no process"),
     ]
     if ground is None:
@@ -80,7 +81,7 @@ def _lines(document: dict[str, Any], state: MissionState) -> list[str]:
             (
                 "",
                 f"{rover.driven_m:,.0f} m driven, battery {rover.energy_wh:,.0f} of {rover.capacity_wh:,.0f} Wh, "
-                f"{queued(rover.rounds_on_board)}, {rover.queue_depth} messages queued for Earth",
+                f"{queued(rover.rounds_on_board)}, {rover.queue_depth} messages not yet acknowledged",
             ),
         ]
     if link is not None:
