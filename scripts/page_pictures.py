@@ -1,0 +1,138 @@
+"""Take the pictures of the operator's page in docs/images: `.venv/bin/python scripts/page_pictures.py`.
+
+Runs the mission t1 in lockstep to its 75th sample, sends a few telecommands, and takes the page on a laptop and on a
+phone, dark and light. Needs a Chromium and its driver (Debian: chromium, chromium-driver).
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+
+ROOT = Path(__file__).resolve().parent.parent
+IMAGES = ROOT / "docs" / "images"
+SAMPLES = 75
+SPEED = 20
+WITHIN_S = 600.0
+LAPTOP = {"width": 1440, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+LAPTOP_PIXELS, PHONE_PIXELS = 1800, 2200
+"""Height of a picture at most [pixels]."""
+HE3 = (sys.executable, "-m", "services.console")
+
+
+def he3(*words: str) -> str:
+    """What the command prints; ends the script if it fails."""
+    return subprocess.run([*HE3, *words], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+
+
+@contextmanager
+def running(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """A command that stays, until the end of the `with` statement."""
+    process = subprocess.Popen([*HE3, *words], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+def wait_for(true: Callable[[], Any], what: str) -> Any:
+    """The first true value; ends the script if there is none in time."""
+    deadline = time.monotonic() + WITHIN_S
+    while time.monotonic() < deadline:
+        try:
+            if found := true():
+                return found
+        except subprocess.CalledProcessError:  # nothing answers yet
+            pass
+        time.sleep(0.2)
+    raise SystemExit(f"page_pictures: expected {what} within {WITHIN_S:g} s")
+
+
+def samples() -> int:
+    """Samples in the map of the mission that runs."""
+    status: dict[str, Any] = json.loads(he3("status", "--json"))
+    return 0 if status["ground"] is None else int(status["ground"]["samples"])
+
+
+def fly() -> None:
+    """Bring the mission to its 75th sample, with telecommands shortly before, and slow it down."""
+    wait_for(lambda: samples() >= SAMPLES - 3, "samples")
+    he3("time", "rate", "500")
+    he3("command", "keep-out", "boulders", "400,420", "450,440", "460,390", "410,380", "--wait", "completed")
+    he3("command", "pause", "--wait", "completed", "--timeout", "120")
+    he3("command", "resume", "--wait", "completed", "--timeout", "120")
+    wait_for(lambda: samples() >= SAMPLES, "samples")
+    he3("time", "rate", f"{SPEED}")
+
+
+def take(driver: Any, name: str, metrics: dict[str, Any], theme: str, layer: str, most_pixels: int) -> None:
+    """One picture of the whole page, cut off below `most_pixels`."""
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    driver.execute_script("document.documentElement.dataset.theme = arguments[0]", theme)
+    driver.execute_script(f"document.querySelector('#layers input[value={layer}]').click()")
+    time.sleep(3.0)  # for the map to be drawn, and a message or two to cross the link
+    path = IMAGES / f"{name}.png"
+    taken = driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True})
+
+    path.write_bytes(base64.b64decode(taken["data"]))
+    with Image.open(path) as whole:
+        cut = whole.convert("RGB").crop((0, 0, whole.width, min(whole.height, most_pixels)))
+    cut.save(path, optimize=True)
+    print(path.relative_to(ROOT), f"{cut.width} x {cut.height}", file=sys.stderr)
+
+
+def main() -> None:
+    """Fly, serve, take four pictures."""
+    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if chromium is None or chromedriver is None:
+        raise SystemExit("page_pictures: expected chromium and chromedriver on the path")
+    with running("up", "t1", "--lockstep", "--quiet"), tempfile.TemporaryDirectory() as profile:
+        wait_for(lambda: samples() >= 0, "a mission")
+        with running("web", "--port", "0", "--authority") as server:
+            assert server.stderr is not None
+            address = re.search(r"http://\S+", server.stderr.readline())
+            assert address is not None
+            fly()
+            options = Options()
+            options.binary_location = chromium
+            for flag in (
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--hide-scrollbars",
+                f"--user-data-dir={profile}",
+            ):
+                options.add_argument(flag)
+            driver = webdriver.Chrome(options=options, service=Service(chromedriver))
+            try:
+                driver.get(address[0])
+                wait_for(lambda: driver.find_element("id", "rover-facts").text, "the page")
+                driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", LAPTOP)
+                driver.find_element("id", "map").click()
+                take(driver, "web-laptop-dark", LAPTOP, "dark", "mean", LAPTOP_PIXELS)
+                take(driver, "web-laptop-light", LAPTOP, "light", "std", LAPTOP_PIXELS)
+                take(driver, "web-phone-dark", PHONE, "dark", "mean", PHONE_PIXELS)
+                take(driver, "web-phone-light", PHONE, "light", "exceedance", PHONE_PIXELS)
+            finally:
+                driver.quit()
+
+
+if __name__ == "__main__":
+    main()
