@@ -12,6 +12,7 @@ from he3.frames import FloatArray, Place, SiteGrid
 from he3.posterior.grid import GridPosterior
 from schemas.plans import PlannedSample, RoundPlan
 from services.ground.belief import Belief
+from services.ground.bounded_task import BoundedTask
 from services.ground.budget import RemainingBudget
 from services.ground.interests import InterestAreas
 from services.ground.planners import planner_named
@@ -50,8 +51,11 @@ class RoundPlanning:
         self._round_log = round_log
         self._interests = interests
         self._planner = planner if planner is not None else scenario.ground.planner
+        self._run: Callable[..., PlannedRound] = run_planner
         if isinstance(self._planner, str) and ":" in self._planner:
             planner_named(self._planner)  # a bad name fails at start-up, not when the first round is planned
+            # Ours end by iterations; a limit on their time would let the speed of the machine decide on the mission.
+            self._run = BoundedTask(run_planner, scenario.ground.planner_limit_s)
         self.revision = 0
         """Of the last plan made."""
         self._task: PlanningTask | None = None
@@ -85,7 +89,7 @@ class RoundPlanning:
         )
         request = self._request(number, start_m, samples, remaining, pending)
         arguments = (self._planner, request, len(pending))
-        return Compute(self._task.job, run_planner, arguments, self._scenario.ground.planning_s)
+        return Compute(self._task.job, self._run, arguments, self._scenario.ground.planning_s)
 
     def _request(
         self, number: int, start_m: Place, samples: int, remaining: RemainingBudget, pending: Sequence[PlannedSample]

@@ -140,6 +140,8 @@ class GroundConfig(Section):
     """Prior mean: a learned constant, or the coarse orbital map with learned gain and offset."""
     planning_s: Duration = 30.0
     """Mission time that planning a round takes in virtual time; on the wall clock it takes what it takes, if more."""
+    planner_limit_s: Annotated[float, Field(ge=1, le=1e6)] = 1800.0
+    """Wall-clock time after which a plug-in planner without an answer is ended, and the planning has failed [s]."""
     pipeline: Annotated[int, Field(ge=0, le=50)] = 0
     """Rounds that are on board beyond the one being executed; 0 is stop-and-wait."""
     budget_m: Annotated[float, Field(gt=0, le=1e8)] | None = None

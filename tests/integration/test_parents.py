@@ -34,7 +34,7 @@ subprocess.run(["sh", "-c", '"$@"; sleep 600', "sh", *sys.argv[1:]], env=child_e
 
 WANTED = (
     "services.console", "services.link", "services.field", "services.rover", "services.ground", "services.recorder",
-    "services.ground.map.process", "planner_process",
+    "services.ground.map.process", "planner_server",
 )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from he3.errors import He3Error, InvalidInput, NoRoute
 from he3.frames import SiteGrid
 from he3.gp import Hyperparameters, fit_hyperparameters
 from he3.kernels import Matern52
+from services.ground.bounded_task import BoundedTask
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners import plan
 from services.ground.planners.interface import PlanningRequest
@@ -151,6 +152,42 @@ def test_a_task_that_is_cancelled_is_killed_and_makes_room():
         until(lambda: not alive(child), "the child to die")
         with pytest.raises(CancelledError):
             endless.result(0)
+
+
+def test_a_task_whose_time_is_up_is_ended_with_what_it_started_and_makes_room():
+    with PlannerProcess(parallel=1) as process:
+        began = time.monotonic()
+        endless = process.submit(BoundedTask(subprocess.call, 1.0), ["sleep", "1000"])
+        behind = process.submit(operator.add, 1, 2)
+        server = process._server.pid
+        until(lambda: children_of(server) and children_of(children_of(server)[0]), "the sleep to start")
+        (child,) = children_of(server)
+        family = [child, *children_of(child)]
+        with pytest.raises(He3Error, match="expected an answer within 1 s of wall-clock time, got none"):
+            endless.result(BOUND_S)
+        assert time.monotonic() - began >= 1.0
+        assert behind.result(BOUND_S) == 3
+        until(lambda: not any(map(alive, family)), "the child and its sleep to die")
+
+
+def test_a_limit_counts_from_when_the_task_begins_and_does_not_touch_an_answer_in_time():
+    with PlannerProcess(parallel=1) as process:
+        futures = [process.submit(BoundedTask(time.sleep, 5.0), 2.0) for _ in range(4)]
+        assert [future.result(BOUND_S) for future in futures] == [None] * 4
+
+
+def test_a_bounded_task_is_its_function_where_it_is_called():
+    assert BoundedTask(operator.add, 1.0)(1, 2) == 3
+
+
+def test_a_child_that_closes_its_output_and_goes_on_is_ended(planners):
+    with pytest.raises(He3Error, match="signal SIGKILL"):
+        planners.submit(close_everything_and_sleep).result(BOUND_S)
+
+
+def close_everything_and_sleep():
+    os.closerange(3, 100)
+    time.sleep(1000)
 
 
 def test_cancelling_everything_leaves_the_process_ready():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,11 +18,13 @@ from schemas.link import LinkChange
 from schemas.topics import ISSUE_COMMAND, LINK_SET
 from services.field.node import build_node as build_field
 from services.ground.node import build_node as build_ground
-from services.ground.planners.interface import PlannedRound, PlanningRequest
+from services.ground.planner_process import PlannerProcess
+from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 from services.link.node import build_node as build_link
 from services.mission.in_process import InProcessMission
 from services.mission.scenario import Scenario, checked_scenario
 from services.rover.node import build_node as build_rover
+from services.runtime.scheduler import Executor
 
 HOUR_S = 3600.0
 DAY_S = 24 * HOUR_S
@@ -48,7 +52,13 @@ def east_and_back(request: PlanningRequest) -> PlannedRound:
 class Mission(InProcessMission):
     """A mission of those services on a flat site; region and planner are small."""
 
-    def __init__(self, plan: Scenario, services: Iterable[str] = ALL) -> None:
+    def __init__(
+        self,
+        plan: Scenario,
+        services: Iterable[str] = ALL,
+        planner: Planner | None = east_and_back,
+        executor: Executor | None = None,
+    ) -> None:
         grid = SiteGrid(80, 80, 1.0)
         east = np.linspace(4.0, 9.0, 80)[None, :].repeat(80, axis=0)
         flat = np.zeros(grid.shape)
@@ -60,9 +70,9 @@ class Mission(InProcessMission):
             "field": lambda: build_field(plan, region),
             "rover": lambda: build_rover(plan, grid),
             "link": lambda: build_link(plan),
-            "ground": lambda: build_ground(plan, region, east_and_back),
+            "ground": lambda: build_ground(plan, region, planner),
         }
-        super().__init__(plan, nodes=[nodes[name]() for name in services])
+        super().__init__(plan, executor, nodes=[nodes[name]() for name in services])
 
     def detail(self) -> str:
         assert self.status is not None
@@ -119,6 +129,20 @@ def test_a_mission_without_one_of_its_services_ends(services: tuple[str, ...], r
     mission = Mission(scenario(), services)
     assert mission.run(until_s=30 * DAY_S) is MissionPhase.FAILED
     assert reason in mission.detail()
+
+
+def test_a_plug_in_planner_that_never_answers_ends_the_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "endless.py").write_text("def planner(request):\n    while True:\n        pass\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    plan = scenario(ground={"planner": "endless:planner", "planner_limit_s": 1.0})
+    with PlannerProcess(parallel=1) as planners:
+        mission = Mission(plan, planner=None, executor=planners)
+        assert mission.run() is MissionPhase.FAILED
+    assert mission.detail().endswith(
+        "round 1 could not be planned: expected an answer within 1 s of wall-clock time, got none; the task was ended"
+    )
+    sys.modules.pop("endless")
 
 
 def test_a_mission_whose_contact_ends_half_way_keeps_what_came_before() -> None:
