@@ -5,7 +5,7 @@ import pytest
 
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
-from he3.i_optimal_design import AverageVariance, field_nodes
+from he3.i_optimal_design import MIN_NOISE, AverageVariance, field_nodes
 from he3.kernels import KERNELS, Matern12, squared_distances
 
 GRID = SiteGrid(60, 80)
@@ -84,3 +84,37 @@ def test_nodes_carry_the_interest_of_all_their_cells():
 def test_interest_that_is_nowhere_is_refused(interest):
     with pytest.raises(InvalidInput):
         field_nodes(GRID, interest)
+
+
+@pytest.mark.parametrize("name", sorted(KERNELS))
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 4e-4])
+def test_crowded_places_and_little_noise_leave_the_criterion_exact(name, noise):
+    kernel, nodes = kernel_of(name), field_nodes(GRID, None, most=600)
+    rng = np.random.default_rng(2)
+    sampled, free = rng.normal(30, 1.0, (60, 2)), rng.normal(33, 0.5, (45, 2))
+    variance = AverageVariance(kernel.of_squared_distance, noise, nodes, sampled)
+    value, gradient = variance.with_gradient(free)
+    places = np.vstack((sampled, free))
+    k_pp = kernel.covariance(places, places) + max(noise, MIN_NOISE) * np.eye(len(places))
+    k_pg = kernel.of_squared_distance(squared_distances(places, nodes.places_m) + nodes.spacing_m**2 / 6)
+    left = kernel.prior_variance - (k_pg * np.linalg.solve(k_pp, k_pg)).sum(axis=0)
+    assert value == pytest.approx(float(nodes.weights @ left) / kernel.prior_variance, rel=1e-6)
+    assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("resolution_m", [0.01, 1.0, 1000.0])
+def test_the_criterion_does_not_depend_on_the_size_of_the_site(resolution_m):
+    grid = SiteGrid(60, 80, resolution_m)
+    nodes = field_nodes(grid, None, most=600)
+    kernel = Matern12(1.0, 20.0 * resolution_m)
+    variance = AverageVariance(kernel.of_squared_distance, NOISE, nodes, TAKEN * resolution_m)
+    expected = AverageVariance(Matern12(1.0, 20.0).of_squared_distance, NOISE, field_nodes(GRID, None, most=600), TAKEN)
+    assert variance(FREE * resolution_m) == pytest.approx(expected(FREE), rel=1e-3)
+
+
+def test_the_average_variance_is_never_zero_or_below():
+    nodes = field_nodes(SiteGrid(5, 5), None)
+    places = np.random.default_rng(1).uniform(0, 5, (300, 2))
+    variance = AverageVariance(KERNELS["se"](1.0, 500.0).of_squared_distance, 0.0, nodes, places[:200])
+    assert variance.without > 0
+    assert variance(places[200:]) > 0
