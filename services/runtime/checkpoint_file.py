@@ -28,6 +28,8 @@ class Mark:
     offset: int = 0
     channels: dict[int, str] = field(default_factory=dict)
     """Registered before it: number and name."""
+    records: int = 0
+    """Inputs before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,7 @@ def write_checkpoint(path: Path, identity: Mapping[str, str], checkpoint: Checkp
         "program": program_digest(),
         "file": checkpoint.file,
         "offset": checkpoint.mark.offset,
+        "records": checkpoint.mark.records,
         "channels": [[number, name] for number, name in checkpoint.mark.channels.items()],
         "starts": checkpoint.starts,
     }
@@ -69,7 +72,8 @@ def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapp
     begin = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
     try:
         head = json.loads(content[_LENGTH_BYTES:begin])
-        mark = Mark(int(head["offset"]), {int(number): str(name) for number, name in head["channels"]})
+        channels = {int(number): str(name) for number, name in head["channels"]}
+        mark = Mark(int(head["offset"]), channels, int(head["records"]))
         checkpoint = Checkpoint(str(head["file"]), mark, int(head["starts"]), content[begin:])
         whose, program = head["identity"], head["program"]
     except (ValueError, KeyError, TypeError):

@@ -4,6 +4,15 @@ Each start of a process writes a file of its own, ``NAME-0001.mcap``, ``NAME-000
 are the node's history. Each record is handed to the operating system before the node sees what it holds, so the end of
 the process loses nothing. A file may end in the middle of a record: that tail was never handled; it is passed over and
 reported. Beside them may lie a checkpoint, ``NAME.checkpoint``, so that a restart handles only the later inputs again.
+
+SQLite in WAL mode is not used, because it does not notice damage. [measured: ext4, 2 cores, records of 1 kB]
+
+- An append takes 6 us here and 13 us there (synchronous=NORMAL). Both survive the end of the process, neither the end
+  of the machine. With an fsync for each record, both take 0.2 ms or more.
+- A file that is cut off loses the unfinished record in both.
+- A changed byte is reported here, wherever it is. There, one bit in the WAL ended the history at that place (28 of 60
+  records were left), and one bit in the database gave back another record, both without an error.
+- An MCAP file is read by the tools that read recordings; it is not finished, so they read it as a stream.
 """
 
 from __future__ import annotations
@@ -14,13 +23,16 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Final, TypeVar
 
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Metadata
-from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from he3.errors import He3Error, InvalidInput
 from services.mission.scenario import Scenario
@@ -33,6 +45,11 @@ from services.runtime.state_codec import SavedState, StateCodec
 PROFILE: Final = "he3-journal"
 FORMAT: Final = "2"
 """Of the records; a journal of another format is refused."""
+
+
+_FRAME: Final = struct.Struct("<BQ")  # operation code and length of an MCAP record
+
+_Parsed = TypeVar("_Parsed")
 
 
 class JournalDamaged(He3Error):
@@ -92,7 +109,7 @@ class JournalWriter:
             if channel is None:
                 channel = self._writer.register_channel(name, "application/octet-stream", 0)
                 self._channels[name] = channel
-            sealed = zlib.crc32(data).to_bytes(CRC_BYTES, "little") + data
+            sealed = _checksum(self._count, now, name, data) + data
             self._writer.add_message(channel, now, sealed, now, self._count)
             self._count += 1
             self._starts += isinstance(given, ProcessStarted)
@@ -101,11 +118,7 @@ class JournalWriter:
     def checkpoint(self, state: SavedState) -> None:
         """Keep the state after everything that was appended so far."""
         names = {number: name for name, number in self._channels.items()}
-        self._keep(Mark(self._stream.tell(), names), self._starts, self._codec.encode(state))
-
-    def close(self) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._stream.close()
+        self._keep(Mark(self._stream.tell(), names, self._count), self._starts, self._codec.encode(state))
 
 
 class JournalFolder:
@@ -201,27 +214,45 @@ class JournalReader:
 
     def __iter__(self) -> Iterator[Record]:
         channels = dict(self._mark.channels)
-        self._stream.seek(self._mark.offset)
-        records = StreamReader(self._stream, skip_magic=self._mark.offset > 0).records
-        while True:
-            try:
-                record = next(records, None)
-            except (McapError, EOFError, ValueError, struct.error):
-                return  # the tail that the end of the process tore
-            if record is None:
-                self.good_bytes = self._stream.tell()
-                return
-            match record:
-                case Metadata(metadata=metadata):
-                    self._check(metadata)
-                case Channel(id=number, topic=topic):
-                    channels[number] = topic
-                case Message(channel_id=number, log_time=now, data=data):
-                    seal = int.from_bytes(data[:CRC_BYTES], "little")
-                    if zlib.crc32(data[CRC_BYTES:]) != seal:
-                        raise JournalDamaged(f"{self._where}: a record before byte {self._stream.tell()} is damaged")
-                    yield Record(now, channels[number], data[CRC_BYTES:])
-            self.good_bytes = self._stream.tell()
+        number = self._mark.records
+        whose_is_known = self._mark.offset > 0
+        for opcode, body in self._frames():
+            match opcode:
+                case Opcode.CHANNEL:
+                    channel = self._parsed(Channel.read, body)
+                    channels[channel.id] = channel.topic
+                case Opcode.METADATA:
+                    self._check(self._parsed(Metadata.read, body).metadata)
+                    whose_is_known = True
+                    self.good_bytes = self._stream.tell()
+                case Opcode.MESSAGE:
+                    message = self._parsed(partial(Message.read, length=len(body)), body)
+                    name, data = channels.get(message.channel_id, ""), message.data[CRC_BYTES:]
+                    whole = _checksum(number, message.log_time, name, data) == message.data[:CRC_BYTES]
+                    if not (whole and whose_is_known):
+                        raise self._damaged()
+                    yield Record(message.log_time, name, data)
+                    number += 1
+                    self.good_bytes = self._stream.tell()
+
+    def _frames(self) -> Iterator[tuple[int, bytes]]:
+        """Operation code and body of each complete MCAP record."""
+        end = self._stream.seek(0, SEEK_END)
+        self._stream.seek(self._mark.offset or len(MCAP0_MAGIC))
+        while len(head := self._stream.read(_FRAME.size)) == _FRAME.size:
+            opcode, length = _FRAME.unpack(head)
+            if opcode == 0 or length > end - self._stream.tell():
+                return  # the tail that the end of the process tore, or that the end of the machine left empty
+            yield opcode, self._stream.read(length)
+
+    def _parsed(self, read: Callable[[ReadDataStream], _Parsed], body: bytes) -> _Parsed:
+        try:
+            return read(ReadDataStream(BytesIO(body)))
+        except (McapError, EOFError, ValueError, struct.error):
+            raise self._damaged() from None
+
+    def _damaged(self) -> JournalDamaged:
+        return JournalDamaged(f"{self._where}: a record before byte {self._stream.tell()} is damaged")
 
     def _check(self, metadata: dict[str, str]) -> None:
         for name, expected in self._identity.items():
@@ -231,6 +262,11 @@ class JournalReader:
                     f"{self._where}: expected a journal of {name} {expected}, got one of {came}; "
                     "name another folder to begin anew"
                 )
+
+
+def _checksum(number: int, now: MissionTime, channel: str, data: bytes) -> bytes:
+    """CRC-32 of a record: its number in the file, its time, its channel and its content."""
+    return zlib.crc32(data, zlib.crc32(f"{number} {now} {channel}".encode())).to_bytes(CRC_BYTES, "little")
 
 
 def identity_of(scenario: Scenario) -> dict[str, str]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, Protocol
 
+from he3.errors import InvalidInput
 from services.runtime.actions import Action, PutQuery
 from services.runtime.host import Host
 from services.runtime.inputs import ComputationEnded, Input, TimerElapsed
@@ -166,12 +167,18 @@ class NodeScheduler:
         }
 
     def _restore(self, state: SavedState) -> dict[str, tuple[MissionTime, Compute]]:
-        """Become the scheduler that had this state; returns the computations that were under way."""
-        self.host.restore(state["host"])
-        self.last, self._timers = state["last"], state["timers"]
-        self._lasting = {type(action): action for action in state["lasting"]}
+        """Become the scheduler that had this state; returns the computations that were under way.
+
+        Raises InvalidInput for a state that lacks a part.
+        """
+        try:
+            self.host.restore(state["host"])
+            self.last, self._timers = state["last"], state["timers"]
+            self._lasting = {type(action): action for action in state["lasting"]}
+            begun: dict[str, tuple[MissionTime, Compute]] = state["begun"]
+        except KeyError as error:
+            raise InvalidInput(f"{self.name}: expected the state of this program, got one without {error}") from None
         self._heap = sorted((at, timer) for timer, at in self._timers.items())
-        begun: dict[str, tuple[MissionTime, Compute]] = state["begun"]
         return begun
 
     def replay(self, kept: Iterable[tuple[MissionTime, Input]], state: SavedState | None = None) -> list[Action]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import tempfile
 import time
 import zlib
 from collections.abc import Callable, Mapping
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from benchmarks.faults import World, small_region
 from he3.errors import He3Error, InvalidInput, NoRoute
@@ -65,8 +68,8 @@ def inputs(count: int) -> list[tuple[int, Input]]:
 def folder_with(path: Path, kept: list[tuple[int, Input]]) -> Path:
     """The file of a journal that holds those inputs, of a process that ended without a word."""
     writer = JournalFolder(path, "rover", WHO, CODEC).begin()
-    for now, given in kept:
-        writer.append(now, [given])
+    for now, each in kept:
+        writer.append(now, [each])
     ended(writer)
     return path / "rover-0001.mcap"
 
@@ -84,11 +87,11 @@ def kept_bytes(inputs: Any) -> list[tuple[int, tuple[str, bytes]]]:
     return [(now, encode_input(given, CODEC)) for now, given in inputs]
 
 
-@pytest.mark.parametrize("given", [given for _, given in inputs(8)], ids=lambda given: type(given).__name__)
-def test_every_kind_of_input_comes_back_as_it_was(given: Input) -> None:
-    back = decode_input(*encode_input(given, CODEC), CODEC)
+@pytest.mark.parametrize("kept", [each for _, each in inputs(8)], ids=lambda kept: type(kept).__name__)
+def test_every_kind_of_input_comes_back_as_it_was(kept: Input) -> None:
+    back = decode_input(*encode_input(kept, CODEC), CODEC)
 
-    assert back == given
+    assert back == kept
 
 
 def test_a_journal_cut_at_every_byte_of_its_last_4_kb_gives_back_every_complete_record(tmp_path: Path) -> None:
@@ -112,11 +115,20 @@ def _record_ends(path: Path, kept: list[tuple[int, Input]]) -> list[int]:
     """Size of the file after each append."""
     writer = JournalFolder(path, "rover", WHO, CODEC).begin()
     ends = []
-    for now, given in kept:
-        writer.append(now, [given])
+    for now, each in kept:
+        writer.append(now, [each])
         ends.append((path / "rover-0001.mcap").stat().st_size)
     ended(writer)
     return ends
+
+
+def test_a_tail_of_zeros_that_the_end_of_the_machine_left_is_passed_over(tmp_path: Path) -> None:
+    path = folder_with(tmp_path, inputs(20))
+    path.write_bytes(path.read_bytes() + bytes(4096))
+    history = JournalFolder(tmp_path, "rover", WHO, CODEC).history()
+
+    assert same(history.inputs, inputs(20))
+    assert history.torn_bytes == 4096
 
 
 def test_the_next_start_writes_a_file_of_its_own_behind_a_torn_one(tmp_path: Path) -> None:
@@ -142,6 +154,24 @@ def test_a_damaged_record_in_the_middle_is_no_torn_tail_and_is_reported(tmp_path
         JournalFolder(tmp_path, "rover", WHO, CODEC).history()
 
 
+@example(place=320, change=1)
+@example(place=55, change=8)
+@given(place=st.integers(0, 10**6), change=st.integers(1, 255))
+def test_no_changed_byte_passes_as_another_history(place: int, change: int) -> None:
+    kept = inputs(16)
+    with tempfile.TemporaryDirectory() as folder:
+        path = folder_with(Path(folder), kept)
+        content = bytearray(path.read_bytes())
+        content[place % len(content)] ^= change
+        path.write_bytes(content)
+        try:
+            history = JournalFolder(Path(folder), "rover", WHO, CODEC).history()
+        except (JournalDamaged, InvalidInput):
+            return  # it is reported
+    assert same(history.inputs, kept[: len(history.inputs)])
+    assert len(history.inputs) == len(kept) or history.torn_bytes > 0
+
+
 def test_the_journal_of_another_mission_is_refused(tmp_path: Path) -> None:
     folder_with(tmp_path, inputs(3))
     with pytest.raises(InvalidInput, match="expected a journal of scenario other, got one of s"):
@@ -159,11 +189,11 @@ def checkpointed(path: Path, before: int, after: int, *, starts: int = 1) -> Jou
         writer.append(number, [ProcessStarted(number)])
         if number < starts:
             ended(writer)
-    for now, given in inputs(before):
-        writer.append(now, [given])
+    for now, each in inputs(before):
+        writer.append(now, [each])
     writer.checkpoint(STATE)
-    for now, given in inputs(after):
-        writer.append(now, [given])
+    for now, each in inputs(after):
+        writer.append(now, [each])
     ended(writer)
     return folder
 
@@ -321,6 +351,14 @@ def test_a_seat_restored_from_its_checkpoint_goes_on_where_it_was() -> None:
     assert again.host._node.count == CHECKPOINT_EVERY + 50  # type: ignore[attr-defined]
     assert again.next_wake() == scheduler.next_wake()
     assert again.last == scheduler.last
+
+
+def test_a_state_that_lacks_a_part_is_refused_in_one_line() -> None:
+    scheduler = NodeScheduler(Host(Counting(), "m"), InlineExecutor())
+    state = scheduler.checkpoint()
+    del state["host"]["sequences"]
+    with pytest.raises(InvalidInput, match="rover: expected the state of this program, got one without 'sequences'"):
+        NodeScheduler(Host(Counting(), "m"), InlineExecutor()).replay([], state)
 
 
 @pytest.mark.parametrize("planner", ["tour"])
