@@ -66,7 +66,7 @@ class RoundPlanning:
     @property
     def functions(self) -> dict[str, Callable[..., Any]]:
         """The functions that a planning task refers to, by name."""
-        named: dict[str, Callable[..., Any]] = {"run_planner": run_planner}
+        named: dict[str, Callable[..., Any]] = {"run_planner": self._run}
         return named if isinstance(self._planner, str) else {**named, "planner": self._planner}
 
     @property

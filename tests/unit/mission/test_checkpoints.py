@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import types
 from collections import OrderedDict, deque
 from collections.abc import Iterator
 from enum import Enum
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -138,3 +140,16 @@ def test_a_checkpoint_that_forgets_something_is_found(name: str, part: str) -> N
     live = world.mission.simulation._schedulers[name]
     assert list(differences(live, restored(world, name, live), name)) == []
     assert list(differences(live, restored(world, name, live, forget=part), name)) != []
+
+
+def test_a_checkpoint_holds_a_plug_in_planner_at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "at_work.py").write_text("def planner(request):\n    raise SystemExit('never asked here')\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    world = World(1, InlineExecutor(), planner="at_work:planner")
+    world._run_until(1)
+    live = world.mission.simulation._schedulers["ground"]
+    assert list(live.computations()) == ["plan:1:1"]
+    again = restored(world, "ground", live)
+    assert again.computations() == live.computations()
+    sys.modules.pop("at_work")
