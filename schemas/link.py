@@ -203,6 +203,10 @@ class ClockState(Wire):
     """What mission time it is: at wall time `anchor_wall_ns` it was `anchor_mission_ns`, and it runs at `rate`."""
 
     mode: ClockMode = ClockMode.WALL
+    epoch: Count = 0
+    """Identifies the clock: a mission that is started anew has another one. 0 in lockstep."""
+    revision: Count = 0
+    """Counts the changes of the clock: of two states of one epoch, that of the higher revision is newer."""
     rate: Annotated[float, Field(ge=0, le=1e6)]
     """Mission seconds a wall second; 0 while the mission is paused."""
     anchor_wall_ns: MissionTimeNs

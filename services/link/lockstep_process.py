@@ -311,11 +311,11 @@ class LockstepLinkProcess(LockstepProcess):
         query.reply(self._clock_message())
 
     def _clock_message(self) -> bytes:
-        self.clock = ClockState(
+        clock = ClockState(
             mode=ClockMode.LOCKSTEP,
             rate=0.0,
             anchor_wall_ns=time.time_ns(),
             anchor_mission_ns=self.keeper.now,
             start_ns=self.options.scenario.start_ns,
         )
-        return encode(self.header(), self.clock)
+        return encode(self.header(), clock)

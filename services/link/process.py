@@ -15,6 +15,7 @@ from schemas.codec import encode
 from schemas.link import ClockState
 from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
+from services.link.kept_clock import keep, kept_clock, this_machine
 from services.runtime.clock import at_rate, started
 from services.runtime.drivers.wall_clock import CLOCKS, Process, Service, Stop
 from services.runtime.options import Options
@@ -23,6 +24,8 @@ from services.runtime.refusals import refusal_of
 from services.runtime.transport.session import IncomingQuery, Session, open_session
 
 CLOCK_FILE = "clock.json"
+ANNOUNCE_EVERY_S = 5.0
+"""Wall time between two announcements of the time while it is not changed."""
 
 
 class LinkProcess(Process):
@@ -32,6 +35,9 @@ class LinkProcess(Process):
         super().__init__(service, options, stop)
         self._missing = set(options.wait_for)
         self._clock_sequence = 0
+        self._announced_s = 0.0
+        self._machine = this_machine()
+        self._kept = True
 
     def open(self, side: Side, endpoint: str) -> Session | None:
         """The router of that side."""
@@ -42,11 +48,11 @@ class LinkProcess(Process):
         scenario = self.options.scenario
         remembered = self._remembered()
         if remembered is not None:
-            self.clock = remembered
+            self.clock.follow(remembered)
             self._missing.clear()
         else:
             rate = 0.0 if self._missing else scenario.rate
-            self.clock = started(scenario.start_ns, rate, time.time_ns())
+            self.clock.follow(started(scenario.start_ns, rate, time.time_ns()))
         for side, session in self.sessions.items():
             session.serve(CLOCKS[side], partial(self._tell_time, side))
             if self._missing:
@@ -76,11 +82,18 @@ class LinkProcess(Process):
         query.reply(self._time_message())
 
     def _change_rate(self, rate: float) -> None:
-        assert self.clock is not None, "the link's clock exists before anybody can change it"
-        self.clock = at_rate(self.clock, rate, time.time_ns())
+        now = self.clock.anchored_now()
+        self.clock.follow(at_rate(now, rate, now.anchor_wall_ns))
         self._announce_time()
 
+    def beat(self, monotonic_s: float) -> None:
+        """Announce the time now and then: to processes whose machine was suspended, and for a restart of this one."""
+        super().beat(monotonic_s)
+        if monotonic_s - self._announced_s >= ANNOUNCE_EVERY_S:
+            self._announce_time()
+
     def _announce_time(self) -> None:
+        self._announced_s = time.monotonic()
         self._remember()
         for side, session in self.sessions.items():
             session.publish(CLOCKS[side], self._time_message())
@@ -89,8 +102,7 @@ class LinkProcess(Process):
         query.reply(self._time_message())
 
     def _time_message(self) -> bytes:
-        clock = self.clock
-        assert clock is not None, "the link's clock exists before anybody can ask"
+        clock = self.clock.anchored_now()
         self._clock_sequence += 1
         header = Header(
             mission=self.mission,
@@ -111,16 +123,19 @@ class LinkProcess(Process):
         if path is None or not path.exists():
             return None
         try:
-            return ClockState.model_validate_json(path.read_bytes())
+            return kept_clock(path, self._machine)
         except ValueError:
             self.log.warning(f"{path}: expected a clock, got something else; starting mission time anew")
             return None
 
     def _remember(self) -> None:
         path = self._clock_path()
-        if path is None or self.clock is None:
+        if path is None:
             return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch = path.with_suffix(".new")
-        scratch.write_text(self.clock.model_dump_json())
-        scratch.replace(path)
+        try:
+            keep(path, self.clock.anchored_now(), self._machine)
+            self._kept = True
+        except OSError as error:
+            if self._kept:  # said once: it is tried again with each announcement
+                self.log.warning(f"{path}: cannot keep the clock for a restart: {error.strerror}")
+            self._kept = False

@@ -1,52 +1,155 @@
-"""Mission time from wall time: an anchor and a rate, changed only by the time keeper.
+"""Mission time: a clock state says what time it was at its anchor and how fast it runs. The time manager changes it.
 
-Mission time never runs backwards: each new clock state is anchored at the moment of its change.
+Two clocks of the machine take part. The wall clock is the one that all processes share, so they agree on an anchor by
+it. But it can be set, by NTP or by a user; so each process carries mission time forward from the anchor by its own
+monotonic clock, which cannot be set (`FollowedClock`). The time manager anchors its state anew whenever it sends it.
+
+Which of two states is newer is said by their revisions, never by the wall clock. Mission time does not run backwards:
+not within a process, and not by a change. While the machine is suspended, mission time stands.
 """
 
 from __future__ import annotations
 
+import secrets
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Final
+
 from schemas.link import ClockMode, ClockState
 from services.runtime.node import SECOND, MissionTime
+
+_EPOCH_BITS: Final = 53  # so that a page's numbers hold it exactly
+_MAX_EPOCHS: Final = 100  # whose furthest reading is kept
+
+
+class _Furthest:
+    """The latest mission time that this process has read of each clock."""
+
+    def __init__(self) -> None:
+        self._times: OrderedDict[int, MissionTime] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def note(self, state: ClockState, at: MissionTime) -> MissionTime:
+        """The latest reading of that clock, this one included."""
+        if not state.epoch:
+            return at
+        with self._lock:
+            furthest = self._times[state.epoch] = max(at, self._times.pop(state.epoch, at))
+            if len(self._times) > _MAX_EPOCHS:
+                self._times.popitem(last=False)
+        return furthest
+
+
+_furthest: Final = _Furthest()
 
 
 def mission_time(state: ClockState, wall_ns: int) -> MissionTime:
     """Mission time [ns] at that wall time [ns]; before the anchor it is the anchor's."""
-    elapsed = max(0, wall_ns - state.anchor_wall_ns)
-    return state.anchor_mission_ns + _scaled(elapsed, state.rate)
-
-
-def wall_time(state: ClockState, mission_ns: MissionTime) -> int | None:
-    """Wall time [ns] at which it will be that mission time; None when the clock stands still."""
-    ahead = mission_ns - state.anchor_mission_ns
-    if ahead <= 0:
-        return state.anchor_wall_ns
-    if state.rate == 0:
-        return None
-    return state.anchor_wall_ns + (ahead if state.rate == 1 else round(ahead / state.rate))
+    now = _at(state, wall_ns)
+    _furthest.note(state, now)
+    return now
 
 
 def started(start_ns: MissionTime, rate: float, wall_ns: int) -> ClockState:
-    """A clock that begins at the mission's start, now."""
+    """A new clock that begins at the mission's start, now."""
     return ClockState(
-        mode=ClockMode.WALL, rate=rate, anchor_wall_ns=wall_ns, anchor_mission_ns=start_ns, start_ns=start_ns
+        mode=ClockMode.WALL,
+        epoch=1 + secrets.randbits(_EPOCH_BITS - 1),
+        rate=rate,
+        anchor_wall_ns=wall_ns,
+        anchor_mission_ns=start_ns,
+        start_ns=start_ns,
     )
 
 
 def at_rate(state: ClockState, rate: float, wall_ns: int) -> ClockState:
-    """The same clock with another rate from that wall time on (0 stops it)."""
-    return state.model_copy(
-        update={"rate": rate, "anchor_wall_ns": wall_ns, "anchor_mission_ns": mission_time(state, wall_ns)}
-    )
+    """The same clock with another rate from now on, at that wall time (0 stops it).
+
+    It goes on at the latest mission time that this process has read of it: if the wall clock was set back since then,
+    mission time is not.
+    """
+    now = _furthest.note(state, mission_time(state, wall_ns))
+    changes = {"revision": state.revision + 1, "rate": rate, "anchor_wall_ns": wall_ns, "anchor_mission_ns": now}
+    return state.model_copy(update=changes)
 
 
 def newer(one: ClockState | None, other: ClockState) -> ClockState:
-    """The later word of the two on what time it is: each change is anchored at the wall time at which it was made."""
-    return other if one is None or other.anchor_wall_ns >= one.anchor_wall_ns else one
+    """The newer of two states. Of one clock that is the later change, else the later anchor; another clock is newer."""
+    if one is None or other.epoch != one.epoch:
+        return other
+    return other if _order(other) >= _order(one) else one
 
 
 def elapsed_s(state: ClockState, mission_ns: MissionTime) -> float:
     """Seconds of mission time since the mission began."""
     return (mission_ns - state.start_ns) / SECOND
+
+
+class FollowedClock:
+    """Mission time in this process. It may be read by several threads."""
+
+    def __init__(
+        self, wall_ns: Callable[[], int] = time.time_ns, monotonic_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self._wall_ns = wall_ns
+        self._monotonic_ns = monotonic_ns
+        self._lock = threading.Lock()
+        self._state: ClockState | None = None
+        self._anchor: tuple[int, MissionTime] = (0, 0)  # monotonic time, and mission time then
+        self._read: MissionTime = 0
+
+    @property
+    def state(self) -> ClockState | None:
+        """The newest state that was followed."""
+        return self._state
+
+    def follow(self, state: ClockState) -> None:
+        """Run as that state says from now on, if it was sent just now and is newer than the one that is followed."""
+        with self._lock:
+            before = self._state
+            if newer(before, state) is not state or (before is not None and _order(before) == _order(state)):
+                return  # an equal one comes late: by now its anchor may not fit the wall clock any more
+            if before is None or before.epoch != state.epoch:
+                self._read = 0  # another clock may stand at an earlier time
+            self._state = state
+            self._anchor = self._monotonic_ns(), _at(state, self._wall_ns())
+
+    def now(self) -> MissionTime:
+        """Mission time [ns]; it never runs backwards. There must be a state to follow."""
+        with self._lock:
+            return self._now()
+
+    def seconds_until(self, mission_ns: MissionTime) -> float | None:
+        """Wall time [s] until it is that mission time; 0 if it is past, None if the clock stands."""
+        with self._lock:
+            ahead = mission_ns - self._now()
+            rate = 0.0 if self._state is None else self._state.rate
+        if ahead <= 0:
+            return 0.0
+        return None if rate == 0 else ahead / rate / SECOND
+
+    def anchored_now(self) -> ClockState:
+        """The state that is followed, anchored at this moment: what another process can follow from here on."""
+        with self._lock:
+            now = self._now()
+            assert self._state is not None
+            return self._state.model_copy(update={"anchor_wall_ns": self._wall_ns(), "anchor_mission_ns": now})
+
+    def _now(self) -> MissionTime:
+        assert self._state is not None, "a clock is read only when there is a state to follow"
+        since, at = self._anchor
+        self._read = max(self._read, at + _scaled(max(0, self._monotonic_ns() - since), self._state.rate))
+        return self._read
+
+
+def _order(state: ClockState) -> tuple[int, int, MissionTime]:
+    return state.epoch, state.revision, state.anchor_mission_ns
+
+
+def _at(state: ClockState, wall_ns: int) -> MissionTime:
+    return state.anchor_mission_ns + _scaled(max(0, wall_ns - state.anchor_wall_ns), state.rate)
 
 
 def _scaled(elapsed_ns: int, rate: float) -> int:

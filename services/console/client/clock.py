@@ -13,7 +13,7 @@ from schemas.link import ClockChange, ClockMode, ClockState
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL
 from schemas.wire import Header
-from services.runtime.clock import mission_time
+from services.runtime.clock import FollowedClock, mission_time
 from services.runtime.node import SECOND, MissionTime
 from services.runtime.transport.client import Client
 
@@ -33,9 +33,18 @@ class MissionClock:
 
     def __init__(self, start_ns: MissionTime | None = None) -> None:
         """start_ns: beginning of the mission, where it is known before a clock state arrives."""
-        self.state: ClockState | None = None
+        self._clock = FollowedClock()
         self._start_ns = start_ns
         self._heard: MissionTime = 0
+
+    @property
+    def state(self) -> ClockState | None:
+        """The newest clock state; None while there is none."""
+        return self._clock.state
+
+    def follow(self, state: ClockState) -> None:
+        """Take a clock state that was received just now; an older one changes nothing."""
+        self._clock.follow(state)
 
     @property
     def start_ns(self) -> MissionTime | None:
@@ -56,7 +65,7 @@ class MissionClock:
         """Mission time [ns]; 0 while it is not known."""
         if self.state is None or self.state.mode is ClockMode.LOCKSTEP:
             return self._heard
-        return max(self._heard, mission_time(self.state, time.time_ns()))
+        return max(self._heard, self._clock.now())
 
     def since_start_s(self, at: MissionTime) -> float:
         """Mission time of `at` since the mission's beginning [s]; 0 while the beginning is not known."""

@@ -262,5 +262,5 @@ class MissionState:
             return False
         self._facts[topic] = Fact(header, body)
         if topic is EARTH_CLOCK:
-            self.time.state = body
+            self.time.follow(body)
         return True

@@ -19,11 +19,10 @@ from typing import Any, Protocol
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode
-from schemas.link import ClockState
 from schemas.refusal import Refusal
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side, Topic
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
-from services.runtime.clock import mission_time, newer, wall_time
+from services.runtime.clock import FollowedClock
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.event_log import EventLog
 from services.runtime.file_lock import lock_beside
@@ -95,7 +94,7 @@ class Process:
         self.stop = stop
         self.name = service.name
         self.mission = options.scenario.name
-        self.clock: ClockState | None = None
+        self.clock = FollowedClock()
         self._last: MissionTime = 0
         self.sessions: dict[Side, Session] = {}
         self._tokens: dict[int, IncomingQuery] = {}
@@ -214,7 +213,7 @@ class Process:
         topic = CLOCKS[side]
         session.subscribe(topic, lambda payload, _attachment: self.later(partial(self.set_clock, side, payload)))
         told = False
-        while self.clock is None and not self.stop.event.is_set():
+        while self.clock.state is None and not self.stop.event.is_set():
             session.query(topic, b"", 2.0, lambda outcome: self.later(partial(self._clock_replied, side, outcome)))
             try:
                 self.stop.inbox.get(timeout=IDLE_S)()
@@ -236,7 +235,11 @@ class Process:
             with contextlib.suppress(queue.Empty):
                 self.stop.inbox.get(timeout=self._patience_s())()
             self._drain()
-            self.heartbeat.beat(time.monotonic(), self._last)
+            self.beat(time.monotonic())
+
+    def beat(self, monotonic_s: float) -> None:
+        """Do what is due now and then, whatever the mission does: called at least every `IDLE_S`."""
+        self.heartbeat.beat(monotonic_s, self._last)
 
     def _drain(self) -> None:
         """Take in everything that waits, timers first: what is due is handled at the time it was due."""
@@ -267,10 +270,10 @@ class Process:
 
     def _patience_s(self) -> float:
         wake = self.scheduler.next_wake(wait=False)
-        if wake is None or self.clock is None:
+        if wake is None or self.clock.state is None:
             return IDLE_S
-        at = wall_time(self.clock, wake)
-        return IDLE_S if at is None else min(IDLE_S, max(0.0, (at - time.time_ns()) / 1e9))
+        wait_s = self.clock.seconds_until(wake)
+        return IDLE_S if wait_s is None else min(IDLE_S, wait_s)
 
     def _perform(self, action: Action) -> None:
         match action:
@@ -344,8 +347,7 @@ class Process:
         except Refused as refusal:
             self.refused(str(refusal))
             return
-        # An answer may have been on its way while the clock changed: it comes later and is older.
-        self.clock = newer(self.clock, state)
+        self.clock.follow(state)
 
     def refused(self, why: str) -> None:
         """Count and log something from outside that never reached the node."""
@@ -355,11 +357,10 @@ class Process:
 
     def _now(self) -> MissionTime:
         """Mission time; it never runs backwards."""
-        assert self.clock is not None, "the loop runs only when the time is known"
-        return max(self._last, mission_time(self.clock, time.time_ns()))
+        return max(self._last, self.clock.now())
 
     def _now_or_none(self) -> MissionTime | None:
-        return None if self.clock is None else self._now()
+        return None if self.clock.state is None else self._now()
 
     def _publish_quietly(self, topic: Topic, side: Side, payload: bytes) -> None:
         self.sessions[side].publish(topic, payload)

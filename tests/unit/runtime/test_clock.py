@@ -1,70 +1,242 @@
-"""Mission time from wall time."""
+"""Mission time: exact, agreed on by all processes, and never backwards, whatever is done to the machine's clocks."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.runtime.clock import at_rate, elapsed_s, mission_time, newer, started, wall_time
+from schemas.link import ClockState
+from services.runtime.clock import FollowedClock, at_rate, elapsed_s, mission_time, newer, started
 from services.runtime.node import SECOND
 
 START = 1_893_456_000 * SECOND
 WALL = 1_700_000_000 * SECOND
+HOUR = 3600 * SECOND
 
 rates = st.floats(0.001, 100_000)
 later = st.integers(0, 10**17)
+steps = st.integers(-HOUR, HOUR)
+"""How far the wall clock is set, forwards or back [ns]."""
 
 
 def test_at_rate_one_mission_time_is_exact_to_the_nanosecond_after_three_years():
     clock = started(START, 1.0, WALL)
     assert mission_time(clock, WALL + 10**17 + 1) == START + 10**17 + 1
-    assert wall_time(clock, START + 10**17 + 1) == WALL + 10**17 + 1
 
 
-def test_before_its_anchor_it_stands_at_its_anchor():
-    clock = started(START, 10.0, WALL)
-    assert mission_time(clock, WALL - SECOND) == START
-    assert wall_time(clock, START - SECOND) == WALL
+def test_before_its_anchor_a_clock_stands_at_its_anchor():
+    assert mission_time(started(START, 10.0, WALL), WALL - SECOND) == START
 
 
-def test_a_clock_that_stands_never_reaches_a_later_time():
-    clock = started(START, 0.0, WALL)
-    assert mission_time(clock, WALL + 10**15) == START
-    assert wall_time(clock, START + 1) is None
-    assert wall_time(clock, START) == WALL
-
-
-def test_of_two_words_on_the_time_the_later_holds_in_whatever_order_they_come():
-    waiting = started(START, 0.0, WALL)
-    running = at_rate(waiting, 1500.0, WALL + 5)
-    assert newer(None, waiting) is waiting
-    assert newer(waiting, running) is newer(running, waiting) is running
-
-
-@given(rate=rates, elapsed=later)
-def test_wall_time_and_mission_time_are_each_other_s_inverse_to_a_tick(rate, elapsed):
-    clock = started(START, rate, WALL)
-    now = mission_time(clock, WALL + elapsed)
-    at = wall_time(clock, now)
-    # Floats hold 16 figures, and rounding to a whole nanosecond of mission time costs 1 / rate of wall time.
-    assert at == pytest.approx(WALL + elapsed, rel=1e-15, abs=2 / rate + 1)
+def test_a_new_rate_holds_from_its_change_on_and_the_mission_s_start_stays():
+    clock = at_rate(started(START, 1.0, WALL), 60.0, WALL + 10 * SECOND)
+    assert mission_time(clock, WALL + 11 * SECOND) == START + 70 * SECOND
+    assert elapsed_s(clock, START + 70 * SECOND) == 70.0
+    assert clock.start_ns == START
 
 
 @given(changes=st.lists(st.tuples(later, st.floats(0, 100_000)), max_size=6), more=later)
-def test_mission_time_never_runs_backwards_whatever_the_rate_is_changed_to(changes, more):
+def test_a_change_of_rate_is_no_jump_of_mission_time(changes, more):
     clock, wall, last = started(START, 1.0, WALL), WALL, START
     for elapsed, rate in changes:
         wall += elapsed
         now = mission_time(clock, wall)
         assert now >= last
         clock, last = at_rate(clock, rate, wall), now
-        assert mission_time(clock, wall) == now, "a change of rate is no jump"
+        assert mission_time(clock, wall) == now
     assert mission_time(clock, wall + more) >= last
 
 
-def test_a_new_rate_holds_from_its_moment_on_and_the_mission_s_start_stays():
-    clock = at_rate(started(START, 1.0, WALL), 60.0, WALL + 10 * SECOND)
-    assert mission_time(clock, WALL + 11 * SECOND) == START + 70 * SECOND
-    assert elapsed_s(clock, START + 70 * SECOND) == 70.0
-    assert clock.start_ns == START
+# --- the wall clock is set ----------------------------------------------------------------------------------------
+
+
+def test_a_clock_goes_on_where_it_was_read_when_the_wall_clock_is_set_back_before_a_change():
+    clock = started(0, 20.0, 1000 * SECOND)
+    seen = mission_time(clock, 1010 * SECOND)
+    paused = at_rate(clock, 0.0, 970 * SECOND)
+    assert mission_time(paused, 970 * SECOND) == seen == 200 * SECOND
+    assert newer(clock, paused) is paused
+
+
+@given(changes=st.lists(st.tuples(steps, st.floats(0, 1000), st.integers(0, HOUR)), min_size=1, max_size=8))
+def test_each_change_counts_and_starts_no_earlier_than_any_reading_before_it(changes):
+    clock, wall, furthest = started(START, 20.0, WALL), WALL, START
+    for step, rate, elapsed in changes:
+        wall += step
+        changed = at_rate(clock, rate, wall)
+        assert newer(clock, changed) is newer(changed, clock) is changed
+        assert mission_time(changed, wall) >= furthest
+        clock, wall = changed, wall + elapsed
+        furthest = max(furthest, mission_time(clock, wall))
+
+
+def test_of_one_revision_the_later_anchor_is_newer_and_another_clock_is_newer_than_any():
+    early = started(START, 1.0, WALL)
+    late = early.model_copy(update={"anchor_mission_ns": START + 1, "anchor_wall_ns": WALL - HOUR})
+    anew = started(START, 1.0, WALL - HOUR)
+    assert newer(None, early) is early
+    assert newer(early, late) is newer(late, early) is late
+    assert newer(at_rate(late, 2.0, WALL), anew) is anew
+
+
+# --- clocks that are followed -------------------------------------------------------------------------------------
+
+
+@dataclass
+class Machine:
+    """A machine whose wall clock can be set, and which can be suspended: then its monotonic clock stands."""
+
+    monotonic: int = 5 * SECOND
+    wall: int = WALL
+
+    def clock(self) -> FollowedClock:
+        return FollowedClock(lambda: self.wall, lambda: self.monotonic)
+
+    def run(self, elapsed: int) -> None:
+        self.monotonic += elapsed
+        self.wall += elapsed
+
+    def set_wall(self, step: int) -> None:
+        self.wall += step
+
+    def suspend(self, elapsed: int) -> None:
+        self.wall += elapsed
+
+
+def followed(state: ClockState, machine: Machine) -> FollowedClock:
+    clock = machine.clock()
+    clock.follow(state)
+    return clock
+
+
+@pytest.mark.parametrize("step", [-HOUR, -40 * SECOND, 40 * SECOND, HOUR])
+def test_a_followed_clock_does_not_notice_that_the_wall_clock_is_set(step):
+    machine = Machine()
+    clock = followed(started(START, 20.0, WALL), machine)
+    machine.run(10 * SECOND)
+    machine.set_wall(step)
+    assert clock.now() == START + 200 * SECOND
+    machine.run(SECOND)
+    assert clock.now() == START + 220 * SECOND
+    assert clock.seconds_until(START + 230 * SECOND) == pytest.approx(0.5)
+
+
+def test_mission_time_stands_while_the_machine_is_suspended():
+    machine = Machine()
+    clock = followed(started(START, 20.0, WALL), machine)
+    machine.suspend(HOUR)
+    assert clock.now() == START
+    newcomer = followed(clock.anchored_now(), machine)
+    assert newcomer.now() == START, "who joins afterwards follows the same time"
+
+
+def test_a_clock_that_stands_never_reaches_a_later_time():
+    clock = followed(started(START, 0.0, WALL), Machine())
+    assert clock.seconds_until(START + 1) is None
+    assert clock.seconds_until(START) == 0.0
+
+
+def test_a_late_answer_from_before_a_change_changes_nothing():
+    machine = Machine()
+    manager = followed(started(START, 20.0, WALL), machine)
+    late = manager.anchored_now()
+    machine.run(SECOND)
+    machine.set_wall(-HOUR)
+    paused = at_rate(manager.anchored_now(), 0.0, machine.wall)
+    clock = followed(late, machine)
+    clock.follow(paused)
+    clock.follow(late)
+    assert clock.state is paused
+    assert clock.now() == START + 20 * SECOND
+
+
+def test_the_clock_of_a_mission_started_anew_is_followed_from_its_start():
+    machine = Machine()
+    clock = followed(started(START, 1000.0, WALL), machine)
+    machine.run(SECOND)
+    assert clock.now() == START + 1000 * SECOND
+    clock.follow(started(START, 1.0, machine.wall))
+    assert clock.now() == START
+
+
+@given(rate=rates, elapsed=st.integers(0, HOUR), ahead=st.integers(1, HOUR))
+def test_after_the_wait_that_a_clock_names_it_is_that_time(rate, elapsed, ahead):
+    machine = Machine()
+    clock = followed(started(START, rate, WALL), machine)
+    machine.run(elapsed)
+    goal = clock.now() + ahead
+    wait_s = clock.seconds_until(goal)
+    assert wait_s is not None
+    machine.run(round(wait_s * SECOND))
+    # Floats hold 16 figures; a wait that ends a little early is followed by another.
+    assert clock.now() == pytest.approx(goal, abs=2 + rate + ahead * 1e-9)
+
+
+@dataclass
+class Mission:
+    """The time manager and processes that follow it, on one machine; each reading is checked."""
+
+    machine: Machine = field(default_factory=Machine)
+    old: list[ClockState] = field(default_factory=list)
+    """States on their way, which may arrive late or never."""
+
+    def __post_init__(self) -> None:
+        self.manager = followed(started(START, 20.0, self.machine.wall), self.machine)
+        self.followers = [followed(self.manager.anchored_now(), self.machine)]
+        self.readings: dict[int, int] = {}
+
+    def announce(self) -> None:
+        state = self.manager.anchored_now()
+        self.old.append(state)
+        for follower in self.followers:
+            follower.follow(state)
+
+    def change(self, rate: float) -> None:
+        now = self.manager.anchored_now()
+        self.manager.follow(at_rate(now, rate, now.anchor_wall_ns))
+        self.announce()
+
+    def join(self) -> None:
+        self.followers.append(followed(self.manager.anchored_now(), self.machine))
+
+    def check(self) -> None:
+        for clock in (self.manager, *self.followers):
+            now = clock.now()
+            assert now >= self.readings.get(id(clock), 0), "mission time ran backwards"
+            self.readings[id(clock)] = now
+            assert clock.state is not None
+            assert self.manager.state is not None
+            assert clock.state.revision == self.manager.state.revision
+            assert clock.state.rate == self.manager.state.rate
+            assert abs(now - self.readings[id(self.manager)]) <= 1000, "a process has another time than the manager"
+
+
+actions = st.one_of(
+    st.tuples(st.just("run"), st.integers(0, HOUR)),
+    st.tuples(st.just("set_wall"), steps),
+    st.tuples(st.just("suspend"), st.integers(0, HOUR)),
+    st.tuples(st.just("change"), st.floats(0, 1000)),
+    st.tuples(st.just("announce"), st.none()),
+    st.tuples(st.just("join"), st.none()),
+    st.tuples(st.just("late"), st.integers(0, 100)),
+)
+
+
+@given(st.lists(actions, max_size=40))
+def test_whatever_is_done_to_the_wall_clock_all_processes_agree_and_time_never_runs_backwards(schedule):
+    mission = Mission()
+    for action, value in schedule:
+        if action in ("run", "set_wall", "suspend"):
+            getattr(mission.machine, action)(value)
+        elif action == "change":
+            mission.change(value)
+        elif action == "announce":
+            mission.announce()
+        elif action == "join":
+            mission.join()
+        elif mission.old:
+            mission.followers[-1].follow(mission.old[value % len(mission.old)])
+        mission.check()

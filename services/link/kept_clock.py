@@ -1,0 +1,67 @@
+"""The clock that survives a restart of the link: mission time goes on as if the link had never been away.
+
+Within one boot of the machine the monotonic clock says how long that was; the wall clock may have been set meanwhile.
+After another boot only the wall clock can say it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from schemas.link import ClockState
+from schemas.wire import Text, Wire
+from services.runtime.clock import mission_time
+
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+class _Kept(Wire):
+    clock: ClockState
+    boot_id: Text
+    """Of the machine when the clock was kept; empty if the system does not tell."""
+    monotonic_ns: Annotated[int, Field(ge=0)]
+    """Of the machine at the clock's anchor."""
+
+
+@dataclass(frozen=True, slots=True)
+class MachineTime:
+    """The clocks of this machine, and which boot of it this is."""
+
+    wall_ns: Callable[[], int] = time.time_ns
+    monotonic_ns: Callable[[], int] = time.monotonic_ns
+    boot_id: str = ""
+
+
+def this_machine() -> MachineTime:
+    """The machine that this process runs on."""
+    try:
+        return MachineTime(boot_id=_BOOT_ID.read_text(encoding="ascii").strip())
+    except OSError:
+        return MachineTime()
+
+
+def keep(path: Path, clock: ClockState, machine: MachineTime) -> None:
+    """Write the clock, which is anchored at this moment, in place of an earlier one, at once or not at all."""
+    kept = _Kept(clock=clock, boot_id=machine.boot_id, monotonic_ns=machine.monotonic_ns())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_suffix(".new")
+    scratch.write_text(kept.model_dump_json())
+    scratch.replace(path)
+
+
+def kept_clock(path: Path, machine: MachineTime) -> ClockState:
+    """The clock that was kept there, anchored at this moment; raises ValueError if the file holds none."""
+    kept = _Kept.model_validate_json(path.read_bytes())
+    clock, wall_ns = kept.clock, machine.wall_ns()
+    if machine.boot_id and kept.boot_id == machine.boot_id:
+        away_ns = max(0, machine.monotonic_ns() - kept.monotonic_ns)
+        now = mission_time(clock, clock.anchor_wall_ns + away_ns)
+    else:
+        now = mission_time(clock, wall_ns)
+    return clock.model_copy(update={"anchor_wall_ns": wall_ns, "anchor_mission_ns": now})

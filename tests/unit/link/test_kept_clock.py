@@ -1,0 +1,59 @@
+"""The clock that survives a restart of the link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from services.link.kept_clock import MachineTime, keep, kept_clock, this_machine
+from services.runtime.clock import mission_time, newer, started
+from services.runtime.node import SECOND
+
+START = 1_893_456_000 * SECOND
+WALL = 1_700_000_000 * SECOND
+HOUR = 3600 * SECOND
+
+
+@dataclass
+class Machine:
+    wall: int = WALL
+    monotonic: int = SECOND
+    boot: str = "b1"
+
+    def time(self) -> MachineTime:
+        return MachineTime(lambda: self.wall, lambda: self.monotonic, self.boot)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(away=st.integers(0, HOUR), step=st.integers(-HOUR, HOUR))
+def test_within_one_boot_mission_time_goes_on_whatever_is_done_to_the_wall_clock(
+    tmp_path: Path, away: int, step: int
+) -> None:
+    machine = Machine()
+    clock = started(START, 20.0, machine.wall)
+    keep(tmp_path / "clock.json", clock, machine.time())
+    machine.monotonic += away
+    machine.wall += away + step
+    back = kept_clock(tmp_path / "clock.json", machine.time())
+    assert mission_time(back, machine.wall) == START + 20 * away
+    assert (back.epoch, back.revision, back.rate) == (clock.epoch, clock.revision, 20.0)
+    assert newer(clock, back) is back
+
+
+@pytest.mark.parametrize("boot", ["b2", ""])
+def test_after_another_boot_the_wall_clock_says_how_long_the_link_was_away(tmp_path: Path, boot: str) -> None:
+    machine = Machine()
+    keep(tmp_path / "clock.json", started(START, 20.0, machine.wall), machine.time())
+    machine.wall, machine.monotonic, machine.boot = WALL + 100 * SECOND, 7, boot
+    assert mission_time(kept_clock(tmp_path / "clock.json", machine.time()), machine.wall) == START + 2000 * SECOND
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"clock":1}', b"\xff"])
+def test_a_file_that_holds_no_clock_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "clock.json").write_bytes(content)
+    with pytest.raises(ValueError, match="valid"):
+        kept_clock(tmp_path / "clock.json", this_machine())
