@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import inf, isfinite
 from typing import Any
 
@@ -50,8 +50,6 @@ class Mission:
     """(n,) what they said [ppb]."""
     rmse_history: tuple[float, ...]
     """RMSE [ppb] after each sample, under the hyperparameters of its round."""
-    metres_history: tuple[float, ...]
-    """Metres driven by the time of each sample."""
     mean_ppb: NDArray[np.float32]
     std_ppb: NDArray[np.float32]
     traversable: NDArray[np.bool_]
@@ -65,7 +63,6 @@ class _Log:
     places: list[tuple[float, float]] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     rmse: list[float] = field(default_factory=list)
-    metres: list[float] = field(default_factory=list)
     driven_m: float = 0.0
     plan_s: float = 0.0
     ended: str = ""
@@ -141,7 +138,6 @@ def run_mission(
             belief.add(sample_id, Observation((number, 1, k + 1), at, value))
             log.places.append(at)
             log.values.append(value)
-            log.metres.append(log.driven_m + planned.length_m * (k + 1) / len(planned.samples_m))
             log.rmse.append(_score(scorer, belief, len(log.places))[0])
         log.driven_m += planned.length_m
         log.outlook = planned.outlook_m
@@ -176,7 +172,6 @@ def run_mission(
         samples_m=np.array(log.places, dtype=np.float64).reshape(-1, 2),
         values_ppb=np.array(log.values),
         rmse_history=tuple(log.rmse),
-        metres_history=tuple(log.metres),
         mean_ppb=belief.map.mean_ppb,
         std_ppb=belief.map.std_ppb,
         traversable=terrain.traversable,
@@ -195,12 +190,6 @@ def start_of(region: Region, terrain: GroundTerrain | None = None) -> tuple[floa
         raise InvalidInput(f"{region.name}: expected some traversable ground, got none")
     nearest = places[int(np.argmin(np.hypot(*(places - wanted).T)))]
     return float(nearest[0]), float(nearest[1])
-
-
-def without_arrays(mission: Mission) -> Mission:
-    """The same mission without its maps: what a worker process sends home."""
-    empty = np.zeros((0, 0), dtype=np.float32)
-    return replace(mission, mean_ppb=empty, std_ppb=empty, traversable=empty.astype(np.bool_))
 
 
 def _score(scorer: Scorer, belief: Belief, samples: int) -> tuple[float, float, float]:

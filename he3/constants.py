@@ -43,7 +43,6 @@ CORRELATION_LENGTH_M: Final = 25.0  # m, e-folding length of that variation, PAP
 REGOLITH_BULK_DENSITY_KG_M3: Final = 1660.0  # kg/m^3, SOURCEBOOK
 
 ROVER_SLOPE_NOMINAL_DEG: Final = 15.0  # deg, what a VIPER-like rover is planned on, ASSUMED
-ROVER_SLOPE_LIMIT_DEG: Final = 20.0  # deg, what it can hold at all, ASSUMED
 RELIEF_WINDOW_M: Final = 100.0  # m, side of the moving mean that relief is measured against, PAPER
 RELIEF_SIGMAS: Final = 1.5  # standard deviations of relief beyond which a hollow or hummock is an obstacle, PAPER
 HUMMOCK_MAX_FRACTION: Final = 0.05  # 1, share of the region from which on a rise is landscape, not an obstacle, PAPER

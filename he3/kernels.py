@@ -275,7 +275,6 @@ KERNELS: dict[str, type[Kernel]] = {
     kind.name: kind for kind in (SquaredExponential, Matern12, Matern32, Matern52, SmoothPlusRough)
 }
 AUTO = "auto"  # not a kernel: let the evidence choose among KERNELS
-KERNEL_NAMES = (*KERNELS, AUTO)
 
 
 def kernel_from(name: str, parameters: Mapping[str, float] | None = None) -> Kernel:

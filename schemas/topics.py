@@ -197,12 +197,6 @@ BY_NAME: dict[str, Topic] = {topic.name: topic for topic in TOPICS}
 """Every topic, by its name (the key without root and mission)."""
 
 
-def topic_of(key: str, mission: str) -> Topic | None:
-    """The topic that a key expression belongs to in that mission, or None."""
-    prefix = f"{KEY_ROOT}/{mission}/"
-    return BY_NAME.get(key.removeprefix(prefix)) if key.startswith(prefix) else None
-
-
 def counted(topic: Topic) -> Topic:
     """That topic's messages to those who take part in lockstep, who wait for each of them.
 

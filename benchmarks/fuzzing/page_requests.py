@@ -169,17 +169,7 @@ class PageRequests:
                 parameters.append((values.text(rng)[:200], _word(rng)))
             return rng.choice(("GET", "GET", "GET", "HEAD", "POST")), f"{path}?{_encoded(parameters)}", headers, None
         if rng.random() < 0.15:
-            path = rng.choice(
-                (
-                    "/",
-                    "/static/main.js",
-                    "/static/../server.py",
-                    "/static/%2e%2e/server.py",
-                    "/api",
-                    "//",
-                    "/api/map/none",
-                )
-            )
+            path = rng.choice(PATHS)
             return rng.choice(("GET", "PUT", "DELETE", "OPTIONS", "BREW")), path, headers, None
         path = rng.choice(list(POSTS))
         document = POSTS[path]
@@ -187,9 +177,7 @@ class PageRequests:
             document = values.mutated(rng, document)
         body = json.dumps(document).encode("utf-8", "surrogatepass")
         if rng.random() < 0.1:
-            body = rng.choice(
-                (b"", b"[" * 30_000, body[: len(body) // 2], rng.randbytes(100), b"9" * 6_000, b"\xff\xfe")
-            )
+            body = rng.choice((*BODIES, body[: len(body) // 2], rng.randbytes(100)))
         headers += [("content-type", "application/json"), ("x-he3-console", "1"), ("origin", f"http://{headers[0][1]}")]
         if rng.random() < 0.9:
             headers.append(("content-length", str(len(body) if rng.random() < 0.9 else rng.choice((0, len(body))))))

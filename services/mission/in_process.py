@@ -10,7 +10,7 @@ from he3.reference import Region
 from schemas.codec import Refused, decode
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import LinkStatus
-from schemas.topics import GROUND_STATUS, LINK_STATUS, SAMPLE, Side, Topic
+from schemas.topics import GROUND_STATUS, LINK_STATUS, Side, Topic
 from schemas.wire import Wire
 from services.mission.scenario import Scenario
 from services.runtime.drivers.simulation import Simulation
@@ -57,8 +57,6 @@ class InProcessMission:
         """What the ground last said."""
         self.link: LinkStatus | None = None
         """What the link last said."""
-        self.samples_on_earth = 0
-        """Sample reports that came down the link, repetitions included."""
         built = build_nodes(scenario) if nodes is None else tuple(nodes)
         self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, trace, scenario.link)
         self.simulation.tap(self._listen)
@@ -102,8 +100,6 @@ class InProcessMission:
     def _listen(self, topic: Topic, side: Side, payload: bytes, now: MissionTime) -> None:
         if side is not Side.EARTH:
             return
-        if topic is SAMPLE:
-            self.samples_on_earth += 1
         if topic is not GROUND_STATUS and topic is not LINK_STATUS:
             return
         try:

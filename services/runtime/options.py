@@ -25,7 +25,6 @@ class Options:
     """What a service was started with."""
 
     scenario: Scenario
-    scenario_path: Path
     level: Level
     log_json: bool
     wait_for: tuple[str, ...]
@@ -87,7 +86,6 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     changes += [("network", key, endpoint) for key, endpoint in endpoints if endpoint is not None]
     return Options(
         scenario=with_settings(load_scenario(path), changes),
-        scenario_path=path,
         level=Level(given.log_level),
         log_json=given.log_json,
         wait_for=tuple(part for part in given.wait_for.split(",") if part),

@@ -189,12 +189,6 @@ class MissionState:
             return tuple(self._events)
 
     @property
-    def presence(self) -> dict[str, tuple[float, Presence]]:
-        """Of each process on Earth: wall time [s, monotonic] and content of its last heartbeat."""
-        with self._lock:
-            return dict(self._presence)
-
-    @property
     def status_time_s(self) -> float:
         """Mission time since the beginning [s] at which the ground's last status was made."""
         fact = self._facts.get(GROUND_STATUS)

@@ -16,7 +16,7 @@ from he3.hyperparameters import (
     parameter_bounds,
     typical_spacing_m,
 )
-from he3.kernels import KERNEL_NAMES, KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential, squared_distances
+from he3.kernels import AUTO, KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential, squared_distances
 from he3.likelihood import log_marginal_likelihood
 from services.mission.regions import load_region
 
@@ -86,7 +86,7 @@ def test_on_a_region_of_half_a_kilometre_or_less_the_bounds_are_those_of_half_a_
         parameter_bounds(Matern12(), extent_m=0.0)
 
 
-@pytest.mark.parametrize("name", KERNEL_NAMES)
+@pytest.mark.parametrize("name", [*KERNELS, AUTO])
 def test_a_refit_is_never_less_likely_than_the_hyperparameters_before_it(name: str) -> None:
     places, values = drawn_from(Matern12(1.0, 30.0), 60, seed=21)
     previous = None

@@ -18,7 +18,6 @@ def parse(*arguments: str):
 def test_a_scenario_alone_is_enough():
     options = parse()
     assert options.scenario.name == "short"
-    assert options.scenario_path.name == "short.toml"
     assert (options.level, options.log_json, options.lockstep) == (Level.INFO, False, False)
     assert (options.out, options.journal, options.events, options.stop_when) == (None, None, None, None)
     assert options.wait_for == ()
