@@ -1,4 +1,7 @@
-"""How long a ground station needs to be back in the middle of a whole mission: 150 samples on 500 x 500 cells."""
+"""A ground station that is restarted late in a mission is back soon, with the same map to the byte.
+
+The promise is about a whole mission, 150 samples on 500 x 500 cells. The gate holds it for a part of one.
+"""
 
 from __future__ import annotations
 
@@ -23,24 +26,25 @@ from services.runtime.host import Host
 from services.runtime.journal import JournalFolder, JournalWriter, identity_of
 from services.runtime.node import PublishSnapshot
 from services.runtime.scheduler import InlineExecutor, NodeScheduler
+from tests.waiting import expect_within
 
-CELLS = 500
 RESTART_S = 2.0
 """From reading the journal until the map is there [s of this process's time]."""
 
 
 def across(request: PlanningRequest) -> PlannedRound:
-    """One line of a lattice after the other: 30 rounds of 5 samples cover the site."""
+    """One line of a lattice after the other, 5 samples on each."""
     row = len(request.observed_m) // 5
     y = 10.0 + 16.0 * row
-    xs = np.linspace(30.0, 470.0, 5)
+    xs = np.linspace(30.0, request.grid.width_m - 30.0, 5)
     places = np.column_stack((xs if row % 2 == 0 else xs[::-1], np.full(5, y)))
     return PlannedRound(np.vstack((request.start_m, places)), places, 1.0)
 
 
-@pytest.mark.timeout(300)
-def test_a_ground_station_is_back_within_two_seconds_late_in_a_whole_mission(tmp_path: Path) -> None:
-    grid = SiteGrid(CELLS, CELLS, 1.0)
+@pytest.mark.parametrize(("cells", "rounds"), [(160, 9), pytest.param(500, 30, marks=pytest.mark.exhaustive)])
+def test_a_ground_station_is_back_within_two_seconds_late_in_a_mission(cells: int, rounds: int, tmp_path: Path) -> None:
+    samples = 5 * rounds
+    grid = SiteGrid(cells, cells, 1.0)
     noise = np.random.default_rng(1).normal(size=grid.shape).cumsum(axis=0).cumsum(axis=1)
     flat = np.zeros(grid.shape)
     region = Region(
@@ -52,6 +56,7 @@ def test_a_ground_station_is_back_within_two_seconds_late_in_a_whole_mission(tmp
         {
             "name": "late",
             "region": "t1",
+            "rounds": rounds,
             "ground": {"kernel": "matern52", "pipeline": 1, "status_period_s": 600.0},
             "rover": {"state_period_s": 600.0},
         },
@@ -68,7 +73,7 @@ def test_a_ground_station_is_back_within_two_seconds_late_in_a_whole_mission(tmp
     simulation = mission.simulation
     simulation.keep_journals(("ground",), identity_of(scenario))
     simulation._schedulers["ground"]._journal = writer  # as a process keeps it, in a file
-    while mission.status is None or mission.status.samples < 147:
+    while mission.status is None or mission.status.samples < samples - 3:
         assert simulation.step(), mission.why()
 
     began = time.process_time()
@@ -82,6 +87,6 @@ def test_a_ground_station_is_back_within_two_seconds_late_in_a_whole_mission(tmp
     live = simulation.snapshots["ground"]
     assert shown.mean_ppb.tobytes() == live.mean_ppb.tobytes()  # type: ignore[attr-defined]
     assert shown.std_ppb.tobytes() == live.std_ppb.tobytes()  # type: ignore[attr-defined]
-    assert len(simulation.ask(TRACK, NoParameters()).samples) >= 147
+    assert len(simulation.ask(TRACK, NoParameters()).samples) >= samples - 3
     writer._stream.close()
-    assert took_s < RESTART_S, f"{took_s:.2f} s for {len(history.inputs)} inputs after the checkpoint"
+    expect_within(RESTART_S, took_s, f"{len(history.inputs)} inputs after the checkpoint", time.process_time)

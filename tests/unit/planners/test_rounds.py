@@ -1,5 +1,6 @@
 """What holds for every planner: nothing returned crosses an obstacle, leaves the region or breaks the budget."""
 
+from dataclasses import replace
 from itertools import pairwise
 from math import inf
 
@@ -18,6 +19,15 @@ from services.ground.planners.rounds import arc_lengths, path_prefix, places_alo
 
 NAMES = sorted(PLANNERS)
 SIZE = 28
+QUICK_TOUR = {"designs": 1.0, "final_steps": 0.0, "first_steps": 15.0, "steps": 6.0, "kicks": 5.0}
+"""Settings with which `tour` searches little: what holds for every plan holds for that one, too."""
+
+
+def quick(name, request):
+    """The request, to be planned in little time."""
+    if name != "tour":
+        return request
+    return replace(request, options=replace(request.options, extra=QUICK_TOUR))
 
 
 def request_over(mask, start_m=(5.2, 5.2), **changes):
@@ -136,6 +146,17 @@ def requests(draw):
 @settings(max_examples=25)
 @given(requests())
 def test_a_round_keeps_to_open_ground_to_the_region_and_to_the_budget_or_is_refused(name, request_):
+    expect_sound_or_refused(name, quick(name, request_))
+
+
+@pytest.mark.exhaustive
+@settings(max_examples=100)
+@given(requests())
+def test_a_tour_that_searches_long_keeps_to_open_ground_to_the_region_and_to_the_budget_or_is_refused(request_):
+    expect_sound_or_refused("tour", request_)
+
+
+def expect_sound_or_refused(name, request_):
     refusal, answer = None, None
     try:
         answer = plan(name, request_)
@@ -152,7 +173,7 @@ def test_a_round_keeps_to_open_ground_to_the_region_and_to_the_budget_or_is_refu
 def test_a_plan_follows_from_its_request_whatever_was_planned_before(name):
     mask = np.random.default_rng(5).random((SIZE, SIZE)) > 0.05
     mask[4:7, 4:7] = True
-    first, second = (request_over(mask, seed=s) for s in (1, 2))
+    first, second = (quick(name, request_over(mask, seed=s)) for s in (1, 2))
     alone = plan(name, first)
     plan(name, second)
     again = plan(name, first)
@@ -218,7 +239,7 @@ def test_a_whole_mission_stays_within_its_budget_and_takes_every_sample(name):
             mask, start, observed_m=observed, samples=4, samples_left=left, budget_m=budget - driven, seed=left,
             hyperparameters=hyperparameters,
         )  # fmt: skip
-        answer = plan(name, request)
+        answer = plan(name, quick(name, request))
         expect_sound(request, answer)
         driven += answer.length_m
         start = tuple(map(float, answer.path_m[-1]))
