@@ -112,13 +112,17 @@ def _read_layers(path: Path) -> dict[str, NDArray[Any]]:
         if size > MAX_FILE_BYTES:
             raise InvalidInput(f"{path}: expected at most {MAX_FILE_BYTES} bytes of arrays, got {size}")
         with np.load(path, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files if key in (*_LAYERS, *_FURTHER)}
+            layers = {key: arrays[key] for key in arrays.files if key in (*_LAYERS, *_FURTHER)}
     except FileNotFoundError:
         raise InvalidInput(f"{path}: expected a region file, got no such file") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
         if isinstance(error, InvalidInput):
             raise
         raise InvalidInput(f"{path}: expected an .npz file of plain numeric arrays, got {error}") from None
+    for key, values in layers.items():
+        if not isinstance(values, np.ndarray):  # numpy gives the bytes of a member that does not begin as an array
+            raise InvalidInput(f"{path}: key {key}: expected an array in numpy's format, got other bytes")
+    return layers
 
 
 def _layer(

@@ -24,8 +24,7 @@ from services.ground.bounded_task import BoundedTask
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners import plan
 from services.ground.planners.interface import PlanningRequest
-
-BOUND_S = 60.0
+from tests.waiting import PATIENCE_S, until
 
 
 def request(seed=1, closed=False, size=120):
@@ -53,14 +52,6 @@ def planners():
         yield process
 
 
-def until(condition, what):
-    """Wait for a condition of the operating system that nobody announces; fail after a bound."""
-    end = time.monotonic() + BOUND_S
-    while not condition():
-        assert time.monotonic() < end, f"waited {BOUND_S} s for {what}"
-        threading.Event().wait(0.01)
-
-
 def alive(pid):
     """Whether the process runs: neither gone nor a zombie that nobody has reaped yet."""
     try:
@@ -78,7 +69,7 @@ def children_of(pid):
 @pytest.mark.parametrize("name", ["rrt", "rrtstar", "informative"])
 def test_a_plan_is_the_one_that_the_planner_makes_in_this_process(planners, name):
     futures = [planners.plan(name, request(seed)) for seed in (1, 2, 1)]
-    first, second, third = (future.result(BOUND_S) for future in futures)
+    first, second, third = (future.result(PATIENCE_S) for future in futures)
     here = plan(name, request(1))
     for there in (first, third):
         np.testing.assert_array_equal(there.path_m, here.path_m)
@@ -89,9 +80,9 @@ def test_a_plan_is_the_one_that_the_planner_makes_in_this_process(planners, name
 
 def test_a_refusal_travels_back_as_itself(planners):
     with pytest.raises(NoRoute, match=r"5\.2"):
-        planners.plan("rrtstar", request(closed=True)).result(BOUND_S)
+        planners.plan("rrtstar", request(closed=True)).result(PATIENCE_S)
     with pytest.raises(InvalidInput, match="seed of 0 or more, got -3"):
-        planners.plan("rrt", request(seed=-3)).result(BOUND_S)
+        planners.plan("rrt", request(seed=-3)).result(PATIENCE_S)
 
 
 def test_an_unknown_planner_is_refused_at_once(planners):
@@ -100,17 +91,17 @@ def test_an_unknown_planner_is_refused_at_once(planners):
 
 
 def test_any_function_of_a_module_can_be_a_task(planners):
-    assert planners.submit(operator.mul, 6, 7).result(BOUND_S) == 42
+    assert planners.submit(operator.mul, 6, 7).result(PATIENCE_S) == 42
     rng = np.random.default_rng(3)
     places, values = rng.uniform(0, 100, (20, 2)), rng.normal(7, 1, 20)
     fit = partial(fit_hyperparameters, rng=np.random.default_rng(5))
-    there = planners.submit(fit, places, values, "matern52").result(BOUND_S)
+    there = planners.submit(fit, places, values, "matern52").result(PATIENCE_S)
     assert there == fit_hyperparameters(places, values, "matern52", rng=np.random.default_rng(5))
 
 
 def test_an_unexpected_error_says_where_it_happened(planners):
     with pytest.raises(ZeroDivisionError) as caught:
-        planners.submit(operator.truediv, 1, 0).result(BOUND_S)
+        planners.submit(operator.truediv, 1, 0).result(PATIENCE_S)
     assert any("in the planner process" in note for note in caught.value.__notes__)
 
 
@@ -121,23 +112,23 @@ def test_a_task_that_cannot_be_pickled_is_refused(planners):
 
 def test_an_answer_that_cannot_be_pickled_is_an_error_of_its_task_alone(planners):
     with pytest.raises(Exception, match="pickle"):
-        planners.submit(threading.Lock).result(BOUND_S)
-    assert planners.submit(operator.add, 1, 2).result(BOUND_S) == 3
+        planners.submit(threading.Lock).result(PATIENCE_S)
+    assert planners.submit(operator.add, 1, 2).result(PATIENCE_S) == 3
 
 
 def test_a_child_that_dies_is_reported_with_its_exit_status(planners):
     with pytest.raises(He3Error, match="exit status 3"):
-        planners.submit(os._exit, 3).result(BOUND_S)
+        planners.submit(os._exit, 3).result(PATIENCE_S)
     with pytest.raises(He3Error, match="signal SIGABRT"):
-        planners.submit(os.abort).result(BOUND_S)
-    assert planners.submit(operator.add, 1, 2).result(BOUND_S) == 3
+        planners.submit(os.abort).result(PATIENCE_S)
+    assert planners.submit(operator.add, 1, 2).result(PATIENCE_S) == 3
 
 
 def test_a_large_task_and_a_large_answer_pass_each_other(planners):
     block = np.arange(3_000_000, dtype=np.float64)
     futures = [planners.submit(np.negative, block) for _ in range(6)]
     for future in futures:
-        assert future.result(BOUND_S)[-1] == -block[-1]
+        assert future.result(PATIENCE_S)[-1] == -block[-1]
 
 
 def test_a_task_that_is_cancelled_is_killed_and_makes_room():
@@ -148,7 +139,7 @@ def test_a_task_that_is_cancelled_is_killed_and_makes_room():
         until(lambda: children_of(server), "the child to start")
         (child,) = children_of(server)
         assert endless.cancel()
-        assert behind.result(BOUND_S) == 3
+        assert behind.result(PATIENCE_S) == 3
         until(lambda: not alive(child), "the child to die")
         with pytest.raises(CancelledError):
             endless.result(0)
@@ -195,7 +186,7 @@ def test_cancelling_everything_leaves_the_process_ready():
         futures = [process.submit(time.sleep, 1000) for _ in range(5)]
         process.cancel()
         assert all(future.cancelled() for future in futures)
-        assert process.submit(operator.add, 1, 2).result(BOUND_S) == 3
+        assert process.submit(operator.add, 1, 2).result(PATIENCE_S) == 3
 
 
 def test_a_server_that_dies_fails_what_was_pending_and_is_replaced():
@@ -207,9 +198,9 @@ def test_a_server_that_dies_fails_what_was_pending_and_is_replaced():
         os.kill(server, signal.SIGKILL)
         for future in futures:
             with pytest.raises(He3Error, match="SIGKILL"):
-                future.result(BOUND_S)
+                future.result(PATIENCE_S)
         until(lambda: not any(map(alive, children)), "the children to die with their server")
-        assert process.submit(operator.add, 1, 2).result(BOUND_S) == 3
+        assert process.submit(operator.add, 1, 2).result(PATIENCE_S) == 3
 
 
 def test_a_closed_process_has_ended_and_refuses_tasks():
@@ -236,13 +227,13 @@ def test_tasks_of_many_threads_all_get_their_own_answer(planners):
     results = {}
 
     def ask(k):
-        results[k] = [planners.submit(operator.add, k, i).result(BOUND_S) for i in range(10)]
+        results[k] = [planners.submit(operator.add, k, i).result(PATIENCE_S) for i in range(10)]
 
     threads = [threading.Thread(target=ask, args=(k,)) for k in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(BOUND_S)
+        thread.join(PATIENCE_S)
     assert results == {k: [k + i for i in range(10)] for k in range(8)}
 
 
@@ -276,7 +267,7 @@ def test_no_process_is_left_however_the_owner_ends(end, status):
             os.killpg(process.pid, end)  # as a terminal does: to everybody
         else:
             process.send_signal(end)
-        assert process.wait(BOUND_S) == status
+        assert process.wait(PATIENCE_S) == status
         until(lambda: not any(map(alive, family)), "the server and its children to end")
 
 

@@ -120,7 +120,6 @@ def test_the_committed_script_makes_the_committed_rasters(tmp_path: Path) -> Non
         [sys.executable, str(SCRIPT), "--out", str(tmp_path)],
         check=True,
         capture_output=True,
-        timeout=60,
         env={**os.environ, "PYTHONPATH": str(SCRIPT.parent.parent)},
     )
     for name in EMBEDDED.values():
@@ -287,6 +286,14 @@ def test_a_site_longer_than_messages_can_tell_is_refused(tmp_path: Path) -> None
     with pytest.raises(InvalidInput, match=r"expected a site of at most 100 km on a side, got 101 x 30 km"):
         load_region(saved(tmp_path / "long.npz", **cells, resolution_m=1000.0))
     assert load_region(saved(tmp_path / "long.npz", **cells, resolution_m=990.0)).grid.columns == 101
+
+
+def test_a_member_that_is_no_array_is_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path / "region.npz", he3_ppb=np.full((30, 40), 7.0))
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("traversable.npy", b"no array")
+    with pytest.raises(InvalidInput, match="key traversable: expected an array in numpy's format, got other bytes"):
+        load_region(path)
 
 
 def test_an_archive_that_would_unpack_to_too_much_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:

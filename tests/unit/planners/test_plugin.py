@@ -115,10 +115,10 @@ def test_a_planner_in_the_working_directory_is_found_by_its_name(here, request_m
 
 def test_it_also_plans_in_the_process_that_plans_for_a_service(here, request_m):
     with PlannerProcess(parallel=1) as planners:
-        assert planners.plan("somebody:good", request_m).result(timeout=60).length_m == pytest.approx(30.0)
+        assert planners.plan("somebody:good", request_m).result().length_m == pytest.approx(30.0)
         refused = planners.plan("somebody:through", request_m)
         with pytest.raises(InvalidInput, match="through closed cells"):
-            refused.result(timeout=60)
+            refused.result()
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_lists_are_as_good_as_arrays(here, request_m):
 
 def test_what_a_planner_starts_and_prints_does_not_get_in_the_way(here, request_m, capfd):
     with PlannerProcess(parallel=1) as planners:
-        assert planners.plan("somebody:leaves_a_process", request_m).result(timeout=60).length_m == pytest.approx(30.0)
+        assert planners.plan("somebody:leaves_a_process", request_m).result().length_m == pytest.approx(30.0)
     assert capfd.readouterr().out == ""
 
 

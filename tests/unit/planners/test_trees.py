@@ -137,7 +137,7 @@ def test_a_process_grows_the_tree_that_another_one_grew(ground):
         "path, _ = tree_path(ground, (5., 5.), (70., 60.), **more)\n"
         "sys.stdout.write(path.tobytes().hex())\n"
     )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     other = np.frombuffer(bytes.fromhex(run.stdout)).reshape(-1, 2)
     empty = OpenGround(SiteGrid(80, 80), np.ones((80, 80), dtype=bool))
     tree_path(empty, (1.0, 1.0), (70.0, 60.0), optimal=False, iterations=50, refine=0, seed=1, growth=GrowthSettings())

@@ -24,6 +24,7 @@ from schemas.topics import COMMAND, COMMAND_REPORT, EVENT, MEASURE, PLAN, SAMPLE
 from schemas.wire import Header
 from services.field.node import FieldNode
 from services.mission.scenario import FieldConfig, RoverConfig
+from services.rover.activities import SAMPLE_TOLERANCE_M
 from services.rover.node import RoverNode
 from services.runtime.node import (
     SECOND,
@@ -45,6 +46,7 @@ from services.runtime.node import (
     TimerFired,
     seconds,
 )
+from tests.waiting import expect_within
 
 GRID = SiteGrid(60, 60)
 START = (5.5, 5.5)
@@ -1116,12 +1118,15 @@ def test_the_rover_never_enters_closed_terrain_and_its_odometer_is_the_way_it_dr
         assert land.traversable[GRID.cells_of(np.clip(covered, 0, 60))].all()
     way = [START, *[vertex for planned in rounds for vertex in planned.path_m]]
     length = sum(math.dist(a, b) for a, b in itertools.pairwise(way))
+    count = sum(len(planned.samples) for planned in rounds)
+    # A sample may be taken where the path first comes near to it; then the rover drives there and back.
+    detours_m = 2 * SAMPLE_TOLERANCE_M * count
     if moon.finished:
-        assert moon.state.driven_m == pytest.approx(length, abs=1e-6)
-        assert len(moon.samples) == sum(len(planned.samples) for planned in rounds)
+        assert -1e-6 <= moon.state.driven_m - length <= detours_m + 1e-6
+        assert len(moon.samples) == count
     else:
         assert moon.state.mode is RoverMode.SAFE
-        assert moon.state.driven_m < length
+        assert moon.state.driven_m < length + detours_m
     drilled = {(sample.x_m, sample.y_m) for sample in moon.samples}
     assert drilled <= {(s.x_m, s.y_m) for planned in rounds for s in planned.samples}
 
@@ -1182,4 +1187,4 @@ def test_a_mission_of_15_km_and_150_samples_costs_the_rover_less_than_a_second()
     assert moon.finished
     assert moon.states[-1].samples_done == 150
     assert moon.states[-1].driven_m >= 15_000
-    assert spent < 1.0
+    expect_within(1.0, spent, "the rover of a mission of 15 km", time.process_time)

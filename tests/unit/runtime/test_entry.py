@@ -49,7 +49,7 @@ def bare_environment() -> dict[str, str]:
 
 def test_importing_any_module_changes_no_environment_no_path_and_no_signal_handler() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", IMPORT_EVERYTHING], capture_output=True, text=True, timeout=100, env=bare_environment()
+        [sys.executable, "-c", IMPORT_EVERYTHING], capture_output=True, text=True, env=bare_environment()
     )
     assert done.returncode == 0, done.stderr
 
@@ -67,7 +67,7 @@ def test_importing_any_module_changes_no_environment_no_path_and_no_signal_handl
 def test_numpy_is_first_imported_with_one_blas_thread(arguments: list[str]) -> None:
     command = [sys.executable, "-c", WATCH_NUMPY, *arguments]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=100, env=bare_environment(), stdin=subprocess.DEVNULL, cwd=ROOT
+        command, capture_output=True, text=True, env=bare_environment(), stdin=subprocess.DEVNULL, cwd=ROOT
     )
     seen = [line for line in done.stderr.splitlines() if line.startswith("numpy sees")]
     assert seen[:1] == ["numpy sees 1"], done.stderr
@@ -108,7 +108,7 @@ def strange_folder(tmp_path: Path) -> Path:
 def test_a_child_imports_nothing_from_the_working_directory(name: str, strange_folder: Path) -> None:
     done = subprocess.run(
         python_command(f"services.{name}", "--help"),
-        capture_output=True, text=True, timeout=100, cwd=strange_folder, env=child_environment(),
+        capture_output=True, text=True, cwd=strange_folder, env=child_environment(),
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     assert "Usage" in done.stdout or "usage" in done.stdout
@@ -124,7 +124,7 @@ def test_a_service_started_by_hand_passes_over_modules_of_the_working_directory(
         (strange_folder / other).rmdir()
     done = subprocess.run(
         [sys.executable, "-m", f"services.{name}", "--help"],
-        capture_output=True, text=True, timeout=100, cwd=strange_folder,
+        capture_output=True, text=True, cwd=strange_folder,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
 

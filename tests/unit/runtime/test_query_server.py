@@ -18,8 +18,8 @@ from schemas.topics import CLOCK_SET, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, MA
 from schemas.wire import Header
 from services.runtime.queries.request import request_from_selector
 from services.runtime.queries.server import QueryServer, QueryService
+from tests.waiting import PATIENCE_S
 
-WITHIN_S = 20.0
 INVALID, OUTSIDE, INTERNAL = RefusalCode.INVALID_INPUT, RefusalCode.OUTSIDE_REGION, RefusalCode.INTERNAL
 
 
@@ -69,7 +69,7 @@ def ask(server):
 
     def ask(query: FakeQuery) -> tuple[str, Any]:
         session.ask(query)
-        return query.end.get(timeout=WITHIN_S)
+        return query.end.get(timeout=PATIENCE_S)
 
     return ask
 
@@ -135,7 +135,7 @@ def test_a_hundred_questions_at_once_are_each_answered_once(server):
     for query in queries:
         session.ask(query)
     for number, query in enumerate(queries):
-        how, answer = query.end.get(timeout=WITHIN_S)
+        how, answer = query.end.get(timeout=PATIENCE_S)
         assert how == "answered"
         assert json.loads(answer)["x_m"] == number
         assert query.end.empty()

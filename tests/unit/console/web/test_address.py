@@ -98,7 +98,7 @@ def test_the_address_that_is_printed_opens_and_is_a_name_of_the_server(bind: str
         server.socket = listener
         answering = Thread(target=server.handle_request)
         answering.start()
-        with urllib.request.urlopen(url, timeout=10) as answer:
+        with urllib.request.urlopen(url) as answer:
             assert normal_host(answer.read().decode()) in own_names(listener, bind)
         answering.join()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 import pytest
@@ -35,6 +35,7 @@ from schemas.topics import (
 from services.ground.map.service import MAP_TOPICS, answer, layer, point, score
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.scoring import Scorer
+from tests.waiting import expect_within
 
 GRID = SiteGrid(40, 50, 2.0)
 
@@ -130,12 +131,12 @@ def test_a_score_of_maps_of_another_shape_is_refused() -> None:
 
 def test_a_point_is_answered_in_a_fraction_of_a_millisecond() -> None:
     shown, request = snapshot(), MapPointQuery(x=33.0, y=44.0)
-    best = min(_time_of(lambda: point(request, shown)) for _ in range(20))
-    assert best < 200e-6
+    best_s = min(_time_of(lambda: point(request, shown)) for _ in range(20))
+    expect_within(200e-6, best_s, "the answer for a point", process_time)
 
 
 def _time_of(call: object) -> float:
-    begin = perf_counter()
+    begin = process_time()
     for _ in range(20):
         call()  # type: ignore[operator]
-    return (perf_counter() - begin) / 20
+    return (process_time() - begin) / 20
