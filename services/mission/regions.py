@@ -77,6 +77,10 @@ def _region_from_file(path: Path) -> Region:
         raise InvalidInput(f"{path}: expected a site of at most {MAX_POSITION_M / 1000:g} km on a side, got "
                            f"{grid.width_m / 1000:g} x {grid.height_m / 1000:g} km")  # fmt: skip
     elevation = _layer(path, arrays, "elevation_m", he3.shape)
+    if elevation is not None and np.abs(elevation).max() > MAX_POSITION_M:
+        low, high = elevation.min(), elevation.max()
+        raise InvalidInput(f"{path}: key elevation_m: expected -{MAX_POSITION_M:g} to {MAX_POSITION_M:g} m, got "
+                           f"{low:g} to {high:g}")  # fmt: skip
     open_cells = _open_cells(path, arrays, he3.shape)
     orbital = _layer(path, arrays, "orbital_ppb", he3.shape)
     latitude, longitude = _origin_deg(path, arrays)

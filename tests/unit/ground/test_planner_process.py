@@ -155,16 +155,16 @@ def test_a_task_whose_time_is_up_is_ended_with_what_it_started_and_makes_room():
         (child,) = children_of(server)
         family = [child, *children_of(child)]
         with pytest.raises(He3Error, match="expected an answer within 1 s of wall-clock time, got none"):
-            endless.result(BOUND_S)
+            endless.result(PATIENCE_S)
         assert time.monotonic() - began >= 1.0
-        assert behind.result(BOUND_S) == 3
+        assert behind.result(PATIENCE_S) == 3
         until(lambda: not any(map(alive, family)), "the child and its sleep to die")
 
 
 def test_a_limit_counts_from_when_the_task_begins_and_does_not_touch_an_answer_in_time():
     with PlannerProcess(parallel=1) as process:
         futures = [process.submit(BoundedTask(time.sleep, 5.0), 2.0) for _ in range(4)]
-        assert [future.result(BOUND_S) for future in futures] == [None] * 4
+        assert [future.result(PATIENCE_S) for future in futures] == [None] * 4
 
 
 def test_a_bounded_task_is_its_function_where_it_is_called():
@@ -173,7 +173,7 @@ def test_a_bounded_task_is_its_function_where_it_is_called():
 
 def test_a_child_that_closes_its_output_and_goes_on_is_ended(planners):
     with pytest.raises(He3Error, match="signal SIGKILL"):
-        planners.submit(close_everything_and_sleep).result(BOUND_S)
+        planners.submit(close_everything_and_sleep).result(PATIENCE_S)
 
 
 def close_everything_and_sleep():

@@ -288,6 +288,13 @@ def test_a_site_longer_than_messages_can_tell_is_refused(tmp_path: Path) -> None
     assert load_region(saved(tmp_path / "long.npz", **cells, resolution_m=990.0)).grid.columns == 101
 
 
+def test_an_elevation_that_no_ground_has_is_refused(tmp_path: Path) -> None:
+    peak = np.zeros((30, 40))
+    peak[3, 4] = 2e5
+    with pytest.raises(InvalidInput, match="key elevation_m: expected -100000 to 100000 m, got 0 to 200000"):
+        load_region(saved(tmp_path / "peak.npz", elevation_m=peak))
+
+
 def test_a_member_that_is_no_array_is_refused(tmp_path: Path) -> None:
     path = saved(tmp_path / "region.npz", he3_ppb=np.full((30, 40), 7.0))
     with zipfile.ZipFile(path, "a") as archive:
