@@ -1,9 +1,9 @@
-"""The belief about the field: every sample taken in as it comes, hyperparameters refitted once a round.
+"""The belief about the field: every sample is added as it arrives, the hyperparameters are refitted once a round.
 
-What the map is follows from the history of events alone. Samples are added in the order in which they arrive; after
-each refit the whole map is rebuilt with the samples in the order in which they were planned. The fit of round k sees
-exactly the samples of rounds 1 to k, and the fit before it: so once all samples are in, the map is the same to the
-byte, in whatever order, and with whatever delays, they came.
+The map depends on the history of events alone. Samples are added in the order in which they arrive; after each refit
+the whole map is rebuilt with the samples in the order in which they were planned. The fit of round k sees exactly the
+samples of rounds 1 to k, and the fit before it. So once all samples are in the map, it is the same to the byte,
+whatever the order and the delays of their arrival.
 """
 
 from __future__ import annotations
@@ -22,31 +22,32 @@ from he3.posterior.grid import GridPosterior, PosteriorMap
 from he3.trend import OrbitalTrend
 from services.runtime.state_codec import SavedState
 
-# Before the first sample the map says what is known of lunar soils: the site means of six landing sites lie at 1.4 to
-# 15.1 ppb [assumed; see the facts on helium-3].
+# The map before the first sample: the site means of six landing sites lie at 1.4 to 15.1 ppb [assumed].
 PRIOR_MEAN_PPB = 7.5
 PRIOR_SCALE_PPB = 4.0
-PRIOR_KERNEL = "matern52"  # where the kernel is left to the evidence, and there is none yet
+PRIOR_KERNEL = "matern52"  # where the kernel is chosen by the evidence, and there is none yet
 BELOW_ZERO_PPB = 1e3  # an instrument may read so far below zero, or beyond what a soil can hold
 NOISE_STDS = 10.0  # or so many standard deviations of its noise: of honest readings none is lost
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One measurement: when it was planned (round, number within it), where it was taken [m], what it said [ppb]."""
+    """One measurement."""
 
     planned: tuple[int, int, int]
+    """Its place in the order of planning: round, revision of the plan, index within the round."""
     place_m: Place
+    """Where it was taken [m]."""
     value_ppb: float
 
 
 MAP_THREADS = 2
-"""Threads that share the map's cells out among them: the map is the same to the byte whatever their number."""
+"""Threads among which the map's cells are divided; the map is the same to the byte whatever their number."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
-    """What a refit needs: places (n, 2) [m], values (n,) [ppb], hyperparameters before, and the site's width [m]."""
+    """The input of a refit: places (n, 2) [m], values (n,) [ppb], previous hyperparameters, extent of the site [m]."""
 
     xy_m: FloatArray
     values_ppb: FloatArray
@@ -59,7 +60,7 @@ class FitRequest:
 
 
 def fit(request: FitRequest) -> Hyperparameters:
-    """The likeliest hyperparameters, without the trend, which the asker has: pure, picklable, made to run elsewhere."""
+    """The hyperparameters of maximum likelihood, without the trend, which the caller has. Pure and picklable."""
     rng = np.random.default_rng(np.random.SeedSequence(request.seed))
     fitted = fit_hyperparameters(
         request.xy_m,
@@ -75,7 +76,7 @@ def fit(request: FitRequest) -> Hyperparameters:
 
 
 class Belief:
-    """The map and what it rests on; changed by `add` and `adopt` alone."""
+    """The map and the samples that it is computed from; changed by `add` and `adopt` alone."""
 
     def __init__(self, grid: SiteGrid, kernel: str, noise_std_ppb: float, trend: OrbitalTrend | None = None) -> None:
         self.grid = grid
@@ -119,9 +120,9 @@ class Belief:
         return np.array([observed.place_m for observed in self._in_order()], dtype=np.float64).reshape(-1, 2)
 
     def add(self, sample_id: str, observation: Observation) -> bool:
-        """Take in a measurement; False, and nothing changes, if it was there already.
+        """Add a measurement; False, and nothing changes, if it was there already.
 
-        Raises OutsideRegion or InvalidInput, without a change, for a place or a value that cannot be.
+        Raises OutsideRegion or InvalidInput, without a change, for an impossible place or value.
         """
         if sample_id in self._observations:
             return False
@@ -137,7 +138,7 @@ class Belief:
         return True
 
     def fit_request(self, up_to_round: int, seed: tuple[int, ...]) -> FitRequest | None:
-        """What the refit after that round takes; None when there is no sample yet to learn from."""
+        """The input of the refit after that round; None without a sample."""
         known = [observed for observed in self._in_order() if observed.planned[0] <= up_to_round]
         if not known:
             return None
@@ -160,7 +161,7 @@ class Belief:
         self._map, self._process = posterior.snapshot(), posterior.process
 
     def _rebuilt(self, hyperparameters: Hyperparameters) -> GridPosterior:
-        """The map as it was last built, without what was added since."""
+        """The map as it was last built, without the samples added since."""
         built = [self._observations[name] for name in self._built]
         places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
         values = np.array([observed.value_ppb for observed in built], dtype=np.float64)
@@ -169,7 +170,7 @@ class Belief:
         return GridPosterior.build(self.grid, hyperparameters, places, values, threads=MAP_THREADS)
 
     def _standing(self) -> GridPosterior:
-        """What the next sample is added to; after a restart it is made again, step by step as it came to be."""
+        """The posterior that the next sample is added to; after a restart it is computed again in the same steps."""
         if self._posterior is None:
             self._posterior = self._rebuilt(self.hyperparameters)
             for observed in list(self._observations.values())[len(self._built) :]:
@@ -182,7 +183,7 @@ class Belief:
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """All of it but the posterior, as named parts: that would be a gigabyte, and is made again to the byte."""
+        """All of it but the posterior, as named parts: that has up to a gigabyte, and is computed again to the byte."""
         return {
             "observations": dict(self._observations),
             "map": self._map,

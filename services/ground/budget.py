@@ -17,15 +17,15 @@ TOUR_CONSTANT = 0.7124
 J_PER_WH = 3600.0
 MAX_HALVINGS = 100
 MIN_M = 1e-6
-"""To this the metres that fit into hours are found out [m]."""
+"""Precision to which the metres that fit into the hours are computed [m]."""
 
 ROUNDING_M = 0.05
-"""Paths go up rounded to the millimetre; so much may be lost by it in a round [m]."""
+"""Paths are sent rounded to the millimetre; a round may become longer by so much [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Committed:
-    """What is already promised to rounds that are planned and not over."""
+    """What the rounds that are planned and not over will still take."""
 
     metres: float
     samples: int
@@ -34,7 +34,7 @@ class Committed:
 
 @dataclass(frozen=True, slots=True)
 class RemainingBudget:
-    """What is left beyond that; with no samples left, `why` says what ran out."""
+    """What may still be planned beyond that; without samples, `why` says which budget is used up."""
 
     samples: int
     metres: float
@@ -42,7 +42,7 @@ class RemainingBudget:
 
 
 class Budget:
-    """The scenario's budgets, ready to be asked; climbs are those on a plane of the mean slope, on any heading."""
+    """The scenario's budgets. Climbs are those on a plane of the mean slope, averaged over all headings."""
 
     def __init__(self, scenario: Scenario, open_area_m2: float, mean_slope_deg: float) -> None:
         rover, ground, link = scenario.rover, scenario.ground, scenario.link
@@ -63,7 +63,7 @@ class Budget:
         self._charge_wh = rover.initial_charge * rover.capacity_wh
         self._leg_m = TOUR_CONSTANT * (open_area_m2 / scenario.samples) ** 0.5
         self._per_round = scenario.samples_per_round
-        # Stop-and-wait pays planning and a round trip for every round; a pipeline hides them.
+        # With stop-and-wait every round costs the planning and a round trip of light; a pipeline hides them.
         idle = ground.planning_s + link.up.one_way_light_time_s + link.down.one_way_light_time_s
         self._round_s = idle if ground.pipeline == 0 else 0.0
 
@@ -72,7 +72,7 @@ class Budget:
         self._charge_wh = min(charge_wh, self._capacity_wh)
 
     def lasts_s(self, committed: Committed) -> float:
-        """How long that is going to take at the pace to be expected on this terrain, charging counted in [s].
+        """How long that is expected to take on this terrain [s], charging included.
 
         When the battery is down to its reserve the rover stands and charges, each time up to the same level; infinite
         if the sun never charges it.
@@ -88,10 +88,10 @@ class Budget:
         return work_s + ceil(missing_j / self._charged_j) * self._charged_j / self._surplus_w
 
     def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> RemainingBudget:
-        """What may still be planned, of the samples that are still wanted.
+        """How many of the samples that are still wanted, and how many metres, may still be planned.
 
-        Hours are turned into metres at the pace to be expected on this terrain, less the time for charging; where they
-        do not suffice for all samples, as many are planned as fit with legs of a good tour between them.
+        Hours are converted into metres at the pace expected on this terrain, less the time for charging. Where they do
+        not suffice for all samples, as many are planned as fit with the legs of a good tour between them.
         """
         metres = inf
         if self._metres is not None:

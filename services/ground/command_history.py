@@ -12,12 +12,12 @@ from he3.frames import SiteGrid
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
 from schemas.link import LinkStatus
 from schemas.topics import COMMAND
-from services.ground.terrain import closes_nothing
+from services.ground.terrain import keep_out_objection
 from services.runtime.node import SECOND, MissionTime, seconds
 from services.runtime.state_codec import SavedState
 
 MAX_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
-MAX_LISTED = 300  # commands in a list, the newest; with the largest polygons it stays under the size of a reply
+MAX_LISTED = 300  # commands in a list, the newest; with the largest polygons they still fit into a reply
 LOOK_AGAIN_S = 30.0  # between looks at the link for a command that has not left yet
 LOST_AFTER_S = 60.0  # past its expiry and a round trip, before silence means that a command is lost
 
@@ -62,7 +62,7 @@ class CommandHistory:
                 f"command {command.command_id}: expected a target within 0..{self.grid.width_m:g} m east and "
                 f"0..{self.grid.height_m:g} m north, got ({target[0]:g}, {target[1]:g})"
             )
-        if command.polygon_m is not None and (why := closes_nothing(self.grid, command.polygon_m)) is not None:
+        if command.polygon_m is not None and (why := keep_out_objection(self.grid, command.polygon_m)) is not None:
             raise InvalidInput(f"command {command.command_id}: polygon_m: {why}")
         under_way = sum(status.end is None for status in self._statuses.values())
         if under_way >= MAX_UNDER_WAY:
@@ -95,7 +95,7 @@ class CommandHistory:
         ]
 
     def _not_radiated(self) -> list[str]:
-        """Commands sent since the start that were not seen to leave the Earth, whatever else is known of them."""
+        """Commands sent since the start without a report that they left the Earth, whatever their other reports."""
         return [
             name
             for name in self._sent
@@ -105,7 +105,7 @@ class CommandHistory:
     def seen_on_link(self, link: LinkStatus, source: str, now: MissionTime) -> tuple[list[CommandStatus], MissionTime]:
         """Commands that the link's status shows to have left the Earth, and when to look again for the others.
 
-        A message is told by its sequence, which is its place among the commands sent since the start.
+        A message is identified by its sequence, which is its index among the commands sent since the start.
         """
         departures = {
             (flight.sequence, flight.offered_at): flight.departs_at

@@ -2,9 +2,9 @@
 
 With pipeline = h, 1 + h rounds are planned that are not over: one being executed and h on board behind it. A round is
 planned from where the rover will be when it begins, with the places of the measurements that are still under way
-counted in, which the plan says. With h = 0 the rover waits for each round until the samples of the last are in the map.
+counted in; the plan names them. With h = 0 the rover waits for each round until the samples of the last are in the map.
 
-What is known is kept by the parts that the director is made of: belief, terrain, round log, budget and so on.
+The director itself knows little: belief, terrain, round log, budget and its other parts keep what is known.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from he3.frames import BoolArray, Place, SiteGrid
 from schemas.ground import InterestArea, InterestChange, InterestList
-from services.ground.terrain import holds_nothing, interest_weights, worth_nothing
+from services.ground.terrain import interest_area_objection, interest_objection, interest_weights
 from services.mission.scenario import InterestRegion
 from services.runtime.state_codec import SavedState
 
@@ -49,13 +49,13 @@ class InterestAreas:
                     f"interest: expected corners within 0..{grid.width_m:g} m east and "
                     f"0..{grid.height_m:g} m north, got one outside"
                 )
-            if (why := holds_nothing(grid, change.polygon_m)) is not None:
+            if (why := interest_area_objection(grid, change.polygon_m)) is not None:
                 return f"interest: polygon_m: {why}"
         if change.area_id is None:
             return None
         if change.area_id not in self._areas and len(self._areas) >= MAX_AREAS:
             return f"interest: expected at most {MAX_AREAS} areas, got one more"
-        if (why := worth_nothing(self._weights_of(self._changed(change)), open_cells)) is not None:
+        if (why := interest_objection(self._weights_of(self._changed(change)), open_cells)) is not None:
             return f"interest: weight: {why}"
         return None
 

@@ -45,7 +45,13 @@ from services.ground.stall_watch import StallWatch
 from services.ground.state_types import STATE_TYPES
 from services.ground.status import StatusReporter
 from services.ground.telecommands import LOOK_QUERY, LOOK_TIMER, LOST_TIMER, TelecommandHandler
-from services.ground.terrain import GroundTerrain, closes_nothing, holds_nothing, interest_weights, worth_nothing
+from services.ground.terrain import (
+    GroundTerrain,
+    interest_area_objection,
+    interest_objection,
+    interest_weights,
+    keep_out_objection,
+)
 from services.mission.regions import load_region
 from services.mission.scenario import Scenario
 from services.runtime.node import (
@@ -298,7 +304,7 @@ def _terrain(scenario: Scenario, region: Region) -> GroundTerrain:
     if not terrain.traversable.any():
         raise InvalidInput(f"scenario '{scenario.name}': expected open ground, got none: every cell is closed")
     weights = interest_weights(region.grid, [(area.polygon_m, area.weight) for area in ground.interest])
-    if (why := worth_nothing(weights, terrain.traversable)) is not None:
+    if (why := interest_objection(weights, terrain.traversable)) is not None:
         raise InvalidInput(f"scenario '{scenario.name}': ground.interest: {why}")
     return terrain
 
@@ -311,9 +317,11 @@ def _check_places(scenario: Scenario, grid: SiteGrid) -> None:
             f"scenario '{scenario.name}': start_m: expected a place within 0..{grid.width_m:g} m east and "
             f"0..{grid.height_m:g} m north, got ({scenario.start_m[0]:g}, {scenario.start_m[1]:g})"
         )
-    objections = {
-        f"keep_outs_m.{index}": closes_nothing(grid, polygon) for index, polygon in enumerate(ground.keep_outs_m)
-    } | {f"interest.{index}": holds_nothing(grid, area.polygon_m) for index, area in enumerate(ground.interest)}
+    keep_outs = {f"keep_outs_m.{i}": keep_out_objection(grid, each) for i, each in enumerate(ground.keep_outs_m)}
+    interests = {
+        f"interest.{i}": interest_area_objection(grid, each.polygon_m) for i, each in enumerate(ground.interest)
+    }
+    objections = keep_outs | interests
     for key, why in objections.items():
         if why is not None:
             raise InvalidInput(f"scenario '{scenario.name}': ground.{key}: {why}")

@@ -1,4 +1,4 @@
-"""The round that is being planned: what the planner is asked, with which seed, and what becomes of its answer."""
+"""The round that is being planned: the request to the planner, its seed, and the plan made of the answer."""
 
 from __future__ import annotations
 
@@ -122,11 +122,11 @@ class RoundPlanning:
         )
 
     def cancel(self) -> None:
-        """What is being planned is no longer wanted: its answer is dropped when it comes."""
+        """The round being planned is no longer wanted: its answer is dropped when it comes."""
         self._task = None
 
     def take_back(self, records: Iterable[RoundRecord]) -> None:
-        """Those rounds are to be planned anew; what they were to sample is still to be sampled."""
+        """Those rounds are to be planned again; their places are still to be sampled."""
         if self._outlook_m is not None:
             samples = [planned for record in records for planned in record.plan.samples]
             self._outlook_m = np.vstack((_places(samples), self._outlook_m))

@@ -26,15 +26,15 @@ class RoundRecord:
     introduced: int
     begun: bool = False
     ended: bool = False
-    """The rover said that it is over; samples of it may still be under way."""
+    """The rover reported its end; samples of it may still be under way."""
     ended_early: bool = False
     """It was broken off: samples that are not reported as done will not come."""
     ended_at: MissionTime = 0
-    """When it ended early."""
+    """When it was broken off."""
     settled: set[str] = field(default_factory=set)
     """Samples that arrived or were skipped."""
     arrived: int = 0
-    """How many of them arrived."""
+    """Number of samples that arrived."""
     done: set[str] = field(default_factory=set)
     """Samples that the rover reported as measured when the round ended."""
     reached_m: float = 0.0
@@ -255,7 +255,7 @@ class RoundLog:
         order = (record.number, record.introduced)
         before = [other for other in self.chain if (other.number, other.introduced) < order]
         if any(later.begun for later in self.chain[len(before) :]):
-            return False  # what came of it is told by its samples; the rover is past it
+            return False  # the rover is past it; only its samples may still arrive
         if before and before[-1].number == record.number:
             if before[-1].begun:
                 before[-1].ended = before[-1].ended_early = True

@@ -57,7 +57,7 @@ class SampleIntake:
         return len(self._reports)
 
     def take(self, report: SampleReport) -> Taken | Refused | Unplanned | Repeated:
-        """What becomes of the measurement; the belief and the round's record know it afterwards."""
+        """Give the measurement to the belief, and note it in the round's record."""
         if report.sample_id in self._belief or report.sample_id in self._refused:
             return Repeated()
         known = self._round_log.of_sample(report.sample_id)

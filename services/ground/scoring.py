@@ -1,6 +1,6 @@
-"""How good the map is, against the reference field that only a simulated Moon can offer.
+"""The score of the map against the reference field, which only a simulated Moon has.
 
-This is the one place of the ground that sees the reference; neither belief nor planners do.
+Nothing else on the ground sees the reference: neither belief nor planners do.
 """
 
 from __future__ import annotations

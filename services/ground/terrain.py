@@ -1,4 +1,4 @@
-"""Where the rover's centre may be, as the ground knows it: the orbital terrain, less keep-outs, less what was met."""
+"""Where the rover's centre may be, as the ground knows it: orbital terrain less keep-outs and obstacles met."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, Place, SiteGrid
 from services.runtime.state_codec import SavedState
 
-_BOUNDARY_STEP_CELLS = 0.25  # a polygon's edge is followed in such steps, so that it misses corners of cells at most
-BESIDE_TRACK_M = 2.5  # no further from the end of its known track, a rover is taken to stand on it
-_FLAT_M = 1e-6  # corners that lie no further off one line are on it
+_BOUNDARY_STEP_CELLS = 0.25  # step along a polygon's edge; it can miss only the corner of a cell
+BESIDE_TRACK_M = 2.5  # distance from the end of its known track within which the rover is taken to stand on it
+_FLAT_M = 1e-6  # distance from a line within which corners count as lying on it
 _SQUARE = np.ones((3, 3), dtype=np.bool_)
 
 
@@ -36,7 +36,7 @@ class GroundTerrain:
         self._orbital = np.array(open_cells, dtype=np.bool_)
         self._footprint = _footprint(footprint_radius_m / grid.resolution_m)
         self._areas: dict[str, BoolArray] = {
-            area_id: touched_by(grid, polygon) for area_id, polygon in (keep_outs or {}).items()
+            area_id: cells_touched(grid, polygon) for area_id, polygon in (keep_outs or {}).items()
         }
         self._obstacles: dict[tuple[float, float, float], BoolArray] = {}
         self._met = np.zeros_like(self._orbital)
@@ -55,14 +55,14 @@ class GroundTerrain:
         return self._areas
 
     def set_keep_out(self, area_id: str, polygons_m: Iterable[Sequence[Place]]) -> bool:
-        """Whether cells were closed: those that any of the polygons covers are, in place of what that id closed before.
+        """Close the cells that any of the polygons covers, in place of those that the id closed before.
 
-        With no polygon the area is open again.
+        Returns whether cells were closed that were not. Without a polygon the area is open again.
         """
         before = self._areas.pop(area_id, np.zeros_like(self._orbital))
         area = np.zeros_like(self._orbital)
         for polygon in polygons_m:
-            area |= touched_by(self.grid, polygon)
+            area |= cells_touched(self.grid, polygon)
         if area.any():
             self._areas[area_id] = area
         if not np.array_equal(area, before):
@@ -70,9 +70,9 @@ class GroundTerrain:
         return bool((area & ~before).any())
 
     def block(self, met_m: Place, radius_m: float, seen_from_m: Place | None = None) -> None:
-        """Close a disc at an obstacle that was met: it begins at the place met and lies behind it, as it was seen.
+        """Close a disc at an obstacle that was met: it begins there and lies behind it, as seen by the rover.
 
-        Seen from nowhere in particular, the disc is centred on that place.
+        Without `seen_from_m` the disc is centred on the place.
         """
         self._met[cell_of(self.grid, met_m)] = True
         centre = met_m
@@ -85,11 +85,12 @@ class GroundTerrain:
         self._recompute()
 
     def open_from(self, start_m: Place, came_by_m: Sequence[Place] = ()) -> BoolArray:
-        """Where the rover may go from the place where it stands, (rows, columns), read-only.
+        """(rows, columns), read-only: where the rover may go from the place where it stands.
 
-        A rover that stands where its centre should not be (beside an obstacle that it met, within an area just closed)
-        is let out: the way that it came by is lent to it, back to where it may be; failing that, ground that is really
-        open, or open but for what it met, up to the nearest place from which it can go on.
+        A rover may stand where its centre should not be: beside an obstacle that it met, or in an area just closed.
+        Then cells are opened for it to leave: those of the way that it came by, back to where it may be; failing that,
+        cells that are open without the margin of its footprint, then those that only an obstacle closed, up to the
+        nearest place from which it can go on.
         """
         cell = cell_of(self.grid, start_m)
         if self._open[cell]:
@@ -104,7 +105,7 @@ class GroundTerrain:
         return way_out
 
     def _way_back(self, start_m: Place, came_by_m: Sequence[Place]) -> BoolArray | None:
-        """The open cells and those of the way back to them, with what is open beside it; None if it leads to none."""
+        """The open cells and the way back to them, with open cells beside it; None if the way leads to none."""
         if not came_by_m or hypot(came_by_m[-1][0] - start_m[0], came_by_m[-1][1] - start_m[1]) > BESIDE_TRACK_M:
             return None
         track = np.zeros_like(self._open)
@@ -120,7 +121,7 @@ class GroundTerrain:
         return None
 
     def _nearest_way_out(self, start_m: Place, lent: BoolArray) -> BoolArray | None:
-        """The open cells and the nearest lent ones that join the start to them; None if the lent ones lead nowhere."""
+        """The open cells and the nearest of the lent ones that join the start to them; None if they lead to none."""
         if not self._open.any():
             return None
         x, y = np.meshgrid(self.grid.x_m, self.grid.y_m)
@@ -173,10 +174,10 @@ def within(grid: SiteGrid, place_m: Place, radius_m: float) -> BoolArray:
     return disc
 
 
-def touched_by(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
+def cells_touched(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
     """(rows, columns): the cells that the polygon covers in whole or in part (even-odd rule, its edge included)."""
     corners = np.asarray(polygon_m, dtype=np.float64)
-    covered = inside(grid, polygon_m)
+    covered = cells_inside(grid, polygon_m)
     following = np.roll(corners, -1, axis=0)
     for (ax, ay), (bx, by) in zip(corners, following, strict=True):
         steps = ceil(np.hypot(bx - ax, by - ay) / (grid.resolution_m * _BOUNDARY_STEP_CELLS)) + 1
@@ -188,7 +189,7 @@ def touched_by(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
     return covered
 
 
-def inside(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
+def cells_inside(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
     """(rows, columns): the cells whose centre lies in the polygon, by the even-odd rule."""
     x, y = grid.x_m[None, :], grid.y_m[:, None]
     covered = np.zeros(grid.shape, dtype=np.bool_)
@@ -201,19 +202,19 @@ def inside(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
     return covered
 
 
-def closes_nothing(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
-    """One line on why the polygon closes no ground of the site, as one in another frame does; None if it does."""
+def keep_out_objection(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
+    """One line on why the polygon closes no ground of the site; None if it closes some."""
     corners = np.asarray(polygon_m, dtype=np.float64)
     if np.linalg.matrix_rank(corners - corners[0], tol=_FLAT_M) < 2:
         return "expected corners around some ground, got all of them in one line"
-    return None if touched_by(grid, polygon_m).any() else _off_site(grid, corners)
+    return None if cells_touched(grid, polygon_m).any() else _off_site(grid, corners)
 
 
-def holds_nothing(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
-    """One line on why the polygon holds no cell of the site by its centre; None if it does."""
-    if inside(grid, polygon_m).any():
+def interest_area_objection(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
+    """One line on why the polygon holds the centre of no cell of the site; None if it holds one."""
+    if cells_inside(grid, polygon_m).any():
         return None
-    if touched_by(grid, polygon_m).any():
+    if cells_touched(grid, polygon_m).any():
         return (
             f"expected an area that holds the centre of a cell of {grid.resolution_m:g} m, got one too small for that"
         )
@@ -231,19 +232,19 @@ def _off_site(grid: SiteGrid, corners: FloatArray) -> str:
 def interest_weights(grid: SiteGrid, regions: Sequence[tuple[Sequence[Place], float]]) -> NDArray[np.float32] | None:
     """(rows, columns) weight of each cell's uncertainty: 1, or that of the last region which holds its centre.
 
-    None where no region says anything.
+    None without regions.
     """
     if not regions:
         return None
     weights = np.ones(grid.shape, dtype=np.float32)
     for polygon, weight in regions:
-        weights[inside(grid, polygon)] = weight
+        weights[cells_inside(grid, polygon)] = weight
     weights.setflags(write=False)
     return weights
 
 
-def worth_nothing(weights: NDArray[np.float32] | None, open_cells: BoolArray) -> str | None:
-    """One line on why nothing is worth measuring under these weights: all open cells have 0; None if some have not."""
+def interest_objection(weights: NDArray[np.float32] | None, open_cells: BoolArray) -> str | None:
+    """One line on why these weights leave nothing to measure: every open cell has 0; None if one has more."""
     if weights is None or bool((weights[open_cells] > 0).any()):
         return None
     return "expected a weight above 0 somewhere on open ground, got 0 everywhere"
@@ -264,7 +265,7 @@ def along(path_m: Sequence[Place], step_m: float) -> Iterator[Place]:
 
 
 def _footprint(radius_cells: float) -> BoolArray:
-    """Which neighbours of a closed cell a rover of that radius [cells] might touch it from, wherever in them it is."""
+    """The neighbours of a closed cell from any place of which a rover of that radius [cells] might touch it."""
     reach = ceil(radius_cells)
     gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 1.0, 0.0)
     touching: BoolArray = np.hypot(gap[:, None], gap[None, :]) < radius_cells

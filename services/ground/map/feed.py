@@ -1,12 +1,13 @@
-"""The map's feed: a key frame for who joins, then only what has changed, so that everybody ends with the same bytes.
+"""The map's feed: a key frame to begin with, then only what has changed. Every reader ends with the same bytes.
 
 A frame on the wire: 4 bytes 'HE3F', the length of the head (4 bytes, little-endian), the head (JSON of
 ``schemas.maps.MapFrame``), and the numbers. Those are zlib of three planes one after the other: mean and std as
 little-endian float32 with their bytes sorted by significance (all first bytes, all second, ...), traversable as bytes;
-rows from the south. In a delta each plane is the exclusive or with the frame before: what is equal is zero, and
-vanishes in the packing. A beat has no numbers; it says where the feed stands, so that who missed the last frame knows.
+rows from the south. In a delta each plane is the exclusive or with the frame before: equal bytes are zero, and take
+almost no room when compressed. A beat has no numbers; it gives the newest sequence, so that a reader that missed the
+last frame notices.
 
-Nothing here waits, sends or receives: writer and reader are fed by whoever has the wire.
+Writer and reader do no I/O: frames are handed to them and taken from them as bytes.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ from services.runtime.node import MissionTime
 MAGIC: Final = b"HE3F"
 _LENGTH: Final = struct.Struct("<I")
 MAX_HEAD_BYTES: Final = 4096
-LEVEL: Final = 1  # of zlib: the numbers are noise below, zeros above; more effort gains 2 %
+LEVEL: Final = 1  # of zlib: low bytes are noise, high bytes zeros; a higher level gains 2 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeedMap:
-    """The map at one place of the feed; arrays are (rows, columns), row 0 in the south, read-only."""
+    """The map after one frame of the feed; arrays are (rows, columns), row 0 in the south, read-only."""
 
     mean_ppb: Float32Array
     std_ppb: Float32Array
@@ -45,19 +46,19 @@ class FeedMap:
     mission_time_ns: MissionTime
 
     def planes(self) -> bytes:
-        """All numbers, as they are packed."""
+        """All numbers, in the order in which they are compressed."""
         floats = (_sorted_bytes(np.asarray(values, dtype="<f4")) for values in (self.mean_ppb, self.std_ppb))
         return b"".join((*floats, self.traversable.astype(np.uint8).tobytes()))
 
     def checksum(self) -> int:
-        """CRC-32 of the numbers as they stand in memory."""
+        """CRC-32 of the numbers in memory order."""
         crc = zlib.crc32(np.ascontiguousarray(self.mean_ppb, dtype="<f4").data)
         crc = zlib.crc32(np.ascontiguousarray(self.std_ppb, dtype="<f4").data, crc)
         return zlib.crc32(np.ascontiguousarray(self.traversable).view(np.uint8).data, crc)
 
 
 class FeedWriter:
-    """Makes the frames; `epoch` tells one start of the feed from another."""
+    """Makes the frames; `epoch` distinguishes one start of the feed from another."""
 
     def __init__(self, epoch: int) -> None:
         self._epoch = epoch
@@ -67,7 +68,7 @@ class FeedWriter:
         self._key: bytes | None = None
 
     def take(self, current: FeedMap, wanted: bool) -> bytes | None:
-        """The frame that brings listeners to that map; None when none is wanted, or nothing has changed."""
+        """The frame that takes readers to that map; None if none is wanted or the map has not changed."""
         before, planes = self._map, self._planes
         if before is not None and before.revision == current.revision:
             return None
@@ -91,7 +92,7 @@ class FeedWriter:
         return self._key
 
     def beat(self) -> bytes | None:
-        """Where the feed stands; None while it has not begun."""
+        """A frame with the newest sequence and no numbers; None before the first map."""
         return None if self._map is None else self._frame(FrameKind.BEAT, b"")
 
     def _frame(self, kind: FrameKind, planes: bytes) -> bytes:
@@ -116,7 +117,7 @@ class FeedWriter:
 
 @dataclass(slots=True)
 class FeedReader:
-    """Puts the frames together. Frames may be lost, doubled or late: then it says that it needs a key frame."""
+    """Puts the frames together. When frames are lost, doubled or late, it asks for a key frame with `needs_key`."""
 
     map: FeedMap | None = None
     needs_key: bool = True
@@ -128,7 +129,7 @@ class FeedReader:
     """Deltas that came before the key frame that they build on."""
 
     def take(self, frame: bytes) -> bool:
-        """Whether the frame has changed the map. Raises InvalidInput, without a change, for what is no frame."""
+        """Whether the frame has changed the map. Raises InvalidInput, without a change, for other bytes."""
         head, packed = read_head(frame)
         at = (head.epoch, head.sequence)
         if head.kind is FrameKind.BEAT:
@@ -136,7 +137,7 @@ class FeedReader:
             return False
         if head.kind is FrameKind.KEY:
             if at[0] == self._at[0] and at[1] <= self._at[1]:
-                # Late: the map is that far already, unless it has been waiting for something later.
+                # Late: the map is as new already. A later delta may still wait for the one in between.
                 self.needs_key = self.needs_key and at[1] < max((key[1] for key in self._waiting), default=0)
                 return False
             self._adopt(head, _unpacked(head, packed))
@@ -176,7 +177,7 @@ class FeedReader:
 
 
 def read_head(frame: bytes) -> tuple[MapFrame, bytes]:
-    """Head and packed numbers of a frame; raises InvalidInput for anything else."""
+    """Head and compressed numbers of a frame; raises InvalidInput for other bytes."""
     start = len(MAGIC) + _LENGTH.size
     if frame[: len(MAGIC)] != MAGIC or len(frame) < start:
         raise InvalidInput(f"map feed: expected a frame that begins with {MAGIC!r}, got {frame[:8]!r}")

@@ -12,9 +12,9 @@ from services.ground.map.feed import FeedMap, FeedWriter
 from services.ground.map.snapshot import MapSnapshot
 from services.runtime.transport.session import IncomingQuery, Session
 
-BEAT_S: Final = 2.0  # between two frames that say where the feed stands
-END_S: Final = 0.2  # how long the end of a feed may take: what is being published at that moment
-WANTED_S: Final = 600.0  # a feed goes on for so long after a client asked for its beginning, heard or not
+BEAT_S: Final = 2.0  # between two beats
+END_S: Final = 0.2  # how long `end` waits for a frame that is being published
+WANTED_S: Final = 600.0  # frames are published for so long after a query for a key frame, with or without subscribers
 
 
 def feed_of(snapshot: MapSnapshot) -> FeedMap:
@@ -48,7 +48,7 @@ class FeedPublisher:
         self._thread.start()
 
     def end(self) -> None:
-        """Publish no more; what is being published is."""
+        """Stop publishing, after the frame under way."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()

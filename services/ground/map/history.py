@@ -1,4 +1,4 @@
-"""Which earlier maps are held, and which of them is meant by `as_of`."""
+"""The earlier maps that are held, and the one that `as_of` names."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from services.ground.map.snapshot import MapSnapshot
 from services.runtime.node import SECOND, MissionTime
 
 MAX_BYTES = 256 * 1024 * 1024
-"""Of arrays in all that is held. When it is exceeded, every second revision of the older half is let go."""
+"""Of the arrays held. When it is exceeded, every second revision of the older half is dropped."""
 MIN_HELD = 4
 
 MAX_REVISION = 10**12
-"""A larger number is a time [ns]: that moment was 17 minutes into 1970."""
+"""A larger number is a time [ns]: this one is 17 minutes after the beginning of 1970."""
 
 
-def remembering(shown: MapSnapshot, before: MapSnapshot | None) -> MapSnapshot:
-    """The snapshot that is shown now, holding what the one before held, and that one too if the map has changed."""
+def with_history(shown: MapSnapshot, before: MapSnapshot | None) -> MapSnapshot:
+    """The snapshot shown now, with the earlier ones that the last held, and with the last if the map has changed."""
     if before is None:
         return shown
-    # What both have is held once.
+    # Equal parts are held once.
     if np.array_equal(shown.traversable, before.traversable):
         shown = replace(shown, traversable=before.traversable)
     known = len(before.samples)
@@ -72,7 +72,7 @@ def as_of(snapshot: MapSnapshot, when: str | None) -> MapSnapshot:
 
 
 def iso(time: MissionTime) -> str:
-    """Mission time as people write it."""
+    """Mission time as an ISO 8601 text in UTC, to the second."""
     return datetime.fromtimestamp(time // SECOND, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 

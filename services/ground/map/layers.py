@@ -115,7 +115,7 @@ def box(request: MapBoxQuery, snapshot: MapSnapshot) -> Cells:
 
 
 def information_nats(std_ppb: Any, noise_std_ppb: float) -> Any:
-    """What a measurement tells about the field at its place: 1/2 log(1 + std^2 / noise^2) [nat]."""
+    """Mutual information of a measurement and the field at its place: 1/2 log(1 + std^2 / noise^2) [nat]."""
     return 0.5 * np.log1p((std_ppb / np.float32(noise_std_ppb)) ** 2)
 
 

@@ -18,7 +18,7 @@ from services.runtime.state_codec import SavedState
 
 
 class MapPublisher:
-    """Compares what is known with what was last shown. Its revision grows with every change of map or terrain."""
+    """Publishes what has changed since the last snapshot. Its revision grows with every change of map or terrain."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class MapPublisher:
             process=self._belief.process,
             origin_deg=self._origin_deg,
         )
-        # Reports are made from answers that are asked for as soon as the mission is said to be over.
+        # Reports are made from queries that come as soon as the status says that the mission is over.
         self._shown_at_the_end = ended
         yield PublishSnapshot(self.snapshot, awaited=self._shown_at_the_end)
 

@@ -1,4 +1,4 @@
-"""Answers that are not JSON: arrays, pictures, tables, made once a revision and kept for whoever asks next."""
+"""Answers that are not JSON: arrays, pictures and tables, rendered once a revision and kept for equal requests."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Renderer:
 
 
 def rendered(cells: Cells, form: MapFormat, snapshot: MapSnapshot) -> Encoded:
-    """Those cells in that format, with what they show."""
+    """Those cells in that format, with a description as the attachment."""
     values = cells.values
     about = MapAbout(
         layer=cells.layer,

@@ -1,4 +1,4 @@
-"""How much helium-3 there is in an area, with what the joint posterior knows about it."""
+"""Helium-3 in an area, with credible intervals from the joint posterior."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from he3.resource import area_mean, share_above
 from schemas.maps import Interval, ResourceEstimate, ResourceQuery
 from services.ground.map.layers import exceedance
 from services.ground.map.snapshot import MapSnapshot
-from services.ground.terrain import inside
+from services.ground.terrain import cells_inside
 
 PPB = 1e-9
 DRAWS = 2000
@@ -23,7 +23,7 @@ MAX_CORNERS = 256
 
 
 def corners_of(text: str) -> tuple[Place, ...]:
-    """The corners of 'x,y,x,y,...' [m]; raises InvalidInput for fewer than three, too many, or half a corner."""
+    """The corners of 'x,y,x,y,...' [m]; raises InvalidInput for other text, and for too few or too many corners."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
@@ -47,7 +47,7 @@ def area_of(text: str | None, grid: SiteGrid) -> NDArray[np.bool_]:
             f"polygon: expected corners within 0..{grid.width_m:g} m east and 0..{grid.height_m:g} m north, "
             f"got ({x:g}, {y:g})"
         )
-    area = inside(grid, corners)
+    area = cells_inside(grid, corners)
     if not area.any():
         raise InvalidInput("polygon: expected one that holds the centre of a cell at least, got a smaller one")
     return area
@@ -66,7 +66,7 @@ def estimate(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
     reach = float(ndtri(0.5 + request.probability / 2)) * over.std_ppb
     low, high = over.mean_ppb - reach, over.mean_ppb + reach
     above = exceedance(snapshot.mean_ppb[area], snapshot.std_ppb[area], request.cutoff_ppb)
-    # The same question about the same map has the same answer: the draws are seeded by both.
+    # Equal queries of one revision have equal answers: the draws are seeded by both.
     seed = zlib.crc32(f"{snapshot.revision} {request.polygon}".encode())
     shares = share_above(snapshot.process, grid, area, request.cutoff_ppb, np.random.default_rng(seed), DRAWS)
     tail = (1 - request.probability) / 2

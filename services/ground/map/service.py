@@ -32,7 +32,7 @@ from services.ground.map.resources import estimate
 from services.ground.map.snapshot import MapSnapshot
 
 MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX, MAP_RESOURCE, MAP_HISTORY)
-"""The topics that are answered from a snapshot, by whichever thread holds one."""
+"""The topics that are answered from a snapshot alone, in any thread."""
 
 
 def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
@@ -53,7 +53,7 @@ def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
 
 
 def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
-    """The posterior at the centre of the cell that holds the place: cells are not interpolated between."""
+    """The posterior at the centre of the cell that holds the place; nothing is interpolated."""
     grid = snapshot.grid
     x, y = request.x, request.y
     if not (0.0 <= x <= grid.width_m and 0.0 <= y <= grid.height_m):
@@ -119,7 +119,7 @@ def score(snapshot: MapSnapshot) -> MapScore:
 
 
 def track(snapshot: MapSnapshot) -> MissionTrack:
-    """Samples, driven and planned path, and how the score went."""
+    """Samples, driven and planned path, and the score after each round."""
     return MissionTrack(
         samples=snapshot.samples,
         driven_path_m=snapshot.driven_path_m,
@@ -135,7 +135,7 @@ def resource(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
 
 
 def history(snapshot: MapSnapshot) -> MapHistory:
-    """The site, and the revisions that can be asked for."""
+    """The site, and the revisions that `as_of` can name."""
     grid = snapshot.grid
     lat, lon = snapshot.origin_deg or (None, None)
     return MapHistory(

@@ -19,7 +19,7 @@ from services.runtime.node import MissionTime
 
 @dataclass(frozen=True, eq=False)
 class MapSnapshot:
-    """One revision of the map with what a picture of the mission needs. Arrays are (rows, columns), read-only."""
+    """One revision of the map, with samples and paths. Arrays are (rows, columns), read-only."""
 
     grid: SiteGrid
     mean_ppb: NDArray[np.float32]
@@ -42,9 +42,9 @@ class MapSnapshot:
     score_history: tuple[MapScore, ...]
     """One entry a round."""
     process: GaussianProcess | None = None
-    """The belief that the arrays were computed from, for what a single cell does not tell."""
+    """The belief that the arrays were computed from, for answers about several cells at once."""
     origin_deg: tuple[float, float] | None = None
-    """Latitude and longitude of the site's south-west corner; None where the region does not say."""
+    """Latitude and longitude of the site's south-west corner; None if the region does not give them."""
     earlier: tuple[MapSnapshot, ...] = ()
     """Revisions before this one that are still held, oldest first; they hold none themselves."""
 

@@ -1,4 +1,4 @@
-"""The belief: what the map rests on, and that it follows from the samples alone."""
+"""The belief: the map depends on the samples alone."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def refit(belief: Belief, up_to_round: int) -> None:
     belief.adopt(fit(pickle.loads(pickle.dumps(request))))
 
 
-def test_before_any_sample_the_map_says_what_is_known_of_lunar_soils() -> None:
+def test_before_any_sample_the_map_is_the_prior_of_lunar_soils() -> None:
     empty = Belief(GRID, "se", NOISE).map
     assert (empty.mean_ppb == 7.5).all()
     assert (empty.std_ppb == 4.0).all()
@@ -74,9 +74,7 @@ def test_a_sample_that_is_there_already_changes_nothing() -> None:
         (Observation((1, 1, 0), (5.0, 3.0), float("nan")), InvalidInput),
     ],
 )
-def test_a_sample_that_cannot_be_is_refused_and_changes_nothing(
-    observation: Observation, error: type[Exception]
-) -> None:
+def test_an_impossible_sample_is_refused_and_changes_nothing(observation: Observation, error: type[Exception]) -> None:
     belief = belief_of(observations(3))
     before = belief.map
     with pytest.raises(error):
@@ -85,7 +83,7 @@ def test_a_sample_that_cannot_be_is_refused_and_changes_nothing(
     assert "bad" not in belief
 
 
-def test_once_all_samples_are_in_the_map_is_the_same_to_the_byte_in_whatever_order_they_came() -> None:
+def test_the_map_of_all_samples_is_the_same_to_the_byte_whatever_the_order_of_arrival() -> None:
     samples = observations(20)
     names = list(samples)
     shuffled = [names[i] for i in np.random.default_rng(9).permutation(20)]
@@ -154,7 +152,7 @@ def test_an_orbital_prior_is_the_map_before_the_first_sample_and_survives_a_refi
     request = belief.fit_request(2, (1,))
     assert request is not None
     fitted = fit(request)
-    assert fitted.trend is None  # it is not sent back and forth
+    assert fitted.trend is None  # the belief has it, and it is large
     belief.adopt(fitted)
     assert belief.hyperparameters.trend is not None
     assert len(belief) == 10

@@ -28,13 +28,13 @@ def test_without_a_budget_everything_may_be_planned() -> None:
     assert (allowance.samples, allowance.metres) == (150, inf)
 
 
-def test_metres_driven_and_promised_are_no_longer_there() -> None:
+def test_metres_driven_and_committed_are_deducted() -> None:
     allowance = budget(budget_m=1000.0).left(START, 300.0, Committed(250.0, 5, 1), 100)
     assert allowance.samples == 100
     assert allowance.metres == pytest.approx(450.0, abs=0.1)
 
 
-def test_a_budget_in_metres_that_is_promised_allows_nothing_and_says_why() -> None:
+def test_a_budget_in_metres_that_is_committed_allows_no_sample_and_says_why() -> None:
     allowance = budget(budget_m=1000.0).left(START, 300.0, Committed(700.0, 5, 1), 100)
     assert (allowance.samples, allowance.metres) == (0, 0.0)
     assert allowance.why == "the budget of 1000 m is spent or promised"
@@ -54,13 +54,13 @@ def test_where_the_hours_do_not_suffice_fewer_samples_are_planned_and_each_keeps
     assert allowance.metres >= allowance.samples * leg_s * 0.1
 
 
-def test_time_that_has_passed_or_is_promised_is_no_longer_there() -> None:
+def test_time_that_has_passed_or_is_committed_is_deducted() -> None:
     whole = budget(budget_h=100.0, pipeline=1).left(START, 0.0, NOTHING, 10).metres
     later = budget(budget_h=100.0, pipeline=1).left(START + 3600 * SECOND, 0.0, Committed(100.0, 2, 1), 10).metres
     assert whole - later == pytest.approx(360.0 + 100.0 + 120.0)
 
 
-def test_past_its_hours_a_mission_may_plan_nothing_more() -> None:
+def test_after_its_hours_a_mission_may_plan_nothing() -> None:
     allowance = budget(budget_h=1.0).left(START + 3601 * SECOND, 0.0, NOTHING, 10)
     assert (allowance.samples, allowance.why) == (0, "the budget of 1 h is spent or promised")
 
@@ -105,7 +105,7 @@ def test_driving_on_the_sun_alone_takes_no_charging() -> None:
     assert hungry(40.0).lasts_s(Committed(5000.0, 0, 1)) == pytest.approx(50_000.0)
 
 
-def test_in_the_dark_a_rover_does_what_its_battery_bears_and_no_more() -> None:
+def test_without_sun_a_rover_does_what_its_battery_allows() -> None:
     dark = hungry(200.0, solar_w=150.0, budget_h=10.0)
     assert dark.lasts_s(Committed(0.0, 4, 1)) == pytest.approx(4 * 360.0)
     assert dark.lasts_s(Committed(0.0, 5, 1)) == inf

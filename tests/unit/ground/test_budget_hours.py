@@ -24,7 +24,7 @@ WIDE = 80
 
 
 def straight(request: PlanningRequest) -> PlannedRound:
-    """Straight from place to place, each drawn at random; as far as the budget reaches."""
+    """Straight from place to place, each drawn at random, as far as the budget allows."""
     rng = np.random.default_rng(request.seed)
     places = rng.uniform(5.0, WIDE - 5.0, (request.samples, 2))
     path = np.vstack((request.start_m, places))
@@ -44,7 +44,7 @@ def flat() -> Region:
 
 
 def flown(budget_h: float, **rover: float) -> tuple[float, int]:
-    """Hours that the mission took, and samples that it brought."""
+    """Hours that the mission took, and samples in the map."""
     document: dict[str, Any] = {
         "name": "hours", "region": "t1", "rounds": 40, "samples_per_round": 2, "start_m": [40.0, 40.0],
         "ground": {"budget_h": budget_h}, "rover": rover,
@@ -65,13 +65,13 @@ def flown(budget_h: float, **rover: float) -> tuple[float, int]:
 
 @pytest.mark.parametrize("solar_w", [450.0, 250.0, 180.0])
 @pytest.mark.parametrize("budget_h", [5.0, 12.0])
-def test_hours_are_kept_with_the_time_for_charging(budget_h: float, solar_w: float) -> None:
+def test_a_budget_in_hours_includes_the_time_for_charging(budget_h: float, solar_w: float) -> None:
     took, samples = flown(budget_h, solar_w=solar_w, capacity_wh=200.0, drill_w=500.0)
     assert took <= budget_h * 1.02
     assert samples > 1
 
 
-def test_of_the_hours_not_more_than_a_round_is_left_over() -> None:
+def test_less_than_a_round_is_left_of_the_hours() -> None:
     took, samples = flown(12.0)
     assert 11.0 <= took <= 12.1
     assert samples > 20

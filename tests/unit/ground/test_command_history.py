@@ -1,4 +1,4 @@
-"""The ground's book of telecommands: stages in order, departures as the link saw them, and silence."""
+"""The command history: stages in order, departures as the link saw them, and lost commands."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def report(stage: CommandStage, at: int, name: str = "a") -> CommandReport:
     return CommandReport(command_id=name, stage=stage, at=at)
 
 
-def test_stages_are_kept_in_the_order_in_which_they_were_passed_however_they_come() -> None:
+def test_stages_are_kept_in_the_order_in_which_they_were_passed_whatever_the_order_of_reports() -> None:
     commands = book()
     commands.issue(pause(), NOW)
     for stage, at in (
@@ -57,7 +57,7 @@ def test_stages_are_kept_in_the_order_in_which_they_were_passed_however_they_com
     assert names(commands) == ["queued", "released", "received", "accepted", "started", "completed"]
 
 
-def test_a_report_that_is_there_already_or_of_an_unknown_command_is_no_news() -> None:
+def test_a_repeated_report_and_one_of_an_unknown_command_change_nothing() -> None:
     commands = book()
     commands.issue(pause(), NOW)
     assert commands.report(report(CommandStage.RECEIVED, NOW + 1)) is not None
@@ -84,7 +84,7 @@ def test_a_command_has_left_when_the_link_says_so_and_not_before() -> None:
         flight(0, NOW - 5, offered_at=NOW - 10),  # of an earlier start of the process
         flight(0, NOW, topic=PLAN.name),
         flight(1, NOW),
-        flight(0, NOW).model_copy(update={"source": "somebody"}),
+        flight(0, NOW).model_copy(update={"source": "another"}),
     ],
 )
 def test_another_message_on_the_link_is_not_taken_for_the_command(other: InFlight) -> None:
@@ -99,7 +99,7 @@ def test_out_of_contact_the_link_is_looked_at_again_when_contact_comes() -> None
     assert commands.seen_on_link(link(flight(0, None), contact_changes_at=NOW + 4), "ground", NOW)[1] == NOW + 4
 
 
-def test_after_a_restart_what_is_sent_is_counted_anew() -> None:
+def test_after_a_restart_messages_are_numbered_from_zero() -> None:
     commands = book()
     commands.issue(pause(), NOW)
     commands.restarted()
@@ -108,7 +108,7 @@ def test_after_a_restart_what_is_sent_is_counted_anew() -> None:
     assert [status.command.command_id for status in left] == ["b"]
 
 
-def test_silence_past_its_time_means_lost_unless_something_was_heard() -> None:
+def test_a_command_without_a_report_after_its_time_is_lost() -> None:
     commands = book()
     for name in ("a", "b"):
         commands.issue(pause(name, expires_at=NOW + 100 * SECOND), NOW)
@@ -118,7 +118,7 @@ def test_silence_past_its_time_means_lost_unless_something_was_heard() -> None:
     assert commands.give_up("a", NOW + 200 * SECOND) is not None
     assert commands.give_up("b", NOW + 200 * SECOND) is None
     assert names(commands)[-1] == "lost"
-    # Word of it may still come, and is shown.
+    # A report of it may still come, and is kept.
     assert commands.report(report(CommandStage.RECEIVED, NOW + 300 * SECOND)) is not None
     assert names(commands)[-1] == "received"
 

@@ -1,4 +1,4 @@
-"""The ground station through a whole mission, against a rover that does at once what it is told."""
+"""The ground station through a whole mission, with a rover that executes every plan at once."""
 
 from __future__ import annotations
 
@@ -303,7 +303,7 @@ def test_the_phase_tells_waiting_planning_and_executing_apart() -> None:
     assert {MissionPhase.PLANNING, MissionPhase.EXECUTING} < set(phases)
 
 
-def test_repeated_and_reordered_messages_leave_the_map_as_it_is_to_the_byte() -> None:
+def test_repeated_and_reordered_messages_do_not_change_a_byte_of_the_map() -> None:
     plain, shaken = Mission(scenario()), Mission(scenario())
     shaken.rover.shuffle = shaken.rover.twice = True
     assert plain.run() == shaken.run()
@@ -323,7 +323,7 @@ def test_the_same_seed_plans_the_same_places_and_another_seed_others() -> None:
     assert places(5) != places(6)
 
 
-def test_what_is_driven_and_planned_together_is_the_whole_way() -> None:
+def test_driven_and_planned_paths_together_are_the_whole_way() -> None:
     mission = Mission(scenario())
     mission.run()
     assert mission.snapshot.planned_path_m == ()
@@ -352,7 +352,7 @@ def test_sample_ids_are_never_used_for_two_places(light_s: float) -> None:
 # --- the pipeline -----------------------------------------------------------------------------------------------
 
 
-def test_a_plan_made_ahead_names_the_measurements_that_it_counted_in() -> None:
+def test_a_plan_made_ahead_names_the_pending_measurements_that_it_counts_in() -> None:
     mission = Mission(scenario(ground={"pipeline": 1}))
     mission.run()
     first, second = mission.rover.plans[0][1], mission.rover.plans[1][1]
@@ -362,7 +362,7 @@ def test_a_plan_made_ahead_names_the_measurements_that_it_counted_in() -> None:
     assert second.rounds[-1].round == 2
 
 
-def test_stop_and_wait_counts_in_nothing_that_is_not_measured() -> None:
+def test_stop_and_wait_counts_in_measured_samples_only() -> None:
     mission = Mission(scenario())
     mission.run()
     assert [(plan.samples_known, plan.samples_pending) for _, plan in mission.rover.plans] == [
@@ -401,10 +401,10 @@ def test_places_that_will_be_measured_lower_the_uncertainty_that_a_planner_sees(
         assert (request.std_ppb[rows, columns] < 0.1 * seen[0].std_ppb[rows, columns]).all()
 
 
-# --- what the Moon refutes --------------------------------------------------------------------------------------
+# --- when the rover cannot do what was planned -----------------------------------------------------------------------
 
 
-def test_a_rejected_plan_is_made_anew_from_where_the_rover_stands() -> None:
+def test_a_rejected_plan_is_made_again_from_where_the_rover_stands() -> None:
     mission = Mission(scenario())
     mission.rover.place = (30.0, 20.0)
     assert mission.run().ok
@@ -434,7 +434,7 @@ def test_a_rover_that_goes_on_rejecting_is_given_more_time_each_time() -> None:
     assert mission.status.detail.startswith("0 of 12 samples are in the map; 11 plans in a row were rejected")
 
 
-def test_rounds_that_bring_nothing_are_tried_again_but_not_for_ever() -> None:
+def test_rounds_without_a_sample_are_tried_again_forty_times_at_most() -> None:
     mission = Mission(scenario(top={"samples_per_round": 1}), round_s=600.0)
     mission.rover.skip = {f"r{number:02d}s1" for number in range(3, 10_000)}
     end = mission.run()
@@ -457,7 +457,7 @@ def test_when_the_last_round_ran_from_an_older_plan_the_mission_still_ends() -> 
     assert len(mission.snapshot.samples) == 6
 
 
-def test_an_obstacle_closes_its_ground_and_the_missing_samples_are_made_up_for() -> None:
+def test_an_obstacle_closes_its_ground_and_the_missing_samples_are_replaced() -> None:
     mission = Mission(scenario(ground={"pipeline": 1}))
     mission.rover.trouble = lambda planned: "a boulder" if planned.round == 2 else None
     assert mission.run().ok
@@ -470,7 +470,7 @@ def test_an_obstacle_closes_its_ground_and_the_missing_samples_are_made_up_for()
     assert max(planned.round for _, plan in mission.rover.plans for planned in plan.rounds) == 5
 
 
-def test_a_skipped_sample_is_made_up_for_by_another() -> None:
+def test_a_skipped_sample_is_replaced_by_another() -> None:
     mission = Mission(scenario())
     mission.rover.skip = {"r04s2"}
     assert mission.run().ok
@@ -478,7 +478,7 @@ def test_a_skipped_sample_is_made_up_for_by_another() -> None:
     assert "r04s2" not in {sample.sample_id for sample in mission.snapshot.samples}
 
 
-def test_a_rover_that_dropped_its_rounds_without_a_word_is_given_new_ones() -> None:
+def test_a_rover_that_dropped_its_rounds_without_a_report_is_sent_new_ones() -> None:
     mission = Mission(scenario(top={"rounds": 2}, ground={"pipeline": 1}))
     mission.simulation.run_for(500.0)
     assert [planned.round for planned in mission.rover.on_board] == [2]
@@ -516,7 +516,7 @@ def state(revision: int, place: tuple[float, float] = START, round_: int = 0, mo
 # --- budgets and ends -------------------------------------------------------------------------------------------
 
 
-def test_a_budget_in_metres_is_never_overdrawn_and_ends_the_mission_early_but_well() -> None:
+def test_a_budget_in_metres_is_never_overdrawn_and_completes_the_mission_early() -> None:
     mission = Mission(scenario(ground={"budget_m": 250.0}))
     end = mission.run()
     assert end.ok
@@ -656,7 +656,7 @@ def test_no_change_of_interest_may_leave_nothing_worth_measuring() -> None:
     assert mission.run().ok
 
 
-# --- telemetry that cannot be ------------------------------------------------------------------------------------
+# --- impossible telemetry --------------------------------------------------------------------------------------------
 
 
 def sample_report(**changes: object) -> SampleReport:
@@ -675,7 +675,7 @@ def sample_report(**changes: object) -> SampleReport:
         ({"helium3_ppb": 1e9}, "expected -1000 to 1.001e+06 ppb"),
     ],
 )
-def test_a_sample_that_cannot_be_is_left_out_and_changes_nothing(changes: dict[str, object], complaint: str) -> None:
+def test_an_impossible_sample_is_left_out_and_changes_nothing(changes: dict[str, object], complaint: str) -> None:
     mission = Mission(scenario())
     mission.simulation.run_for(100.0)
     before, revision = mission.snapshot, mission.status.map_revision
@@ -686,7 +686,7 @@ def test_a_sample_that_cannot_be_is_left_out_and_changes_nothing(changes: dict[s
 
 
 @pytest.mark.parametrize("pipeline", [0, 1])
-def test_a_reading_that_cannot_be_is_not_waited_for_and_another_is_taken_in_its_place(pipeline: int) -> None:
+def test_an_impossible_reading_is_not_waited_for_and_another_is_taken_in_its_place(pipeline: int) -> None:
     field = smooth_field()
     mission = Mission(scenario(ground={"pipeline": pipeline}))
     mission.rover.twice = True
@@ -733,7 +733,7 @@ def test_an_older_state_does_not_replace_a_newer_one() -> None:
     assert (mission.status.rover.x_m, mission.status.rover_made_at) == (20.0, now)
 
 
-def test_silence_of_the_rover_is_reported_once_and_forgotten_when_it_speaks() -> None:
+def test_silence_of_the_rover_is_reported_once_and_ends_when_it_is_heard() -> None:
     mission = Mission(scenario(ground={"rover_timeout_s": 600.0}))
     mission.simulation.run_for(3000.0)
     assert sum("nothing heard" in text for text in mission.warnings()) == 1
@@ -773,7 +773,7 @@ def test_a_command_goes_up_once_and_its_stages_are_listed_in_the_order_in_which_
     assert len(told) == 3
 
 
-def test_a_command_that_cannot_be_carried_out_is_refused_and_does_not_go_up() -> None:
+def test_a_command_that_cannot_be_executed_is_refused_and_not_sent() -> None:
     mission = Mission(scenario())
     mission.simulation.run_for(10.0)
     mission.simulation.ask(ISSUE_COMMAND, command())
@@ -794,7 +794,7 @@ def test_a_command_that_cannot_be_carried_out_is_refused_and_does_not_go_up() ->
     assert mission.rover.commands == [command()]
 
 
-def test_a_command_of_which_nothing_is_heard_is_given_up_for_lost_after_its_time() -> None:
+def test_a_command_without_a_report_is_lost_after_its_time() -> None:
     mission = Mission(scenario())
     mission.simulation.run_for(10.0)
     expires = mission.simulation.now + 100 * SECOND
@@ -830,7 +830,7 @@ def test_a_keep_out_closes_ground_and_rounds_that_lead_through_it_are_planned_an
     assert mission.run().ok
 
 
-def test_word_that_a_keep_out_was_set_changes_no_plan() -> None:
+def test_the_report_that_a_keep_out_was_set_changes_no_plan() -> None:
     mission = Mission(scenario(ground={"planning_s": 500.0}))
     corner = ((50.0, 50.0), (55.0, 50.0), (55.0, 55.0))
     mission.simulation.run_for(10.0)
@@ -884,7 +884,7 @@ def test_without_a_reference_there_is_no_score_and_a_query_for_it_says_so() -> N
         mission.simulation.ask(MAP_SCORE, NoParameters())
 
 
-def test_a_map_once_shown_never_changes() -> None:
+def test_a_published_map_never_changes() -> None:
     mission = Mission(scenario())
     mission.simulation.run_for(4000.0)
     shown = mission.snapshot

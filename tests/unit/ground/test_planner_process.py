@@ -1,4 +1,4 @@
-"""Tasks in a process of their own: same answers, errors as themselves, killable, no orphans however the owner ends."""
+"""Tasks in a process of their own: equal answers, errors as raised, killable, no orphans however the owner ends."""
 
 import contextlib
 import math
@@ -53,7 +53,7 @@ def planners():
 
 
 def alive(pid):
-    """Whether the process runs: neither gone nor a zombie that nobody has reaped yet."""
+    """Whether the process runs: neither gone nor a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -78,7 +78,7 @@ def test_a_plan_is_the_one_that_the_planner_makes_in_this_process(planners, name
     assert not np.array_equal(first.path_m, second.path_m)
 
 
-def test_a_refusal_travels_back_as_itself(planners):
+def test_a_refusal_is_raised_as_the_planner_raised_it(planners):
     with pytest.raises(NoRoute, match=r"5\.2"):
         planners.plan("rrtstar", request(closed=True)).result(PATIENCE_S)
     with pytest.raises(InvalidInput, match="seed of 0 or more, got -3"):

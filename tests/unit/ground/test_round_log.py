@@ -1,4 +1,4 @@
-"""The ledger: which version of a round the rover executes, and what is still to come of it."""
+"""The round log: which version of a round the rover executes, and which samples are still to come."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def settle(record: RoundRecord, *indices: int) -> None:
         record.arrived += 1
 
 
-def test_a_round_is_closed_when_nothing_more_will_come_of_it() -> None:
+def test_a_round_is_closed_when_no_sample_of_it_is_still_to_come() -> None:
     _, (first,) = round_log((1, 1))
     assert [planned.sample_id for planned in first.pending] == ["r1v1s1", "r1v1s2"]
     settle(first, 0)
@@ -40,7 +40,7 @@ def test_a_round_is_closed_when_nothing_more_will_come_of_it() -> None:
     assert first.closed
 
 
-def test_of_a_round_that_ended_early_only_what_was_done_is_still_to_come() -> None:
+def test_of_a_round_that_ended_early_only_measured_samples_are_still_to_come() -> None:
     _, (first,) = round_log((1, 1))
     first.ended_early = True
     assert first.closed
@@ -77,7 +77,7 @@ def test_of_two_versions_that_were_both_begun_the_rover_gave_up_the_older() -> N
     assert book.chain == [first, second, replacement]
     assert second.closed
     assert not replacement.closed
-    # Late word of the older one does not turn that back.
+    # A late report of the older one does not reverse that.
     assert not book.begin(second)
     assert book.goes_on_after(second)
     assert not book.goes_on_after(replacement)
@@ -123,7 +123,7 @@ def test_driven_and_planned_paths_are_the_same_objects_until_something_changes()
     assert book.paths()[0] == ((10.0, 0.0), (10.0, 7.0))
 
 
-def test_fruitless_rounds_are_counted_from_the_last_that_brought_something() -> None:
+def test_fruitless_rounds_are_counted_from_the_last_with_a_sample() -> None:
     book, records = round_log((1, 1), (2, 2), (3, 3), (4, 4))
     for record in records[:3]:
         book.begin(record)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
-from services.ground.terrain import GroundTerrain, inside, interest_weights, touched_by
+from services.ground.terrain import GroundTerrain, cells_inside, cells_touched, interest_weights
 
 GRID = SiteGrid(40, 50)
 ALL_OPEN = np.ones(GRID.shape, dtype=np.bool_)
@@ -24,28 +24,28 @@ def with_closed(*cells: tuple[int, int]) -> np.ndarray:
 
 
 def test_a_polygon_covers_half_of_what_a_triangle_of_its_base_and_height_would_have_as_a_box() -> None:
-    assert inside(GRID, TRIANGLE).sum() == pytest.approx(200, abs=10)
-    assert inside(GRID, TRIANGLE)[15, 20]
-    assert not inside(GRID, TRIANGLE)[28, 12]
+    assert cells_inside(GRID, TRIANGLE).sum() == pytest.approx(200, abs=10)
+    assert cells_inside(GRID, TRIANGLE)[15, 20]
+    assert not cells_inside(GRID, TRIANGLE)[28, 12]
 
 
 def test_the_order_of_corners_does_not_matter_and_a_hole_is_left_by_the_even_odd_rule() -> None:
-    assert np.array_equal(inside(GRID, TRIANGLE), inside(GRID, TRIANGLE[::-1]))
+    assert np.array_equal(cells_inside(GRID, TRIANGLE), cells_inside(GRID, TRIANGLE[::-1]))
     bow_tie_twice = ((5.0, 5.0), (25.0, 5.0), (25.0, 25.0), (5.0, 25.0), (5.0, 5.0), (10.0, 10.0), (20.0, 10.0),
                      (20.0, 20.0), (10.0, 20.0), (10.0, 10.0))  # fmt: skip
-    assert not inside(GRID, bow_tie_twice)[15, 15]
-    assert inside(GRID, bow_tie_twice)[7, 15]
+    assert not cells_inside(GRID, bow_tie_twice)[15, 15]
+    assert cells_inside(GRID, bow_tie_twice)[7, 15]
 
 
 def test_an_area_too_thin_to_hold_a_cell_centre_still_closes_the_cells_it_crosses() -> None:
     sliver = ((5.0, 8.1), (30.0, 8.1), (30.0, 8.2))
-    assert not inside(GRID, sliver).any()
-    assert touched_by(GRID, sliver)[8, 5:30].all()
+    assert not cells_inside(GRID, sliver).any()
+    assert cells_touched(GRID, sliver)[8, 5:30].all()
 
 
-def test_an_area_partly_or_wholly_outside_the_region_closes_what_of_it_lies_within() -> None:
-    assert touched_by(GRID, ((40.0, 30.0), (90.0, 30.0), (90.0, 90.0), (40.0, 90.0)))[35, 45]
-    assert not touched_by(GRID, ((60.0, 60.0), (90.0, 60.0), (90.0, 90.0))).any()
+def test_an_area_partly_or_wholly_outside_the_region_closes_its_part_within() -> None:
+    assert cells_touched(GRID, ((40.0, 30.0), (90.0, 30.0), (90.0, 90.0), (40.0, 90.0)))[35, 45]
+    assert not cells_touched(GRID, ((60.0, 60.0), (90.0, 60.0), (90.0, 90.0))).any()
 
 
 @settings(max_examples=60)
@@ -55,7 +55,7 @@ def test_an_area_partly_or_wholly_outside_the_region_closes_what_of_it_lies_with
     x=st.floats(12.0, 28.0),
     y=st.floats(12.0, 28.0),
 )
-def test_wherever_the_centre_may_be_the_whole_footprint_is_on_open_ground(
+def test_the_whole_footprint_is_on_open_ground_wherever_the_centre_may_be(
     radius: float, angle: float, x: float, y: float
 ) -> None:
     closed = with_closed((20, 20), (20, 21), (23, 14))
@@ -87,7 +87,7 @@ def test_a_keep_out_is_replaced_under_its_id_and_removed_without_a_polygon() -> 
     assert not terrain.areas
 
 
-def test_a_keep_out_that_is_what_it_was_leaves_the_map_the_very_same() -> None:
+def test_a_keep_out_set_again_leaves_the_same_map_object() -> None:
     terrain = GroundTerrain(GRID, ALL_OPEN, 0.0, {"scenario-1": TRIANGLE})
     before = terrain.traversable
     assert not terrain.set_keep_out("scenario-1", [TRIANGLE])
@@ -106,7 +106,7 @@ def test_an_obstacle_closes_its_disc_and_at_least_its_own_cell() -> None:
     assert (~terrain.traversable).sum() == 13
 
 
-def test_masks_handed_out_are_read_only_and_stay_as_they_were() -> None:
+def test_a_mask_once_returned_is_read_only_and_never_changes() -> None:
     terrain = GroundTerrain(GRID, ALL_OPEN, 0.8)
     before = terrain.traversable
     terrain.block((20.0, 20.0), 1.0)
@@ -116,7 +116,7 @@ def test_masks_handed_out_are_read_only_and_stay_as_they_were() -> None:
         before[0, 0] = False
 
 
-def test_a_rover_beside_an_obstacle_is_let_out_but_not_through_the_obstacle() -> None:
+def test_a_rover_beside_an_obstacle_may_leave_but_not_through_the_obstacle() -> None:
     terrain = GroundTerrain(GRID, ALL_OPEN, 0.8)
     terrain.block((20.5, 20.5), 1.5)
     here = (18.5, 20.5)
@@ -136,7 +136,7 @@ def test_an_obstacle_is_closed_behind_the_place_where_it_was_met() -> None:
     assert not closed[20, :20].any()
 
 
-def test_a_rover_that_came_by_a_narrow_way_is_sent_back_over_it() -> None:
+def test_a_rover_that_came_by_a_narrow_way_may_go_back_over_it() -> None:
     open_cells = ALL_OPEN.copy()
     open_cells[:, 10:30] = False
     open_cells[20, 10:30] = True  # a gap one cell wide, too narrow for the footprint: but it was driven
@@ -146,10 +146,10 @@ def test_a_rover_that_came_by_a_narrow_way_is_sent_back_over_it() -> None:
     assert lent[20, 8:26].all()
     assert not lent[20, 27:29].any()
     assert not lent[21, 12:24].any()
-    assert terrain.open_from(here, ((5.5, 20.5), (9.5, 20.5)))[20, 27]  # not where it is known to have come by
+    assert terrain.open_from(here, ((5.5, 20.5), (9.5, 20.5)))[20, 27]  # it is not known to have come by there
 
 
-def test_a_rover_within_an_area_just_closed_is_lent_a_way_out_of_it() -> None:
+def test_a_rover_within_an_area_just_closed_may_leave_it() -> None:
     terrain = GroundTerrain(GRID, ALL_OPEN, 0.8, {"a": ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))})
     lent = terrain.open_from((12.0, 15.0))
     assert lent[15, 12]
@@ -160,7 +160,7 @@ def test_a_rover_within_an_area_just_closed_is_lent_a_way_out_of_it() -> None:
     assert labels[15, 12] == labels[35, 45]
 
 
-def test_where_the_rover_may_stand_nothing_is_lent() -> None:
+def test_no_cell_is_opened_for_a_rover_that_stands_on_open_ground() -> None:
     terrain = GroundTerrain(GRID, with_closed((5, 5)), 0.8)
     assert terrain.open_from((30.0, 30.0)) is terrain.traversable
 

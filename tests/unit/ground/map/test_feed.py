@@ -1,4 +1,4 @@
-"""The map's feed: whoever listens, from whenever, with whatever gaps, ends with the ground's bytes."""
+"""The map's feed: a reader ends with the ground's bytes, whenever it joins and whatever frames it loses."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def ask_for_key(writer: FeedWriter, reader: FeedReader) -> None:
 
 
 @pytest.mark.parametrize("seed", range(100))
-def test_late_joiners_and_cut_off_listeners_end_with_the_grounds_arrays(seed: int) -> None:
+def test_readers_that_join_late_or_lose_frames_end_with_the_grounds_arrays(seed: int) -> None:
     chance = random.Random(seed)
     shown = maps(chance.randint(5, 25), seed)
     writer, present = FeedWriter(epoch=seed), FeedReader()
@@ -58,7 +58,7 @@ def test_late_joiners_and_cut_off_listeners_end_with_the_grounds_arrays(seed: in
     lossy, cut = FeedReader(), sorted(chance.sample(range(len(shown) + 1), 2))
     held_back: list[bytes] = []
     for number, current in enumerate(shown):
-        # Before anybody listens the writer may be told that nothing is wanted.
+        # Before the first reader joins, no frames are wanted.
         frame = writer.take(current, wanted=number > 0 or chance.random() < 0.5)
         for reader, hears in (
             (present, True),
@@ -74,7 +74,7 @@ def test_late_joiners_and_cut_off_listeners_end_with_the_grounds_arrays(seed: in
                     continue
                 for each in frames:
                     reader.take(each)
-            # The question for a key frame takes its time: sometimes several frames come before its answer.
+            # A query for a key frame takes time: several frames may come before its reply.
             if reader.needs_key and chance.random() < 0.7:
                 ask_for_key(writer, reader)
         if held_back and chance.random() < 0.4:

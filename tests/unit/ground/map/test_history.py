@@ -18,7 +18,7 @@ from schemas.plans import Waypoint
 from schemas.telemetry import SampleReport
 from schemas.topics import MAP_BOX, MAP_LAYER, MAP_POINT
 from services.ground.map import history
-from services.ground.map.history import as_of, remembering, revisions
+from services.ground.map.history import as_of, revisions, with_history
 from services.ground.map.layers import box, exceedance, information_nats
 from services.ground.map.rendering import Renderer
 from services.ground.map.service import answer
@@ -48,20 +48,20 @@ def snapshot(revision: int, path: tuple[Waypoint, ...] = ((1.0, 2.0),)) -> MapSn
 
 
 def after(count: int) -> MapSnapshot:
-    kept = remembering(snapshot(1), None)
+    kept = with_history(snapshot(1), None)
     for revision in range(2, count + 1):
-        kept = remembering(snapshot(revision), kept)
+        kept = with_history(snapshot(revision), kept)
     return kept
 
 
 def test_every_revision_is_held_once_and_a_new_path_alone_is_none() -> None:
-    kept = remembering(replace(snapshot(3), driven_path_m=((9.0, 9.0),)), after(3))
+    kept = with_history(replace(snapshot(3), driven_path_m=((9.0, 9.0),)), after(3))
     assert [each.revision for each in revisions(kept)] == [1, 2, 3]
     assert kept.driven_path_m == ((9.0, 9.0),)
     assert all(each.earlier == () for each in kept.earlier)
 
 
-def test_what_revisions_share_is_held_once() -> None:
+def test_equal_parts_of_revisions_are_held_once() -> None:
     kept = after(3)
     assert kept.traversable is kept.earlier[0].traversable
     assert kept.samples[0] is kept.earlier[0].samples[0]
@@ -122,7 +122,7 @@ def test_a_box_holds_the_values_at_its_cells_centres() -> None:
         ({"layer": MapLayer.SAMPLES}, InvalidInput, "is a table"),
     ],
 )
-def test_boxes_that_make_no_sense_are_refused(changed: dict[str, object], error: type[Exception], why: str) -> None:
+def test_impossible_boxes_are_refused(changed: dict[str, object], error: type[Exception], why: str) -> None:
     with pytest.raises(error, match=why):
         box(query(**changed), snapshot(1))
 
@@ -153,7 +153,7 @@ def test_formats_hold_the_same_numbers() -> None:
     assert (about.low, about.high) == (float(shown.mean_ppb.min()), float(shown.mean_ppb.max()))
 
 
-def test_equal_requests_of_one_revision_are_rendered_once_and_what_is_kept_is_bounded() -> None:
+def test_equal_requests_of_one_revision_are_rendered_once_and_the_cache_is_bounded() -> None:
     render = Renderer(most_kept_bytes=3 * 30 * 40 * 4)
     request = MapLayerQuery(layer=MapLayer.STD, format=MapFormat.NPY)
     first = render(MAP_LAYER, request, snapshot(1))

@@ -80,23 +80,23 @@ def cells_of(shown: MapSnapshot, request: MapLayerQuery | MapBoxQuery) -> list[t
     return [(float(x[j]), float(y[i]), float(values[i, j])) for i, j in np.ndindex(values.shape)]
 
 
-def assert_the_map_says_so(shown: MapSnapshot, cells: list[tuple[float, float, float]]) -> None:
+def assert_values_of_the_map(shown: MapSnapshot, cells: list[tuple[float, float, float]]) -> None:
     assert cells
     for x, y, value in cells:
         assert np.float32(value) == np.float32(point(MapPointQuery(x=x, y=y), shown).mean_ppb)
 
 
 @given(grids, st.integers(1, 500), formats)
-def test_a_layer_of_any_step_has_the_map_s_value_at_every_place_it_gives(
+def test_a_layer_of_any_step_has_the_maps_value_at_every_place_it_gives(
     grid: tuple[int, int, float], step: int, form: MapFormat
 ) -> None:
     shown = snapshot(*grid)
     request = MapLayerQuery(layer=MapLayer.MEAN, step=step, format=form)
-    assert_the_map_says_so(shown, cells_of(shown, request))
+    assert_values_of_the_map(shown, cells_of(shown, request))
 
 
 @given(boxes(), formats)
-def test_a_box_of_any_edges_and_resolution_has_the_map_s_value_at_every_place_it_gives(
+def test_a_box_of_any_edges_and_resolution_has_the_maps_value_at_every_place_it_gives(
     asked: tuple[MapSnapshot, MapBoxQuery], form: MapFormat
 ) -> None:
     shown, request = asked
@@ -108,14 +108,14 @@ def test_a_box_of_any_edges_and_resolution_has_the_map_s_value_at_every_place_it
         crowded = "expected at most" in str(refusal)
         assert crowded or (request.resolution_m or 0.0) > 1.99 * small or small < 1e-3 * shown.grid.resolution_m
         return
-    assert_the_map_says_so(shown, cells)
+    assert_values_of_the_map(shown, cells)
     for x, y, _ in cells:
         assert request.x_min <= x <= request.x_max
         assert request.y_min <= y <= request.y_max
 
 
 @given(boxes(), st.none() | st.tuples(st.floats(-89.0, 89.0), st.floats(-180.0, 180.0)))
-def test_a_geotiff_has_the_map_s_value_at_the_centre_of_every_pixel(
+def test_a_geotiff_has_the_maps_value_at_the_centre_of_every_pixel(
     asked: tuple[MapSnapshot, MapBoxQuery], origin: tuple[float, float] | None
 ) -> None:
     shown, request = asked
@@ -158,7 +158,7 @@ def test_a_box_has_as_many_cells_as_have_their_centre_in_it() -> None:
         cells_of(shown, request.model_copy(update={"resolution_m": 130.0}))
 
 
-def test_a_box_within_one_cell_has_that_cell_s_value() -> None:
+def test_a_box_within_one_cell_has_the_value_of_that_cell() -> None:
     shown = snapshot(60, 60, 1.0)
     request = MapBoxQuery(layer=MapLayer.MEAN, x_min=10.25, y_min=4.5, x_max=10.5, y_max=4.75)
     assert cells_of(shown, request) == [(10.375, 4.625, float(shown.mean_ppb[4, 10]))]

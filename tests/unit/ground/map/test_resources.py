@@ -1,4 +1,4 @@
-"""Helium-3 in an area: closed forms, dense algebra, and intervals that hold up."""
+"""Helium-3 in an area: closed forms, dense algebra, and the coverage of intervals."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_one_cell_has_the_spread_of_its_cell() -> None:
     assert got.std_ppb >= float(std.reshape(GRID.shape)[4, 7])
 
 
-def test_what_is_integrated_coarsely_says_how_far_off_it_may_be() -> None:
+def test_a_coarse_integration_states_its_error() -> None:
     fine = SiteGrid(300, 300, 1.0)
     rng = np.random.default_rng(5)
     places = rng.uniform(0, 300, (40, 2))
@@ -146,7 +146,7 @@ def test_a_wider_probability_has_a_wider_interval() -> None:
         ("1,2,e,4,5,6", "expected numbers"),
     ],
 )
-def test_polygons_that_are_none_are_refused(text: str, why: str) -> None:
+def test_text_that_is_no_polygon_is_refused(text: str, why: str) -> None:
     with pytest.raises(InvalidInput, match=why):
         corners_of(text)
 

@@ -1,4 +1,4 @@
-"""Answers to operators, and what they cost."""
+"""Replies to operators' queries, and the time that they take."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_what_cannot_be_answered_is_refused_in_one_line() -> None:
         score(snapshot())
 
 
-def test_the_score_is_what_direct_arithmetic_says() -> None:
+def test_the_score_agrees_with_direct_arithmetic() -> None:
     shown = snapshot()
     truth = np.random.default_rng(5).normal(8, 1, GRID.shape)
     got = Scorer(truth).score(shown.mean_ppb, shown.std_ppb, 3, 11, 99)
