@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.kills import Mission
+from benchmarks.journalled_mission import JournalledMission
 from schemas.link import ClockChange
 from schemas.topics import CLOCK_SET
 from services.console.launch.launcher import free_endpoints
@@ -39,7 +39,7 @@ CONDITIONS = {
 
 @pytest.mark.parametrize("settings", CONDITIONS.values(), ids=CONDITIONS.keys())
 def test_a_mission_in_separate_processes_is_complete_in_spite_of(tmp_path: Path, settings: list[str]) -> None:
-    with Mission(tmp_path, [f"rate={RATE}", "rounds=2", "ground.pipeline=1", *settings]) as mission:
+    with JournalledMission(tmp_path, [f"rate={RATE}", "rounds=2", "ground.pipeline=1", *settings]) as mission:
         mission.wait_until_over(PATIENCE_S)
         lost, doubled, unequal = mission.judged()
 
@@ -48,7 +48,7 @@ def test_a_mission_in_separate_processes_is_complete_in_spite_of(tmp_path: Path,
 
 def test_a_mission_is_complete_whatever_rate_its_clock_is_given_on_the_way(tmp_path: Path) -> None:
     settings = [f"rate={RATE}", "rounds=2", "ground.pipeline=1", "link.up.loss=0.2", "link.down.loss=0.2"]
-    with Mission(tmp_path, settings) as mission:
+    with JournalledMission(tmp_path, settings) as mission:
         for rate in (200.0, 3000.0, 0.0, 800.0, 20_000.0, 50.0, RATE):
             mission.ask(CLOCK_SET, ClockChange(rate=rate))
             time.sleep(0.3)
