@@ -82,7 +82,7 @@ def _in_process(chosen: Chosen, logs: Path) -> Row:
     with PlannerProcess() as planners:
         waiting = _Waiting(planners)
         events = EventLog(log)
-        mission = InProcessMission(chosen.scenario, waiting, trace=events)
+        mission = InProcessMission(chosen.scenario, waiting, event_sink=events)
         started = time.monotonic()
         mission.run()
         ended = time.monotonic()

@@ -10,13 +10,13 @@ from typing import Annotated, Generic, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 SCHEMA_VERSION = 1
-"""Of all schemas together; a message of another version is refused."""
+"""Version of all schemas together; a message of another version is refused."""
 
 MissionName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,47}$")]
 """Lower-case letters, digits, '-' and '_': it is a chunk of every key."""
 
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:-]{0,63}$")]
-"""Names a sample, a command, a process."""
+"""Name of a sample, a command, an area or a process."""
 
 MissionTimeNs = Annotated[int, Field(ge=0, lt=2**63)]
 """Mission time (UTC), integer nanoseconds since 1970-01-01T00:00:00Z."""
@@ -31,27 +31,27 @@ Text = Annotated[str, Field(max_length=500)]
 
 
 class Wire(BaseModel):
-    """Root of everything that goes over the wire: frozen, no unknown fields, finite numbers, no silent conversion."""
+    """Base of every message: frozen, no unknown fields, finite numbers, no silent conversion."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True, ser_json_inf_nan="null")
 
 
 class Header(Wire):
-    """Who made a message, and when; with stream, incarnation and sequence it is unique in a mission."""
+    """Who made a message, and when. Topic, source, incarnation and sequence together are unique in a mission."""
 
     version: int = SCHEMA_VERSION
     mission: MissionName
     source: Identifier
     """Name of the process that made it: rover, ground, field, link, an operator's session."""
     incarnation: Annotated[int, Field(ge=0)]
-    """Which start of that process (1, 2, ...); 0 for one that keeps no journal."""
+    """Number of the start of that process (1, 2, ...); 0 for one that keeps no journal."""
     sequence: Annotated[int, Field(ge=0)]
     """Counts the messages of one source, incarnation and topic, from 0."""
     made_at: MissionTimeNs
     held_from: Annotated[int, Field(ge=0)] | None = None
-    """Lowest sequence of the stream that its source still holds for repeating; below it all is acknowledged."""
+    """Lowest sequence of its stream that the source still keeps; everything below it is acknowledged."""
     repetition: Annotated[int, Field(ge=0)] = 0
-    """How often the message had been sent before."""
+    """How often the message was sent before."""
     checksum: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     """CRC-32 of header (without this field) and body as they stand on the wire; None: not to be checked."""
 

@@ -86,7 +86,7 @@ class Messages:
         simulation = self._mission.simulation
         before = self._counts()
         if isinstance(topic.service, Query):
-            served = any(topic in simulation.scheduler(name).interface.serves for name in NODES)
+            served = any(topic in simulation.host(name).interface.serves for name in NODES)
             if not served:
                 return None
             answer = simulation.ask_raw(topic, payload)
@@ -104,7 +104,7 @@ class Messages:
         return None
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        hosts = {name: self._mission.simulation.scheduler(name) for name in NODES}
+        hosts = {name: self._mission.simulation.host(name) for name in NODES}
         return {name: (host.events, host.refused) for name, host in hosts.items()}
 
     def _payload(self, rng: Random, topic: Topic) -> bytes:

@@ -49,7 +49,7 @@ class InProcessMission:
         self,
         scenario: Scenario,
         executor: Executor | None = None,
-        trace: EventSink | None = None,
+        event_sink: EventSink | None = None,
         nodes: Iterable[Node] | None = None,
     ) -> None:
         self.scenario = scenario
@@ -58,7 +58,7 @@ class InProcessMission:
         self.link: LinkStatus | None = None
         """What the link last said."""
         built = build_nodes(scenario) if nodes is None else tuple(nodes)
-        self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, trace, scenario.link)
+        self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, event_sink, scenario.link)
         self.simulation.tap(self._listen)
 
     @property

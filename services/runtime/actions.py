@@ -1,4 +1,4 @@
-"""What a host wants done: what a node wants done, with everything in bytes and on its side."""
+"""What a host wants a driver to do: a node's effects with messages as bytes, each on its side of the link."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from services.runtime.node import Compute, Finish, LogRecord, PublishSnapshot, S
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """Put these bytes under the topic's key on that side."""
+    """Publish these bytes on the topic's key on that side."""
 
     topic: Topic
     side: Side
@@ -20,7 +20,7 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class PutQuery:
-    """Ask whoever serves the topic on that side; report back under the question's name."""
+    """Send a query to the server of the topic on that side; `ReplyArrived` or `QueryUnanswered` is to name it."""
 
     topic: Topic
     side: Side
@@ -31,7 +31,7 @@ class PutQuery:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """Answer the asker of that token with these bytes."""
+    """Reply to the query of that token with these bytes."""
 
     token: int
     topic: Topic
@@ -40,7 +40,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class ReplyError:
-    """Tell the asker of that token, in one line, why there is no answer."""
+    """Refuse the query of that token, with one line on the reason and a code for programs."""
 
     token: int
     topic: Topic

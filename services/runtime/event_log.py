@@ -1,4 +1,4 @@
-"""The event log: a line for each event that a node handled, the same in every driver that keeps virtual time."""
+"""The event log: one line for each event that a node handles, the same in every driver that keeps virtual time."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ class EventLog:
         except OSError as error:
             raise InvalidInput(f"{path}: cannot write the event log: {error.strerror}") from None
         self.active = True
-        """Whether events are written. What is asked once the mission is over, for its report, is no part of it."""
+        """Whether events are written. Queries for the report, after the end of the mission, are not part of the log."""
 
     def __call__(self, now: MissionTime, name: str, what: str) -> None:
         if self.active:
             self._file.write(f"{now}\t{name}\t{what}\n")
 
     def close(self) -> None:
-        """Write what is left; nothing is written afterwards."""
+        """Write what is buffered; nothing is written afterwards."""
         self.active = False
         self._file.close()
 
 
 def merge_event_logs(parts: Iterable[Path], into: Path) -> int:
-    """How many lines stand in `into`, which now holds those of all parts in one order: time, node, order of handling.
+    """Write the lines of all parts to `into`, ordered by time, node and order of handling; returns their number.
 
-    That order is the same for one log of many nodes and for many logs of one node each; so equal missions have equal
-    merged logs, to the byte. Raises InvalidInput for a line that is no event.
+    The order is the same for one log of many nodes and for many logs of one node each, so equal missions have equal
+    merged logs, to the byte. Raises InvalidInput for a line that is not an event.
     """
     entries: list[tuple[int, str, str]] = []
     for part in parts:
@@ -44,7 +44,7 @@ def merge_event_logs(parts: Iterable[Path], into: Path) -> int:
                 entries.extend(_entry(line, part) for line in lines)
         except OSError as error:
             raise InvalidInput(f"{part}: cannot read the event log: {error.strerror}") from None
-    entries.sort(key=lambda entry: entry[:2])  # a stable sort: what a node handled at one time stays in its order
+    entries.sort(key=lambda entry: entry[:2])  # stable: events of one node and time stay in the order of handling
     try:
         into.parent.mkdir(parents=True, exist_ok=True)
         with into.open("w", encoding="utf-8", newline="\n") as merged:

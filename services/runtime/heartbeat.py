@@ -1,4 +1,4 @@
-"""The heartbeat of a process: a liveliness token says that a transport lives, this says that the process works."""
+"""The heartbeat of a process. A liveliness token shows that its transport is alive, the heartbeat that it works."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from schemas.wire import Header
 from services.runtime.host import Host
 
 PERIOD_S = 2.0
-"""Between two heartbeats [s of wall time]."""
+"""Wall time between two heartbeats [s]."""
 
 TOPICS = {Side.MOON: MOON_PRESENCE, Side.EARTH: EARTH_PRESENCE}
 
@@ -28,7 +28,7 @@ def software_version() -> str:
 
 
 class Heartbeat:
-    """Publishes a process's presence on every side it stands on, every two seconds."""
+    """Publishes the presence of a process on each of its sides, every two seconds."""
 
     def __init__(self, host: Host, publish: Callable[[Topic, Side, bytes], None]) -> None:
         self._host = host
@@ -38,7 +38,7 @@ class Heartbeat:
         self._next = 0.0
 
     def beat(self, monotonic_s: float, now: int) -> None:
-        """Publish if it is time again; `now` is the mission time that goes with it."""
+        """Publish if two seconds have passed; `now` is the mission time of the message."""
         if monotonic_s < self._next:
             return
         self._next = monotonic_s + PERIOD_S

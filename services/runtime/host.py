@@ -1,7 +1,7 @@
-"""What stands between a node and any driver: headers stamped, messages checked, events counted, still without I/O.
+"""A host stands between a node and its driver: it makes headers, checks messages and keeps custody, without I/O.
 
-A driver hands in what came (bytes, times, names) and carries out the actions that come back. Everything that all
-drivers must do alike is done here, so that a mission is the same in one process, in many, and after a restart.
+A driver reports inputs (bytes, times, names) and carries out the actions that the host returns. What all drivers must
+do alike is done here, so a mission is the same in one process, in many, and after a restart.
 """
 
 from __future__ import annotations
@@ -68,22 +68,22 @@ def origin(topic: Topic) -> Side:
 
 
 EventSink = Callable[[MissionTime, str, str], None]
-"""Called with mission time, node and a line for each event handled: the event log."""
+"""Called for each event handled with mission time, node and a line that describes it: the event log."""
 
 STATE_TYPES: Final[tuple[type, ...]] = (Compute, Finish, PublishSnapshot, PutQuery, Side, *CUSTODY_STATE_TYPES)
 """What the state of a host and its scheduler is made of, beside plain values and the node's own types."""
 
 
 class Host:
-    """One node, ready to be driven."""
+    """One node with its headers, queries and custody. `handle` is all that a driver calls while it runs."""
 
     def __init__(
-        self, node: Node, mission: str, trace: EventSink | None = None, custody: CustodyConfig | None = None
+        self, node: Node, mission: str, event_sink: EventSink | None = None, custody: CustodyConfig | None = None
     ) -> None:
         self._node = node
         self._interface = node.interface
         self._mission = mission
-        self._trace = trace
+        self._event_sink = event_sink
         self._incarnation = 0
         self._sequences: dict[str, int] = {}
         self._asked: dict[int, Topic] = {}
@@ -123,10 +123,10 @@ class Host:
         """Events handled since the start."""
         return self._events
 
-    def hears(self, topic: Topic, side: Side) -> bool:
+    def receives(self, topic: Topic, side: Side) -> bool:
         """Whether a message published on that side is for this node.
 
-        A topic that crosses is carried from where it is made only: nobody makes telemetry on Earth.
+        The link receives a topic that crosses only on the side on which its messages are made.
         """
         if side not in self._interface.sides:
             return False
@@ -134,23 +134,23 @@ class Host:
             return side is origin(topic)
         return topic in self._interface.subscribes or (self._custody is not None and topic is self._custody.ack_topic)
 
-    def heard_topics(self) -> list[tuple[Topic, Side]]:
-        """Everything that reaches this node, and where."""
+    def received_topics(self) -> list[tuple[Topic, Side]]:
+        """The topics whose messages reach this node, each with the side on which they do."""
         interface = self._interface
         topics = [
             *interface.subscribes,
             *interface.receives_raw,
             *([self._custody.ack_topic] if self._custody is not None else []),
         ]
-        return [(topic, side) for side in interface.sides for topic in topics if self.hears(topic, side)]
+        return [(topic, side) for side in interface.sides for topic in topics if self.receives(topic, side)]
 
     def served_topics(self) -> list[tuple[Topic, Side]]:
-        """The questions that this node answers, and where they can be put."""
+        """The topics whose queries this node answers, each with the side on which they are received."""
         interface = self._interface
         return [(topic, side) for side in interface.sides for topic in interface.serves if side in topic.sides]
 
-    def open_questions(self) -> list[PutQuery]:
-        """Questions of this node that have not been answered: to be put again after a restart."""
+    def open_queries(self) -> list[PutQuery]:
+        """Queries of this node that have not ended; a restarted process sends them again."""
         return list(self._queries.values())
 
     # --- checkpoints --------------------------------------------------------------------------------------------
@@ -287,8 +287,8 @@ class Host:
 
     def _handle(self, event: Event, now: MissionTime, what: str) -> list[Action]:
         self._events += 1
-        if self._trace is not None:
-            self._trace(now, self._interface.name, what)
+        if self._event_sink is not None:
+            self._event_sink(now, self._interface.name, what)
         return list(self._actions(self._node.handle(event, now), now))
 
     def _report_queue_depth(self, depth: int, now: MissionTime) -> list[Action]:
@@ -341,6 +341,6 @@ class Host:
         )
 
     def refuse(self, why: str) -> LogRecord:
-        """The line for the log about something from outside that was refused, which is counted."""
+        """The log record of something from outside that was refused; it is counted."""
         self._refused += 1
         return LogRecord(Level.WARNING, f"refused: {why}", {"refused": self._refused})

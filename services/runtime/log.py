@@ -16,7 +16,7 @@ ORDER = {Level.DEBUG: 0, Level.INFO: 1, Level.WARNING: 2, Level.ERROR: 3}
 
 
 class Log:
-    """Writes one line a note; `as_json` for machines. Safe to use from several threads."""
+    """Writes one line for each log record, as text or as JSON. Safe to use from several threads."""
 
     def __init__(
         self,
@@ -33,13 +33,13 @@ class Log:
         self._stream = stream or sys.stderr
         self._lock = threading.Lock()
 
-    def write(self, note: LogRecord, now: MissionTime | None = None) -> None:
-        """Log the note, at that mission time or the present one."""
-        if ORDER[note.level] < self._least:
+    def write(self, record: LogRecord, now: MissionTime | None = None) -> None:
+        """Write the record, with that mission time or the present one."""
+        if ORDER[record.level] < self._least:
             return
         mission_ns = now if now is not None else self._mission_time()
         wall = datetime.now(UTC)
-        line = self._json(note, wall, mission_ns) if self._as_json else self._text(note, wall, mission_ns)
+        line = self._json(record, wall, mission_ns) if self._as_json else self._text(record, wall, mission_ns)
         with self._lock:
             try:
                 self._stream.write(line + "\n")
@@ -56,12 +56,12 @@ class Log:
     def error(self, text: str, **fields: Any) -> None:
         self.write(LogRecord(Level.ERROR, text, fields))
 
-    def _json(self, note: LogRecord, wall: datetime, mission_ns: MissionTime | None) -> str:
+    def _json(self, record: LogRecord, wall: datetime, mission_ns: MissionTime | None) -> str:
         head = {"wall": wall.isoformat(timespec="milliseconds"), "mission_ns": mission_ns, "service": self._name}
-        return json.dumps({**head, "level": note.level.value, "text": note.text, **note.fields}, default=str)
+        return json.dumps({**head, "level": record.level.value, "text": record.text, **record.fields}, default=str)
 
-    def _text(self, note: LogRecord, wall: datetime, mission_ns: MissionTime | None) -> str:
+    def _text(self, record: LogRecord, wall: datetime, mission_ns: MissionTime | None) -> str:
         mission = "-" * 19 if mission_ns is None else datetime.fromtimestamp(mission_ns / SECOND, UTC).isoformat()[:19]
-        fields = "".join(f" {name}={value}" for name, value in note.fields.items())
+        fields = "".join(f" {name}={value}" for name, value in record.fields.items())
         head = f"{wall:%H:%M:%S.%f}"[:12]
-        return f"{head} {mission} {self._name:<8} {note.level.value:<7} {printable(note.text + fields)}"
+        return f"{head} {mission} {self._name:<8} {record.level.value:<7} {printable(record.text + fields)}"

@@ -1,8 +1,8 @@
-"""The rule that everything follows from: a service is a node, a state machine that sees events and returns effects.
+"""The contract of a node: a service is a state machine that sees events and returns effects.
 
-A node owns no socket, clock, file, thread or global random generator. Time is an argument, randomness a seeded
-generator handed in at its making. The same node runs in its own process over Zenoh, in one simulated process with
-all others, and under thousands of random faults; given the same events at the same times, it does the same.
+A node owns no socket, clock, file, thread or global random generator. Time is an argument; randomness is a seeded
+generator, given to its constructor. So the same node runs in a process of its own over Zenoh, in one simulated process
+with all others, and under thousands of random faults. Given the same events at the same times, it does the same.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ def seconds(value: float) -> MissionTime:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """The process runs; `incarnation` counts its starts from 1. Timers and questions of earlier starts still stand."""
+    """The process runs; `incarnation` counts its starts from 1. Timers and queries of earlier starts still stand."""
 
     incarnation: int
 
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message came, checked against its schema."""
+    """A message, checked against its schema."""
 
     topic: Topic
     header: Header
@@ -49,7 +49,7 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class ReceivedRaw:
-    """A message came on a topic that this node handles unread (the link carries sealed letters)."""
+    """A message on a topic of `Interface.receives_raw`, as it arrived."""
 
     topic: Topic
     payload: bytes
@@ -57,7 +57,7 @@ class ReceivedRaw:
 
 @dataclass(frozen=True, slots=True)
 class QueryReceived:
-    """Someone asks; answer it with `SendReply` or `RefuseQuery` and the same token, now or later."""
+    """A query on a topic that the node serves. `SendReply` or `RefuseQuery` with its token answers it, now or later."""
 
     topic: Topic
     request: Any
@@ -65,16 +65,16 @@ class QueryReceived:
 
 
 class NoReply(Enum):
-    """Why a question has no answer."""
+    """Why a query has no reply."""
 
-    NO_ROUTE = "nobody is there to answer"
+    NO_ROUTE = "no service answers"
     TIMEOUT = "no answer in time"
     REFUSED = "refused"
 
 
 @dataclass(frozen=True, slots=True)
 class ReplyReceived:
-    """The answer to this node's question of that name."""
+    """The reply to this node's query of that name."""
 
     topic: Topic
     query: str
@@ -83,7 +83,7 @@ class ReplyReceived:
 
 @dataclass(frozen=True, slots=True)
 class QueryFailed:
-    """This node's question of that name has no answer; `detail` is what a refusal said."""
+    """This node's query of that name has ended without a reply; `detail` is the text of a refusal."""
 
     topic: Topic
     query: str
@@ -93,7 +93,7 @@ class QueryFailed:
 
 @dataclass(frozen=True, slots=True)
 class TimerFired:
-    """The time asked for with `SetTimer` under that name has come."""
+    """The time that was set for that timer with `SetTimer` has come."""
 
     timer: str
 
@@ -109,7 +109,7 @@ class Computed:
 
 @dataclass(frozen=True, slots=True)
 class QueueDepthChanged:
-    """`depth` messages of this node now wait for the other side's acknowledgement.
+    """Now `depth` messages of this node await the other side's acknowledgement.
 
     It follows from the events before it, so it is neither counted nor written to the event log.
     """
@@ -134,7 +134,7 @@ Event = (
 
 @dataclass(frozen=True, slots=True)
 class Send:
-    """Publish a message; the header is stamped on the way out."""
+    """Publish a message; the host makes its header."""
 
     topic: Topic
     body: Wire
@@ -142,7 +142,7 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class Forward:
-    """Publish a sealed letter, as it came, on one side (the link only)."""
+    """Publish a message on one side, byte for byte as it arrived (the link only)."""
 
     topic: Topic
     payload: bytes
@@ -178,7 +178,7 @@ class RefuseQuery:
 
 @dataclass(frozen=True, slots=True)
 class SetTimer:
-    """Request `TimerFired(timer)` at that time. The same name again moves the timer, None cancels it."""
+    """Request `TimerFired(timer)` at that time. The same name again moves the timer; None cancels it."""
 
     timer: str
     at: MissionTime | None
@@ -199,14 +199,16 @@ class Compute:
 
 @dataclass(frozen=True, slots=True)
 class PublishSnapshot:
-    """Hand a new immutable snapshot to those who answer operators' queries; the old one is dropped."""
+    """Answer operators' queries from this immutable snapshot from now on, in place of an earlier one."""
 
     snapshot: object
     awaited: bool = False
-    """What follows is said only when questions are answered from it: whoever hears it and asks finds no older one."""
+    """Whether the effects that follow wait until queries are answered from it, so a query upon them finds it."""
 
 
 class Level(Enum):
+    """Severity of a log record."""
+
     DEBUG = "debug"
     INFO = "info"
     WARNING = "warning"
@@ -224,7 +226,7 @@ class LogRecord:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """This node has nothing left to do; a run that waits for it may end."""
+    """The node has nothing left to do; a run that waits for it may end."""
 
     ok: bool
     why: str
@@ -240,10 +242,10 @@ class Node(Protocol):
 
     @property
     def interface(self) -> Interface:
-        """What it listens to and serves; fixed for its life."""
+        """What it subscribes to and serves; it never changes."""
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
-        """Effects of the event, in order. Never blocks, never raises for anything that came from outside."""
+        """Effects of the event, in order. Never blocks, and never raises for what came from outside."""
 
 
 @runtime_checkable
@@ -261,15 +263,15 @@ class DurableNode(Node, Stateful, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """What a node is called, where it stands, and what it wants to hear."""
+    """A node's name, its sides of the link, and the topics that it subscribes to and serves."""
 
     name: str
     sides: tuple[Side, ...]
     subscribes: tuple[Topic, ...] = ()
     receives_raw: tuple[Topic, ...] = ()
-    """Topics taken unread, on every side the node stands on where they are not its own output: see `Forward`."""
+    """Topics whose messages are not decoded, on each of its sides on which they are made: see `Forward`."""
     serves: tuple[Topic, ...] = ()
     custody: bool = True
-    """Whether topics of custody service are acknowledged by this node when it subscribes to them."""
+    """Whether the node acknowledges the messages under custody that it subscribes to."""
     reports_queue_depth: bool = False
     """Whether this node sees `QueueDepthChanged`."""

@@ -1,7 +1,7 @@
-"""A host with its timers and computations, in virtual time: what every driver needs to know of one node.
+"""A node's scheduler: the inputs, timers and computations of one host, in an order that no driver can change.
 
-What reaches a node at one instant is handled in a fixed order: messages by sender and order of sending, then questions,
-answers, results and timers. No scheduling, and no order in which messages happen to come in, can change that.
+Inputs of one instant are handled in a fixed order: messages by sender and order of sending, then queries, replies,
+results and timers. The order in which they happen to arrive does not matter.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from services.runtime.node import Compute, Finish, MissionTime, PublishSnapshot,
 from services.runtime.state_codec import SavedState
 
 CHECKPOINT_EVERY: Final = 300
-"""Inputs after which a checkpoint is made at the latest: so many are handled again, at most, after a restart."""
+"""Inputs between two checkpoints, at most: so many are handled again after a restart."""
 
 
 class Executor(Protocol):
-    """Runs pure functions; a process of its own where a result must not depend on what was run before."""
+    """Runs pure functions, in a process of its own where the result would depend on what was run before."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]: ...
 
 
 class InlineExecutor:
-    """Runs each function at once, here: for functions that draw on no global state."""
+    """Runs each function at once, in this process: for functions that use no global state."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         future: Future[Any] = Future()
         try:
             future.set_result(function(*arguments))
-        except Exception as error:  # noqa: BLE001 - carried to whoever asked, who sees exactly this error
+        except Exception as error:  # noqa: BLE001 - the future raises it where the result is asked for
             future.set_exception(error)
         return future
 
 
 class Kind(IntEnum):
-    """In which order inputs of one instant are handled."""
+    """The order in which inputs of one instant are handled."""
 
     MESSAGE = 0
-    QUESTION = 1
-    ANSWER = 2
+    QUERY = 1
+    REPLY = 2
     RESULT = 3
     TIMER = 4
 
@@ -60,15 +60,15 @@ class Journal(Protocol):
     """Where inputs are kept before they are acted on."""
 
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
-        """Keep what is about to be handled at that time; safe against the end of this process when it returns."""
+        """Keep inputs that are about to be handled; when it returns, the end of this process does not lose them."""
 
     def checkpoint(self, state: SavedState) -> None:
-        """Keep the state after all that was appended so far, in place of an earlier one; it may be lost."""
+        """Keep the state after everything appended so far, in place of an earlier one; it may be lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Computation:
-    """One that is under way: when it ends, what it is, and its result."""
+    """A computation under way: when it ends, what it is, and its result."""
 
     ends: MissionTime
     what: Compute
@@ -95,7 +95,7 @@ class NodeScheduler:
         self._lasting: dict[type, Action] = {}  # what still holds after a restart: the last snapshot, the end
         self._since_checkpoint = 0
         self.last: MissionTime = 0
-        """When it last handled something [ns]."""
+        """Mission time of the last `run` [ns]."""
 
     @property
     def name(self) -> str:
@@ -111,9 +111,9 @@ class NodeScheduler:
         return len(self._inbox)
 
     def next_wake(self, wait: bool = True) -> MissionTime | None:
-        """When the next timer is due or the next computation ends; None when there is neither.
+        """When the next timer elapses or the next computation ends; None if there is neither.
 
-        wait: whether computations count that are still at work (virtual time), or only those that have ended.
+        wait: whether computations that still run count (virtual time), or only those that have ended.
         """
         while self._heap and self._timers.get(self._heap[0][1]) != self._heap[0][0]:
             heapq.heappop(self._heap)
@@ -126,13 +126,13 @@ class NodeScheduler:
         return sorted(each.job for each in self._running)
 
     def due_computations(self, now: MissionTime) -> list[Future[Any]]:
-        """The computations whose end is due by `now`, ended or not."""
+        """The computations that are to end by `now`, whether or not they have."""
         return [each.future for each in self._running if each.ends <= now]
 
     def run(self, now: MissionTime, wait: bool = True) -> list[Action]:
-        """Handle everything that is there or due by `now`; returns the actions that concern others, in order.
+        """Handle all inputs, and the timers and computations due by `now`; returns the actions for the driver.
 
-        wait: whether a computation that is due is waited for (virtual time), or passed over until it has ended.
+        wait: whether to wait for a computation that is due (virtual time), or to leave it until it has ended.
         """
         self._collect_results(now, wait)
         self._collect_timers(now)
@@ -149,15 +149,15 @@ class NodeScheduler:
         return outward
 
     def _keep_state(self, batch: Sequence[Input]) -> None:
-        """A checkpoint now and then, and after each result: what computing led to takes longest to handle again."""
+        """Make a checkpoint now and then, and after each result: those inputs take the longest to handle again."""
         self._since_checkpoint += len(batch)
         if self._since_checkpoint >= CHECKPOINT_EVERY or any(isinstance(given, ComputationEnded) for given in batch):
-            assert self._journal is not None, "only who keeps a journal keeps checkpoints"
+            assert self._journal is not None, "a checkpoint belongs to a journal"
             self._journal.checkpoint(self.checkpoint())
             self._since_checkpoint = 0
 
     def checkpoint(self) -> SavedState:
-        """Everything that the inputs so far have led to, for `replay`."""
+        """The state that all inputs so far have led to, for `replay`."""
         return {
             "host": self.host.checkpoint(),
             "last": self.last,
@@ -182,11 +182,10 @@ class NodeScheduler:
         return begun
 
     def replay(self, kept: Iterable[tuple[MissionTime, Input]], state: SavedState | None = None) -> list[Action]:
-        """Handle again what a journal kept, doing nothing of what followed then; returns what is still to be done.
+        """Handle the inputs of a journal again, without their actions; returns the actions that are still to be done.
 
-        That is the latest snapshot, whether the node had finished, and the questions that nobody had answered.
-        Timers stand as they did; computations whose result was not in the journal begin again.
-        state: what was kept of all that came before, if anything.
+        They are the latest snapshot, the end of the mission, and the queries that have not ended. Timers stand as they
+        did; computations whose result is not in the journal begin again. state: from a checkpoint before these inputs.
         """
         begun = {} if state is None else self._restore(state)
         for now, given in kept:
@@ -204,7 +203,7 @@ class NodeScheduler:
                         self._performed(action, now)
         for ends, computation in begun.values():
             self._begin(computation, ends)
-        queries: list[PutQuery] = self.host.open_questions()
+        queries: list[PutQuery] = self.host.open_queries()
         return [*self._lasting.values(), *queries]
 
     def _collect_results(self, now: MissionTime, wait: bool) -> None:

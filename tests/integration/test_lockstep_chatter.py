@@ -44,7 +44,7 @@ def test_random_nodes_have_the_same_history_over_zenoh_as_in_one_process(
 ) -> None:
     alone = tmp_path / "alone.log"
     log = EventLog(alone)
-    Simulation(chatter.chatters(seed), "short", START, trace=log).run()
+    Simulation(chatter.chatters(seed), "short", START, event_sink=log).run()
     log.close()
 
     names = [interface.name for interface in chatter.interfaces(seed)]

@@ -1,17 +1,15 @@
 """All nodes and the link in one process, in virtual time, as fast as the CPU allows.
 
-Time jumps from event to event. What happens at one instant happens in rounds: in each, every node handles what the
-previous round sent it, in a fixed order (messages by sender and order of sending, then questions, answers, results and
-timers), and what it sends is there in the next. So the order of the nodes does not matter, and a mission is the same,
-event for event, whether its nodes share a process or run lockstep in many.
+Time jumps from event to event. At each instant there are rounds: in a round every node handles what was sent to it in
+the round before, in the order of its scheduler, and what it sends is handled in the next. So the order of the nodes
+does not matter, and a mission is the same, event for event, whether its nodes share a process or run in lockstep.
 """
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, Final
 
 from he3.errors import He3Error
 from schemas.codec import decode_reply, encode
@@ -19,25 +17,22 @@ from schemas.link import LinkConditions
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
-from services.runtime.checkpoint_file import Mark
 from services.runtime.custody.endpoint import custody_config
+from services.runtime.drivers.simulated_journal import SimulatedJournal
 from services.runtime.host import EventSink, Host
-from services.runtime.input_codec import decode_input
-from services.runtime.inputs import Input, MessageArrived, ProcessStarted, QueryArrived, QueryUnanswered, ReplyArrived
-from services.runtime.journal import JournalReader, JournalWriter
-from services.runtime.node import SECOND, Finish, Level, LogRecord, MissionTime, Node, NoReply, PublishSnapshot, seconds
+from services.runtime.inputs import MessageArrived, ProcessStarted, QueryArrived, QueryUnanswered, ReplyArrived
+from services.runtime.node import Finish, LogRecord, MissionTime, Node, NoReply, PublishSnapshot, seconds
 from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
-from services.runtime.state_codec import SavedState, StateCodec
 
 Tap = Callable[[Topic, Side, bytes, MissionTime], None]
-"""Called with every message published, on the side where it was, at its time."""
+"""Called for each message published, with its topic, its side, its bytes and the mission time."""
 
-NOBODY = ""
-"""The sender of what the outside world injects."""
+OUTSIDE: Final = ""
+"""The sender of messages and queries that come from no node."""
 
 
 class Simulation:
-    """A mission's nodes on their two sides, and virtual time."""
+    """The nodes of a mission on their two sides, and virtual time."""
 
     def __init__(
         self,
@@ -45,21 +40,21 @@ class Simulation:
         mission: str,
         start_ns: MissionTime,
         executor: Executor | None = None,
-        trace: EventSink | None = None,
+        event_sink: EventSink | None = None,
         link: LinkConditions | None = None,
     ) -> None:
-        """link: what the nodes' custody expects of the link between them; None: its ordinary conditions."""
+        """link: the conditions that the nodes' custody expects of the link; None: the default ones."""
         self._link = link or LinkConditions()
-        self._trace = trace
+        self._event_sink = event_sink
         self._journals: dict[str, list[SimulatedJournal]] = {}
         self._starts: dict[str, int] = {}
         self._crashing: set[str] = set()
         self.now: MissionTime = start_ns
         self.snapshots: dict[str, object] = {}
-        """The latest snapshot that each node showed."""
-        self.notes: list[tuple[MissionTime, str, LogRecord]] = []
+        """The latest snapshot of each node."""
+        self.log_records: list[tuple[MissionTime, str, LogRecord]] = []
         self.finished: dict[str, Finish] = {}
-        """Which nodes said that they have nothing left to do."""
+        """The nodes that have nothing left to do."""
         self.messages = 0
         """Messages published so far."""
         self._mission = mission
@@ -71,13 +66,13 @@ class Simulation:
         self._outside: dict[int, list[bytes | str]] = {}
         self._served_by: dict[int, str] = {}
         for node in nodes:
-            host = Host(node, mission, trace, custody_config(self._link, node.interface))
+            host = Host(node, mission, event_sink, custody_config(self._link, node.interface))
             self._add_scheduler(NodeScheduler(host, self._executor))
 
     # --- driving ------------------------------------------------------------------------------------------------
 
     def step(self) -> bool:
-        """Advance to the next instant at which something happens and let it all happen; False if nothing is left."""
+        """Advance to the next instant at which something happens, and handle it; False if nothing is left."""
         instant = self._next_instant()
         if instant is None:
             return False
@@ -101,52 +96,52 @@ class Simulation:
         self.run(until=self.now + seconds(duration_s))
 
     def tap(self, tap: Tap) -> None:
-        """Call `tap` with every message from now on."""
+        """Call `tap` for each message from now on."""
         self._taps.append(tap)
 
     # --- faults -------------------------------------------------------------------------------------------------
 
     def keep_journals(self, names: Iterable[str], identity: dict[str, str]) -> None:
-        """Let those nodes keep journals from now on; to be called before the first step."""
+        """Keep journals of those nodes; to be called before the first step."""
         for name in names:
             host = self._schedulers[name].host
             journal = SimulatedJournal(identity, host.codec)
             self._journals[name] = [journal]
             self._schedulers[name] = NodeScheduler(host, self._executor, journal)
-            self._schedulers[name].put((Kind.MESSAGE, NOBODY, 0), ProcessStarted(1))
+            self._schedulers[name].put((Kind.MESSAGE, OUTSIDE, 0), ProcessStarted(1))
 
     def alive(self, name: str) -> bool:
-        """Whether that node's process runs."""
+        """Whether the node's process runs."""
         return name in self._schedulers
 
     def crash_next(self, name: str) -> None:
-        """Let that node's process end the next time it acts: after its journal, before anything that follows."""
+        """End the node's process the next time it acts: after it has written its journal, before its actions."""
         if name in self._schedulers:
             self._crashing.add(name)
 
     def kill(self, name: str) -> None:
-        """End a node's process at this instant; what waited for it is lost, and who asked it learns so."""
+        """End the node's process now. Its inputs are lost, and the queries that it serves end without a reply."""
         if self._schedulers.pop(name, None) is None:
             return
         self._crashing.discard(name)
         self.finished.pop(name, None)
         for token, server in list(self._served_by.items()):
             if server == name:
-                self._answer(NOBODY, token, NoReply.NO_ROUTE)
+                self._end_query(OUTSIDE, token, NoReply.NO_ROUTE)
 
     def restart(self, node: Node, torn_tail: bytes = b"") -> None:
-        """Start a node's process again, from its journals if it keeps any.
+        """Start the node's process again, from its journals if it keeps any.
 
-        torn_tail: the beginning of a record that its last start could not finish, as a dying process may leave it.
+        torn_tail: the beginning of a record that its last start did not finish.
         """
         name = node.interface.name
-        host = Host(node, self._mission, self._trace, custody_config(self._link, node.interface))
+        host = Host(node, self._mission, self._event_sink, custody_config(self._link, node.interface))
         journals = self._journals.get(name)
         if journals is None:
             self._add_scheduler(NodeScheduler(host, self._executor))
             return
         journals[-1].tear(torn_tail)
-        # Whoever dies in the middle of a record may lose the checkpoint as well: then the journals tell everything.
+        # A process that ends in the middle of a record may lose the checkpoint as well; then the journals have it all.
         latest = next((n for n in reversed(range(len(journals))) if journals[n].has_checkpoint), None)
         state = None if latest is None or torn_tail else journals[latest].state()
         if latest is None or state is None:
@@ -162,7 +157,7 @@ class Simulation:
             self._perform(scheduler, action)
 
     def replayed_snapshot(self, node: Node) -> object | None:
-        """The snapshot that a fresh node of that name shows after its journals, leaving this mission alone."""
+        """The snapshot that a new node publishes after its journals alone; this mission is not changed."""
         name = node.interface.name
         host = Host(node, self._mission, None, custody_config(self._link, node.interface))
         kept = [entry for journal in self._journals[name] for entry in journal.entries()]
@@ -177,16 +172,16 @@ class Simulation:
         starts = self._starts.get(scheduler.name, 0) + 1
         self._starts[scheduler.name] = starts
         self._schedulers[scheduler.name] = scheduler
-        scheduler.put((Kind.MESSAGE, NOBODY, 0), ProcessStarted(starts))
+        scheduler.put((Kind.MESSAGE, OUTSIDE, 0), ProcessStarted(starts))
 
     # --- the outside world --------------------------------------------------------------------------------------
 
     def inject(self, topic: Topic, side: Side, payload: bytes) -> None:
-        """Publish bytes as any stranger on that side could; they are handled at the next step."""
-        self._publish(Publish(topic, side, payload), NOBODY, self._next_order())
+        """Publish bytes on that side from outside; they are handled at the next step."""
+        self._publish(Publish(topic, side, payload), OUTSIDE, self._next_order())
 
     def ask(self, topic: Topic, request: Wire, source: str = "operator") -> Any:
-        """The body of the answer to a question that an operator puts; raises He3Error with the refusal."""
+        """The body of the reply to an operator's query; raises He3Error with the refusal."""
         header = Header(mission=self._mission, source=source, incarnation=0, sequence=0, made_at=self.now)
         answer = self.ask_raw(topic, encode(header, request))
         if isinstance(answer, str):
@@ -194,18 +189,18 @@ class Simulation:
         return decode_reply(topic, answer, self._mission)[1]
 
     def ask_raw(self, topic: Topic, payload: bytes) -> bytes | str:
-        """The answer to a question put in bytes: bytes, or the one line of the refusal."""
+        """The reply to a query in bytes: bytes, or the one line of the refusal."""
         token = self._next_order()
         answers: list[bytes | str] = []
         self._outside[token] = answers
-        self._route_question(topic, topic.sides[0], payload, token, NOBODY)
+        self._route_query(topic, topic.sides[0], payload, token, OUTSIDE)
         while not answers:
             if self._next_instant() != self.now:
-                raise He3Error(f"{topic.name}: no answer")
+                raise He3Error(f"{topic.name}: no reply")
             self._round()
         return answers[0]
 
-    def scheduler(self, name: str) -> Host:
+    def host(self, name: str) -> Host:
         """The host of that node."""
         return self._schedulers[name].host
 
@@ -216,14 +211,14 @@ class Simulation:
         return self._order
 
     def _next_instant(self) -> MissionTime | None:
-        """Never before now: what was due earlier is due now."""
+        """When something happens next, now or later; None if nothing is left."""
         if any(scheduler.waiting for scheduler in self._schedulers.values()):
             return self.now
         times = [wake for scheduler in self._schedulers.values() if (wake := scheduler.next_wake()) is not None]
         return max(self.now, min(times)) if times else None
 
     def _round(self) -> None:
-        """Every node handles what was there when the round began."""
+        """Let every node handle what was there when the round began."""
         ready = [scheduler for scheduler in self._schedulers.values() if scheduler.waiting or self._is_due(scheduler)]
         for scheduler, actions in [(scheduler, scheduler.run(self.now)) for scheduler in ready]:
             if scheduler.name in self._crashing:
@@ -244,15 +239,15 @@ class Simulation:
             case PutQuery(topic, side, payload, query, _):
                 token = self._next_order()
                 self._queries[token] = (scheduler.name, query)
-                self._route_question(topic, side, payload, token, scheduler.name)
+                self._route_query(topic, side, payload, token, scheduler.name)
             case Reply(token, _, payload):
-                self._answer(scheduler.name, token, payload)
+                self._end_query(scheduler.name, token, payload)
             case ReplyError(token, _, why):
-                self._answer(scheduler.name, token, why)
+                self._end_query(scheduler.name, token, why)
             case PublishSnapshot(snapshot):
                 self.snapshots[scheduler.name] = snapshot
             case LogRecord():
-                self.notes.append((self.now, scheduler.name, action))
+                self.log_records.append((self.now, scheduler.name, action))
             case Finish():
                 self.finished[scheduler.name] = action
 
@@ -261,27 +256,27 @@ class Simulation:
         for tap in self._taps:
             tap(action.topic, action.side, action.payload, self.now)
         for name, scheduler in self._schedulers.items():
-            if name != sender and scheduler.host.hears(action.topic, action.side):
+            if name != sender and scheduler.host.receives(action.topic, action.side):
                 scheduler.put((Kind.MESSAGE, sender, emission), MessageArrived(action.topic, action.payload))
 
-    def _route_question(self, topic: Topic, side: Side, payload: bytes, token: int, asker: str) -> None:
+    def _route_query(self, topic: Topic, side: Side, payload: bytes, token: int, sender: str) -> None:
         for scheduler in self._schedulers.values():
             if (topic, side) in scheduler.host.served_topics():
-                scheduler.put((Kind.QUESTION, asker, token), QueryArrived(topic, payload, token))
+                scheduler.put((Kind.QUERY, sender, token), QueryArrived(topic, payload, token))
                 self._served_by[token] = scheduler.name
                 return
-        self._answer(NOBODY, token, NoReply.NO_ROUTE)
+        self._end_query(OUTSIDE, token, NoReply.NO_ROUTE)
 
-    def _answer(self, answerer: str, token: int, answer: bytes | str | NoReply) -> None:
+    def _end_query(self, server: str, token: int, answer: bytes | str | NoReply) -> None:
         self._served_by.pop(token, None)
         if token in self._outside:
             self._outside.pop(token).append(answer.value if isinstance(answer, NoReply) else answer)
             return
-        name, query = self._queries.pop(token, (NOBODY, ""))
+        name, query = self._queries.pop(token, (OUTSIDE, ""))
         scheduler = self._schedulers.get(name)
         if scheduler is None:
-            return  # its asker is gone, or it was asked of an earlier start of the one who answers
-        order = (Kind.ANSWER, answerer, token)
+            return  # the node that sent the query is gone, or it was sent to an earlier start of its server
+        order = (Kind.REPLY, server, token)
         match answer:
             case bytes():
                 scheduler.put(order, ReplyArrived(query, answer))
@@ -292,59 +287,7 @@ class Simulation:
 
 
 class _Idle:
-    """An executor for a node that is only looked at: it computes nothing."""
+    """An executor that computes nothing, for a node that is only replayed."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         return Future()
-
-
-class SimulatedJournal:
-    """A journal in memory, in the very bytes that a process would write."""
-
-    def __init__(self, identity: dict[str, str], codec: StateCodec) -> None:
-        self.identity = identity
-        self._codec = codec
-        self._stream = io.BytesIO()
-        self._writer = JournalWriter(self._stream, identity, codec, self._keep)
-        self._torn = b""
-        self._mark = Mark()
-        self._state: bytes | None = None
-
-    @property
-    def has_checkpoint(self) -> bool:
-        """Whether a state is kept."""
-        return self._state is not None
-
-    def state(self) -> SavedState:
-        """What the last checkpoint kept, decoded anew."""
-        assert self._state is not None, "asked for only when there is a checkpoint"
-        state: SavedState = self._codec.decode(self._state)
-        return state
-
-    def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
-        self._writer.append(now, inputs)
-
-    def checkpoint(self, state: SavedState) -> None:
-        self._writer.checkpoint(state)
-
-    def _keep(self, mark: Mark, _starts: int, state: bytes) -> None:
-        self._mark, self._state = mark, state
-
-    def tear(self, tail: bytes) -> None:
-        """Leave the beginning of an unfinished record at the end."""
-        self._torn = tail
-
-    def entries(self, since_checkpoint: bool = False) -> list[tuple[MissionTime, Input]]:
-        """What is kept, or what came after the last checkpoint, read back from the bytes."""
-        stream = io.BytesIO(self._stream.getvalue() + self._torn)
-        reader = JournalReader(stream, self.identity, "journal", self._mark if since_checkpoint else Mark())
-        return [(record.now, decode_input(record.channel, record.data, self._codec)) for record in reader]
-
-
-def warnings_of(simulation: Simulation) -> list[str]:
-    """Texts of all warnings and errors so far, with node and seconds of mission time since 1970."""
-    return [
-        f"{at / SECOND:.3f} {name}: {note.text}"
-        for at, name, note in simulation.notes
-        if note.level in (Level.WARNING, Level.ERROR)
-    ]

@@ -188,7 +188,7 @@ class Process:
         return True
 
     def _listen(self, host: Host, side: Side, session: Session) -> None:
-        for topic, where in host.heard_topics():
+        for topic, where in host.received_topics():
             if where is side:
                 session.subscribe(self.heard_as(topic), partial(self._came, topic))
         for topic in host.interface.serves:
@@ -319,7 +319,7 @@ class Process:
         self.later(partial(self._take_question, topic, query))
 
     def _answer_came(self, query: str, outcome: Outcome) -> None:
-        self.later(partial(self._put, Kind.QUESTION, outcome_input(query, outcome)))
+        self.later(partial(self._put, Kind.QUERY, outcome_input(query, outcome)))
 
     # --- taking it in, in the loop ------------------------------------------------------------------------------
 
@@ -332,7 +332,7 @@ class Process:
         token = self._counter
         self._tokens[token] = query
         try:
-            self._put(Kind.QUESTION, query_input(topic, query, token))
+            self._put(Kind.QUERY, query_input(topic, query, token))
         except InvalidInput as error:
             self._tokens.pop(token).refuse(refusal_of(error))
             self.refused(str(error))

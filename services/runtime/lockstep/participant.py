@@ -85,7 +85,7 @@ class Participant:
             term=self._term,
             name=self.name,
             process=self.process,
-            hears=tuple((topic.name, side.value) for topic, side in host.heard_topics()),
+            hears=tuple((topic.name, side.value) for topic, side in host.received_topics()),
             serves=tuple((topic.name, side.value) for topic, side in host.served_topics()),
             next_wake=self._next_wake(),
             now=self.now,
@@ -125,7 +125,7 @@ class Participant:
         """Keep a question for its step. Whether the time keeper has to be poked."""
         if stamp is not None:
             self._askers[token] = stamp
-        return self._take(Kind.QUESTION, given, stamp)
+        return self._take(Kind.QUERY, given, stamp)
 
     def take_answer(self, given: Input, asked: Stamp, answered: Stamp | None) -> bool:
         """Keep what came of a question that was put with the stamp `asked`. Whether the time keeper has to be poked.
@@ -134,10 +134,10 @@ class Participant:
         time keeper does not know that the answer will never come.
         """
         if answered is not None:
-            order = (Kind.ANSWER, answered.sender, asked.number)
+            order = (Kind.REPLY, answered.sender, asked.number)
             self._taken.append(_Taken(answered.step, answered.sender, order, given))
             return answered.step <= self._uncounted_until
-        self._taken.append(_Taken(asked.step, self.name, (Kind.ANSWER, OUTSIDE, asked.number), given))
+        self._taken.append(_Taken(asked.step, self.name, (Kind.REPLY, OUTSIDE, asked.number), given))
         return True
 
     def _take(self, kind: Kind, given: Input, stamp: Stamp | None) -> bool:

@@ -1,4 +1,4 @@
-"""Both halves of custody, joined through the real link: each message once, in order, whatever happens between."""
+"""Both halves of custody over the real link: each message is delivered once and in order, whatever happens."""
 
 from __future__ import annotations
 
@@ -242,7 +242,7 @@ def test_without_loss_nothing_is_repeated_and_every_message_takes_its_light_time
 @pytest.mark.parametrize(
     ("name", "most"), [("nominal", 0), ("zero", 0), ("agency-8s", 0), ("csa-10s", 0), ("mars", 0), ("farside-relay", 5)]
 )
-def test_a_burst_over_a_link_whose_figures_are_known_needs_no_repetition(name: str, most: int) -> None:
+def test_a_burst_over_a_link_of_known_conditions_needs_no_repetition(name: str, most: int) -> None:
     """At 125 bit/s, acknowledgements wait behind ten minutes of commands, which their receiver cannot know."""
     world = World(PRESETS[name])
     for _ in range(30):
@@ -264,7 +264,7 @@ def test_a_burst_beyond_the_window_goes_out_in_order_as_acknowledgements_come() 
     assert world.repeated == 0
 
 
-def test_large_messages_on_a_thin_link_all_arrive_though_its_rate_is_not_known() -> None:
+def test_large_messages_arrive_over_a_slow_link_whose_rate_is_not_known() -> None:
     world = World(both_ways(rate_bit_s=8_000.0), config=CustodyConfig())
     for _ in range(100):
         world.rover.offer(EVENT, world.now, size=500)
@@ -328,7 +328,7 @@ def test_heavy_loss_costs_a_bounded_number_of_repetitions(loss: float) -> None:
 
 @pytest.mark.parametrize("at_edge", list(AtEdge))
 @pytest.mark.parametrize("light_time_s", [1.282, 600.0])
-def test_a_blackout_suspends_the_timers_and_any_word_resumes_them(at_edge: AtEdge, light_time_s: float) -> None:
+def test_a_blackout_suspends_the_timers_and_any_message_resumes_them(at_edge: AtEdge, light_time_s: float) -> None:
     world = World(both_ways(one_way_light_time_s=light_time_s).model_copy(update={"at_edge": at_edge}))
     world.state_period = 60 * S
     world.run(world.now + S)
@@ -351,7 +351,7 @@ def test_a_blackout_suspends_the_timers_and_any_word_resumes_them(at_edge: AtEdg
     assert not world.rover.sender.suspended
 
 
-def test_a_suspended_outbox_tries_one_message_now_and_then_and_never_gives_up() -> None:
+def test_a_suspended_sender_probes_with_one_message_and_never_gives_up() -> None:
     world = World()
     world.relay.change(LinkChange(contact=False, at_edge=AtEdge.DROP), world.now)
     for _ in range(5):
@@ -366,7 +366,7 @@ def test_a_suspended_outbox_tries_one_message_now_and_then_and_never_gives_up() 
     world.check()
 
 
-def test_an_outbox_that_hears_the_other_side_is_never_suspended() -> None:
+def test_a_sender_that_receives_messages_is_never_suspended() -> None:
     world = World(LinkConditions(up=DirectionConditions(loss=1.0)))
     world.ground.offer(COMMAND, world.now)
     world.state_period = 30 * S
@@ -375,7 +375,7 @@ def test_an_outbox_that_hears_the_other_side_is_never_suspended() -> None:
     assert 20 <= world.ground.sender.retransmitted <= 32
 
 
-def test_a_rate_that_collapses_is_learned_and_leads_to_few_repetitions() -> None:
+def test_a_rate_that_collapses_is_measured_and_leads_to_few_repetitions() -> None:
     world = World(both_ways(rate_bit_s=100_000.0))
     world.rover.offer(EVENT, world.now)
     world.settle()
@@ -388,7 +388,7 @@ def test_a_rate_that_collapses_is_learned_and_leads_to_few_repetitions() -> None
     assert world.repeated <= 15
 
 
-def test_a_light_time_that_jumps_is_learned() -> None:
+def test_a_light_time_that_jumps_is_measured() -> None:
     world = World()
     world.state_period = 60 * S
     world.relay.change(LinkChange(one_way_light_time_s=600.0), world.now)
@@ -431,7 +431,7 @@ steps = st.lists(
     window=st.sampled_from([1, 4, 256]),
 )
 @settings(max_examples=150)
-def test_whatever_happens_each_message_comes_once_and_in_order(
+def test_each_message_is_delivered_once_and_in_order_whatever_happens(
     steps: list[tuple[int, str]],
     seed: int,
     loss: float,
@@ -508,7 +508,7 @@ def test_a_receiver_that_restarts_from_its_checkpoint_delivers_nothing_twice() -
 
 @given(seed=st.integers(0, 2**32), window=st.sampled_from([1, 4, 256]))
 @settings(max_examples=20)
-def test_what_is_restored_from_a_checkpoint_behaves_as_what_was_kept(seed: int, window: int) -> None:
+def test_a_sender_and_a_receiver_restored_from_a_checkpoint_behave_as_before(seed: int, window: int) -> None:
     link = both_ways(loss=0.3, reorder=0.3, duplicate=0.2, rate_bit_s=5_000.0)
     config = replace(CustodyConfig.over(link, Direction.UP), window_messages=window)
     undisturbed, reloaded = World(link, seed, config), World(link, seed, config)
@@ -527,7 +527,7 @@ def test_what_is_restored_from_a_checkpoint_behaves_as_what_was_kept(seed: int, 
     assert reloaded.published == undisturbed.published
 
 
-def test_what_a_receiver_held_out_of_turn_and_forgot_is_sent_again() -> None:
+def test_messages_that_a_receiver_held_out_of_turn_and_forgot_are_sent_again() -> None:
     world = World()
     world.relay.change(LinkChange(loss=1.0), world.now)
     world.rover.offer(EVENT, world.now)
@@ -571,7 +571,7 @@ def test_messages_of_a_new_incarnation_wait_for_those_of_the_old_one() -> None:
 # --- the parts --------------------------------------------------------------------------------------------------
 
 
-def test_the_life_of_a_kept_message_is_in_the_table_and_nothing_else_happens() -> None:
+def test_every_transition_of_a_kept_message_is_in_the_table_and_any_other_is_an_error() -> None:
     reached = {MessageState.WAITING}
     for _ in MessageState:
         reached |= {after for (before, _), after in TRANSITIONS.items() if before in reached}
@@ -585,7 +585,7 @@ def test_the_life_of_a_kept_message_is_in_the_table_and_nothing_else_happens() -
                 next_state(state, signal)
 
 
-def test_a_round_trip_is_learned_and_its_variation_widens_the_wait() -> None:
+def test_a_round_trip_is_measured_and_its_variation_lengthens_the_wait() -> None:
     trip = RoundTrip(2 * S, S)
     for _ in range(100):
         trip.measured(10 * S)
@@ -608,7 +608,7 @@ def header(source: str = "rover", sequence: int = 0, incarnation: int = 1) -> He
     return Header(mission="m", source=source, incarnation=incarnation, sequence=sequence, made_at=START)
 
 
-def test_a_full_outbox_says_so_and_keeps_what_it_has() -> None:
+def test_a_full_sender_refuses_a_message_and_keeps_the_others() -> None:
     sender = CustodySender("rover", CustodyConfig(max_messages=2))
     for sequence in range(2):
         sender.offer(EVENT, header(sequence=sequence), b"x", START)
@@ -621,7 +621,7 @@ def test_a_full_outbox_says_so_and_keeps_what_it_has() -> None:
     ("topic", "source", "sequence", "says"),
     [(STATE, "rover", 5, "under custody"), (EVENT, "ground", 5, "'rover'"), (EVENT, "rover", 0, "above 0, got 0")],
 )
-def test_what_is_not_to_be_kept_here_is_refused(topic: Topic, source: str, sequence: int, says: str) -> None:
+def test_a_message_that_is_not_to_be_kept_here_is_refused(topic: Topic, source: str, sequence: int, says: str) -> None:
     sender = CustodySender("rover")
     sender.offer(EVENT, header(), b"x", START)
     with pytest.raises(InvalidInput, match=says):
@@ -639,7 +639,7 @@ def test_commands_go_before_plans_and_events_before_samples_when_the_window_is_s
     assert [transmit.payload for transmit in (*first, *then)] == [b"p0", b"c0"]
 
 
-def test_an_acknowledgement_that_is_overtaken_by_a_newer_one_changes_nothing() -> None:
+def test_an_acknowledgement_that_a_newer_one_overtook_changes_nothing() -> None:
     sender = CustodySender("rover")
     for sequence in range(3):
         sender.offer(EVENT, header(sequence=sequence), b"x", START)
@@ -653,7 +653,7 @@ def test_an_acknowledgement_that_is_overtaken_by_a_newer_one_changes_nothing() -
     assert sender.depth == 1
 
 
-def test_an_acknowledgement_with_more_gaps_than_it_can_tell_claims_less() -> None:
+def test_an_acknowledgement_with_more_gaps_than_fit_covers_fewer_messages() -> None:
     receiver = CustodyReceiver()
     for sequence in range(1, 400, 2):
         _, acks = receiver.received(EVENT, header(sequence=sequence), None, 10, START + sequence * S)
@@ -664,7 +664,7 @@ def test_an_acknowledgement_with_more_gaps_than_it_can_tell_claims_less() -> Non
     assert ack.last_sequence == 399
 
 
-def test_an_inbox_without_room_neither_keeps_nor_acknowledges() -> None:
+def test_a_receiver_without_room_neither_holds_nor_acknowledges() -> None:
     receiver = CustodyReceiver(CustodyConfig(max_held=2))
     for sequence in (1, 2):
         receiver.received(EVENT, header(sequence=sequence), None, 10, START)
@@ -673,7 +673,7 @@ def test_an_inbox_without_room_neither_keeps_nor_acknowledges() -> None:
     assert [delivery.header.sequence for delivery in deliveries] == [0, 1, 2]
 
 
-def test_each_stream_of_a_topic_has_its_own_count() -> None:
+def test_each_stream_of_a_topic_has_its_own_sequence() -> None:
     receiver = CustodyReceiver()
     got = [
         receiver.received(EVENT, header(source, 0, incarnation), None, 10, START)[0]

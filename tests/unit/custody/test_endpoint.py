@@ -1,4 +1,4 @@
-"""Custody at one end of the link, as a host drives it: two desks that speak to each other through nothing."""
+"""Custody at one end of the link, as a host drives it: two endpoints without a link between them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_message_is_sent_at_once_and_kept_until_it_is_acknowledged(ground, rov
     assert ground.retransmitted == 0
 
 
-def test_what_nobody_acknowledges_is_sent_again_and_taken_once(ground, rover):
+def test_a_message_that_is_not_acknowledged_is_sent_again_and_delivered_once(ground, rover):
     (published,) = offered(ground, 0, 0)
     (timer,) = ground.move_timer()
     assert isinstance(timer, SetTimer)
@@ -85,13 +85,13 @@ def test_what_nobody_acknowledges_is_sent_again_and_taken_once(ground, rover):
     assert arrives(rover, again[0], timer.at)[0] == []
 
 
-def test_messages_are_handed_up_in_the_order_in_which_they_were_sent(ground, rover):
+def test_messages_are_delivered_in_the_order_in_which_they_were_sent(ground, rover):
     first, second = offered(ground, 0, 0)[0], offered(ground, 1, 0)[0]
     assert arrives(rover, second, SECOND)[0] == []
     assert arrives(rover, first, SECOND)[0] == ["c0", "c1"]
 
 
-def test_state_that_was_overtaken_on_the_way_is_passed_over(ground):
+def test_a_state_that_was_overtaken_on_the_way_is_dropped(ground):
     state = RoverState(
         mode=RoverMode.IDLE, x_m=1.0, y_m=2.0, heading_deg=0.0, energy_wh=1.0, capacity_wh=2.0, driven_m=0.0,
         drilled_m=0.0, round=0, plan_revision=0, rounds_on_board=0, samples_done=0, queue_depth=0,
@@ -104,5 +104,5 @@ def test_state_that_was_overtaken_on_the_way_is_passed_over(ground):
     assert [came(1, 4), came(1, 5), came(1, 5), came(1, 3), came(2, 0), came(1, 9)] == [1, 1, 0, 0, 1, 0]
 
 
-def test_each_side_hears_the_acknowledgements_that_the_other_sends_its_way(ground, rover):
+def test_each_side_receives_the_acknowledgements_that_the_other_sends(ground, rover):
     assert (ground.ack_topic, rover.ack_topic) == (ACK_DOWN, ACK_UP)

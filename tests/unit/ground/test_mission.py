@@ -268,7 +268,7 @@ class Mission:
         return self.statuses[-1]
 
     def warnings(self) -> list[str]:
-        return [note.text for _, _, note in self.simulation.notes if note.level is Level.WARNING]
+        return [note.text for _, _, note in self.simulation.log_records if note.level is Level.WARNING]
 
     def tell_ground(self, topic: Topic, body: Wire, made_at: int | None = None) -> None:
         """A message to the ground from nowhere; handled at once."""

@@ -197,7 +197,7 @@ class Carrier:
         came = read_stamp(stamp.encode())
         given = MessageArrived(action.topic, action.payload)
         for part in self._network.parts.values():
-            if part.scheduler.host.hears(action.topic, action.side):  # the sender too: some transports echo
+            if part.scheduler.host.receives(action.topic, action.side):  # the sender too: some transports echo
                 self._network.to(part, lambda part=part: part.take_message(given, came))
 
     def ask(self, action: PutQuery, stamp: Stamp) -> None:
@@ -237,7 +237,7 @@ def canonical(trace: EventSink) -> EventSink:
 def in_process(seed: int, start: int = 1000) -> EventSink:
     trace: EventSink = []
     nodes = chatter.chatters(seed)
-    Simulation(nodes, "m", start, trace=lambda now, name, what: trace.append((now, name, what))).run()
+    Simulation(nodes, "m", start, event_sink=lambda now, name, what: trace.append((now, name, what))).run()
     return canonical(trace)
 
 

@@ -236,7 +236,7 @@ def states(mission: InProcessMission) -> dict[str, bytes]:
     """Everything that each node and its host know, but for how many messages they refused."""
     states = {}
     for name in NODES:
-        host = mission.simulation.scheduler(name)
+        host = mission.simulation.host(name)
         if name in ("rover", "ground"):
             states[name] = host.codec.encode({**host.checkpoint(), "refused": 0})
         else:  # they keep no journal, so they name no state
@@ -246,7 +246,7 @@ def states(mission: InProcessMission) -> dict[str, bytes]:
 
 
 def refusals(mission: InProcessMission) -> dict[str, int]:
-    return {name: mission.simulation.scheduler(name).refused for name in NODES}
+    return {name: mission.simulation.host(name).refused for name in NODES}
 
 
 @pytest.mark.parametrize("topic", ENVELOPES, ids=lambda topic: topic.name)
@@ -254,8 +254,8 @@ def test_bad_messages_on_a_topic_change_no_node_and_are_counted_by_those_who_hea
     simulation = mission.simulation
     # What crosses is put where it arrives: the link carries letters unread.
     side = next(side for side in topic.sides if topic.crosses is Crosses.NEVER or side is not origin(topic))
-    hearing = [name for name in NODES if simulation.scheduler(name).hears(topic, side)]
-    before, refused_before, noted = states(mission), refusals(mission), len(simulation.notes)
+    hearing = [name for name in NODES if simulation.host(name).receives(topic, side)]
+    before, refused_before, noted = states(mission), refusals(mission), len(simulation.log_records)
     now = simulation.now
     sent = 0
     for _, payload in bad_messages(topic):
@@ -266,7 +266,7 @@ def test_bad_messages_on_a_topic_change_no_node_and_are_counted_by_those_who_hea
     assert states(mission) == before
     counted = {name: count - refused_before[name] for name, count in refusals(mission).items()}
     assert counted == {name: sent if name in hearing else 0 for name in NODES}
-    lines = [note for _, _, note in simulation.notes[noted:]]
+    lines = [note for _, _, note in simulation.log_records[noted:]]
     assert len(lines) == sent * len(hearing)
     assert all(note.level is Level.WARNING and note.text.startswith("refused: ") for note in lines)
 
@@ -292,7 +292,7 @@ def test_the_mission_goes_on_after_all_of_it(mission):
     samples = mission.status.samples
     while mission.status.samples == samples:
         assert mission.simulation.step()
-    assert not any(note.level is Level.ERROR for _, _, note in mission.simulation.notes)
+    assert not any(note.level is Level.ERROR for _, _, note in mission.simulation.log_records)
 
 
 # --- selectors --------------------------------------------------------------------------------------------------

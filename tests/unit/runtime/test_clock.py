@@ -27,7 +27,7 @@ def test_at_rate_one_mission_time_is_exact_to_the_nanosecond_after_three_years()
     assert mission_time(clock, WALL + 10**17 + 1) == START + 10**17 + 1
 
 
-def test_before_its_anchor_a_clock_stands_at_its_anchor():
+def test_before_its_anchor_a_clock_shows_the_time_of_its_anchor():
     assert mission_time(started(START, 10.0, WALL), WALL - SECOND) == START
 
 
@@ -133,7 +133,7 @@ def test_mission_time_stands_while_the_machine_is_suspended():
     assert newcomer.now() == START, "who joins afterwards follows the same time"
 
 
-def test_a_clock_that_stands_never_reaches_a_later_time():
+def test_a_stopped_clock_never_reaches_a_later_time():
     clock = followed(started(START, 0.0, WALL), Machine())
     assert clock.seconds_until(START + 1) is None
     assert clock.seconds_until(START) == 0.0

@@ -1,4 +1,4 @@
-"""What stands between a node and any driver: headers, checks, questions, counts."""
+"""A host: headers, checks, queries, custody and counts."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def message(topic, body, mission="short", sequence=0) -> bytes:
 PAUSE = Telecommand(command_id="c1", kind=CommandKind.PAUSE)
 
 
-def test_what_a_node_sends_is_stamped_and_counted_by_topic():
+def test_a_message_gets_a_header_with_a_sequence_of_its_topic():
     node, host = hosted()
     node.next = [Send(STATE, STATE_NOW), Send(STATE, STATE_NOW), Send(SAMPLE, STATE_NOW)]
     published = host.handle(TimerElapsed("t"), 99)
@@ -108,7 +108,7 @@ def test_what_a_node_sends_is_stamped_and_counted_by_topic():
     assert {action.side for action in published} == {Side.MOON}
 
 
-def test_a_new_start_counts_from_nothing_under_its_own_incarnation():
+def test_a_new_start_counts_from_0_in_its_own_incarnation():
     node, host = hosted()
     node.next = [Send(STATE, STATE_NOW)]
     host.handle(TimerElapsed("t"), 11)
@@ -120,7 +120,7 @@ def test_a_new_start_counts_from_nothing_under_its_own_incarnation():
     assert host.incarnation == 4
 
 
-def test_a_message_is_checked_and_handed_up():
+def test_a_message_is_checked_and_delivered():
     node, host = hosted(subscribes=(COMMAND,))
     assert host.handle(MessageArrived(COMMAND, message(COMMAND, PAUSE)), 20) == []
     (event,) = node.seen
@@ -131,7 +131,7 @@ def test_a_message_is_checked_and_handed_up():
 
 
 @pytest.mark.parametrize("payload", [b"", b"{}", message(COMMAND, PAUSE, mission="other")])
-def test_a_bad_message_never_reaches_the_node_and_is_counted(payload):
+def test_a_bad_message_is_refused_and_counted_and_does_not_reach_the_node(payload):
     node, host = hosted(subscribes=(COMMAND,))
     (note,) = host.handle(MessageArrived(COMMAND, payload), 20)
     assert isinstance(note, LogRecord)
@@ -140,32 +140,32 @@ def test_a_bad_message_never_reaches_the_node_and_is_counted(payload):
     assert (node.seen, host.refused, host.events) == ([], 1, 1)
 
 
-def test_an_overheard_message_is_handed_up_unread():
+def test_a_raw_message_is_delivered_as_it_arrived():
     node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), receives_raw=(COMMAND,))
     host.handle(MessageArrived(COMMAND, b"\xff sealed"), 20)
     assert node.seen == [ReceivedRaw(COMMAND, b"\xff sealed")]
     assert host.refused == 0
 
 
-def test_a_question_of_the_node_is_put_and_its_answer_comes_back_checked_once():
+def test_a_query_of_the_node_is_sent_and_its_reply_is_checked_and_delivered_once():
     node, host = hosted()
     node.next = [SendQuery(MEASURE, MEASUREMENT, "q1", 5.0)]
     (put,) = host.handle(TimerElapsed("t"), 20)
     assert isinstance(put, PutQuery)
     assert (put.topic, put.side, put.query, put.timeout_s) == (MEASURE, Side.MOON, "q1", 5.0)
     assert decode(MEASURE, put.payload, "short")[1] == MEASUREMENT
-    assert host.open_questions() == [put]
+    assert host.open_queries() == [put]
     reply = MeasurementReply(sample_id="s1", x_m=1.0, y_m=2.0, helium3_ppb=8.0, noise_std_ppb=0.1)
     host.handle(ReplyArrived("q1", message(MEASURE, reply)), 21)
     assert node.seen[-1] == ReplyReceived(MEASURE, "q1", reply)
-    assert host.open_questions() == []
+    assert host.open_queries() == []
     seen = len(node.seen)
     assert host.handle(ReplyArrived("q1", message(MEASURE, reply)), 22) == []
     assert host.handle(QueryUnanswered("q1", NoReply.TIMEOUT, ""), 23) == []
     assert len(node.seen) == seen, "an answer that comes twice is taken once"
 
 
-def test_a_bad_answer_is_no_answer_and_is_counted():
+def test_a_bad_reply_is_refused_and_counted_and_ends_the_query():
     node, host = hosted()
     node.next = [SendQuery(MEASURE, MEASUREMENT, "q1")]
     host.handle(TimerElapsed("t"), 20)
@@ -177,7 +177,7 @@ def test_a_bad_answer_is_no_answer_and_is_counted():
     assert "(reply)" in event.detail
 
 
-def test_silence_is_handed_up_with_its_reason():
+def test_a_query_without_a_reply_fails_with_its_reason():
     node, host = hosted()
     node.next = [SendQuery(MEASURE, MEASUREMENT, "q1")]
     host.handle(TimerElapsed("t"), 20)
@@ -185,7 +185,7 @@ def test_silence_is_handed_up_with_its_reason():
     assert node.seen[-1] == QueryFailed(MEASURE, "q1", NoReply.NO_ROUTE, "")
 
 
-def test_whoever_asks_is_answered_once_and_by_name_of_his_question():
+def test_a_query_is_answered_once_however_often_the_node_replies():
     node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
     node.next = [SendReply(7, STATE_NOW), SendReply(7, STATE_NOW), RefuseQuery(7, "again")]
     (reply,) = host.handle(QueryArrived(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7), 20)
@@ -194,7 +194,7 @@ def test_whoever_asks_is_answered_once_and_by_name_of_his_question():
     assert node.seen == [QueryReceived(LIST_COMMANDS, NoParameters(), 7)]
 
 
-def test_a_question_may_be_answered_later_but_not_after_a_new_start():
+def test_a_query_may_be_answered_later_but_not_after_a_new_start():
     node, host = hosted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS,))
     host.handle(QueryArrived(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7), 20)
     host.handle(QueryArrived(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 8), 20)
@@ -205,7 +205,7 @@ def test_a_question_may_be_answered_later_but_not_after_a_new_start():
     assert host.handle(TimerElapsed("t"), 23) == []
 
 
-def test_a_bad_question_is_answered_with_its_refusal_and_counted():
+def test_a_bad_query_is_refused_and_counted():
     node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), serves=(LINK_SET,))
     note, reply = host.handle(QueryArrived(LINK_SET, b"nonsense", 7), 20)
     assert isinstance(note, LogRecord)
@@ -216,7 +216,7 @@ def test_a_bad_question_is_answered_with_its_refusal_and_counted():
     assert node.seen == [QueryReceived(LINK_SET, LinkChange(), 8)]
 
 
-def test_timers_and_notes_pass_through():
+def test_timers_and_log_records_pass_through():
     node, host = hosted()
     note, wake = LogRecord(Level.INFO, "so"), SetTimer("t", 50)
     node.next = [note, wake]
@@ -230,25 +230,25 @@ def test_telemetry_is_made_on_the_moon_and_commands_on_earth():
         assert origin(topic) is expected
 
 
-def test_a_node_hears_what_it_subscribes_to_on_its_own_side_only():
+def test_a_node_receives_what_it_subscribes_to_on_its_own_side_only():
     _, rover = hosted(subscribes=(PLAN, COMMAND))
-    assert rover.heard_topics() == [(PLAN, Side.MOON), (COMMAND, Side.MOON)]
-    assert not rover.hears(PLAN, Side.EARTH)
-    assert not rover.hears(SAMPLE, Side.MOON)
+    assert rover.received_topics() == [(PLAN, Side.MOON), (COMMAND, Side.MOON)]
+    assert not rover.receives(PLAN, Side.EARTH)
+    assert not rover.receives(SAMPLE, Side.MOON)
     _, link = hosted(name="link", sides=(Side.MOON, Side.EARTH), receives_raw=(PLAN, SAMPLE))
-    assert link.heard_topics() == [(SAMPLE, Side.MOON), (PLAN, Side.EARTH)], "only where they are made"
+    assert link.received_topics() == [(SAMPLE, Side.MOON), (PLAN, Side.EARTH)], "only where they are made"
 
 
-def test_who_takes_custody_hears_the_acknowledgements_of_the_other_side_too():
+def test_a_node_with_custody_receives_the_acknowledgements_of_the_other_side():
     _, rover = hosted(subscribes=(COMMAND,), custody=True)
-    assert rover.hears(ACK_UP, Side.MOON)
-    assert not rover.hears(ACK_DOWN, Side.MOON)
+    assert rover.receives(ACK_UP, Side.MOON)
+    assert not rover.receives(ACK_DOWN, Side.MOON)
     _, ground = hosted(name="ground", sides=(Side.EARTH,), subscribes=(SAMPLE,), custody=True)
-    assert ground.hears(ACK_DOWN, Side.EARTH)
-    assert not ground.hears(ACK_UP, Side.EARTH)
+    assert ground.receives(ACK_DOWN, Side.EARTH)
+    assert not ground.receives(ACK_UP, Side.EARTH)
 
 
-def test_the_depth_of_the_queue_is_told_once_an_input_to_a_node_that_asks_for_it():
+def test_a_node_that_asks_for_it_sees_the_depth_of_its_queue_once_an_input():
     report = RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=0)
     for asked, expected in ((True, [QueueDepthChanged(2), QueueDepthChanged(3)]), (False, [])):
         lines: list[str] = []
@@ -265,7 +265,7 @@ def test_the_depth_of_the_queue_is_told_once_an_input_to_a_node_that_asks_for_it
         assert host.events == 4
 
 
-def test_every_event_leaves_a_line_in_the_trace():
+def test_every_event_is_a_line_of_the_event_log():
     lines: list[tuple[int, str, str]] = []
     host = Host(Scripted(subscribes=(COMMAND,)), "short", lambda *line: lines.append(line))
     host.handle(ProcessStarted(1), 10)

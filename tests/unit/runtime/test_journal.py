@@ -1,4 +1,4 @@
-"""Journals and checkpoints: whatever is cut off, everything that was kept comes back, and a restart is where it was."""
+"""Journals and checkpoints: every complete record comes back, damage is reported, and a restart continues."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from schemas.link import LinkChange
 from schemas.topics import LINK_SET, SAMPLE
 from services.runtime import checkpoint_file
 from services.runtime import journal as journals
-from services.runtime.drivers.simulation import SimulatedJournal
+from services.runtime.drivers.simulated_journal import SimulatedJournal
 from services.runtime.host import STATE_TYPES as HOST_STATE_TYPES
 from services.runtime.host import Host
 from services.runtime.input_codec import decode_input, encode_input
@@ -131,7 +131,7 @@ def test_a_tail_of_zeros_that_the_end_of_the_machine_left_is_passed_over(tmp_pat
     assert history.torn_bytes == 4096
 
 
-def test_the_next_start_writes_a_file_of_its_own_behind_a_torn_one(tmp_path: Path) -> None:
+def test_the_next_start_writes_a_file_of_its_own_after_a_torn_one(tmp_path: Path) -> None:
     path = folder_with(tmp_path, inputs(20))
     path.write_bytes(path.read_bytes()[:-3])
     folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
@@ -145,7 +145,7 @@ def test_the_next_start_writes_a_file_of_its_own_behind_a_torn_one(tmp_path: Pat
     assert history.torn_bytes > 0
 
 
-def test_a_damaged_record_in_the_middle_is_no_torn_tail_and_is_reported(tmp_path: Path) -> None:
+def test_a_damaged_record_in_the_middle_is_reported(tmp_path: Path) -> None:
     path = folder_with(tmp_path, inputs(20))
     content = bytearray(path.read_bytes())
     content[content.index(b'"a": "b"')] ^= 1
@@ -198,7 +198,7 @@ def checkpointed(path: Path, before: int, after: int, *, starts: int = 1) -> Jou
     return folder
 
 
-def test_after_a_checkpoint_only_later_inputs_are_read_and_no_start_is_forgotten(tmp_path: Path) -> None:
+def test_with_a_checkpoint_only_later_inputs_are_read_and_every_start_is_counted(tmp_path: Path) -> None:
     folder = checkpointed(tmp_path, before=7, after=5, starts=3)
     history = folder.history()
 
@@ -213,7 +213,7 @@ def test_after_a_checkpoint_only_later_inputs_are_read_and_no_start_is_forgotten
     assert same(folder.history().inputs, [*inputs(5), (9, ProcessStarted(4))])
 
 
-def test_a_later_checkpoint_takes_the_place_of_an_earlier_one(tmp_path: Path) -> None:
+def test_a_later_checkpoint_replaces_an_earlier_one(tmp_path: Path) -> None:
     folder = checkpointed(tmp_path, before=7, after=5)
     writer = folder.begin(folder.history())
     writer.append(50, [ProcessStarted(2), TimerElapsed("a")])
@@ -335,7 +335,7 @@ class Counting:
         return [SetTimer("tick", now + 1_000_000_000)]
 
 
-def test_a_seat_restored_from_its_checkpoint_goes_on_where_it_was() -> None:
+def test_a_scheduler_restored_from_its_checkpoint_continues_where_it_was() -> None:
     journal = SimulatedJournal(WHO, CODEC)
     scheduler = NodeScheduler(Host(Counting(), "m"), InlineExecutor(), journal)
     scheduler.put((0, "", 0), ProcessStarted(1))  # type: ignore[arg-type]
@@ -382,7 +382,7 @@ def test_a_mission_restarted_from_checkpoints_has_the_map_of_one_replayed_from_t
     assert small_region().grid.shape == shown.mean_ppb.shape
 
 
-def test_a_long_journal_costs_a_restart_no_more_than_its_last_part(tmp_path: Path) -> None:
+def test_with_a_checkpoint_a_restart_reads_only_the_end_of_a_long_journal(tmp_path: Path) -> None:
     folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
     writer = folder.begin(folder.history())
     writer.append(0, [given for _, given in inputs(20_000)])
@@ -397,7 +397,7 @@ def test_a_long_journal_costs_a_restart_no_more_than_its_last_part(tmp_path: Pat
     assert time.process_time() - began < 0.2 * without
 
 
-def test_a_reader_begins_where_it_is_told_to(tmp_path: Path) -> None:
+def test_a_reader_yields_every_record_of_a_file(tmp_path: Path) -> None:
     checkpointed(tmp_path, before=3, after=2)
     with (tmp_path / "rover-0001.mcap").open("rb") as stream:
         everything = list(JournalReader(stream, {**WHO, "node": "rover"}, "here"))

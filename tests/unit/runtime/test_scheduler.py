@@ -1,35 +1,30 @@
-"""A seat: in which order the inputs of one instant are handled, and what belongs to it alone."""
+"""A scheduler: the order in which the inputs of one instant are handled."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from random import Random
 
 from schemas.codec import encode
-from schemas.lockstep import Grant, Joined
 from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import EVENT, MEASURE, Side
+from schemas.topics import EVENT, Side
 from schemas.wire import Header
-from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.host import Host
-from services.runtime.inputs import Input, MessageArrived, ProcessStarted, QueryUnanswered
-from services.runtime.lockstep.participant import Participant
-from services.runtime.lockstep.stamp import Stamp
+from services.runtime.inputs import Input, MessageArrived, ProcessStarted
 from services.runtime.node import (
     Compute,
+    Computed,
     Effect,
     Event,
     Interface,
-    NoReply,
-    QueryFailed,
     Received,
-    Send,
     SetTimer,
     Started,
     TimerFired,
 )
 from services.runtime.scheduler import InlineExecutor, Kind, NodeScheduler
+from services.runtime.state_codec import SavedState
 
 
 class Scripted:
@@ -44,7 +39,7 @@ class Scripted:
 
 
 class ManualExecutor:
-    """Ends nothing by itself."""
+    """Computations end when the test says so."""
 
     def __init__(self) -> None:
         self.futures: list[Future[object]] = []
@@ -53,25 +48,6 @@ class ManualExecutor:
         future: Future[object] = Future()
         self.futures.append(future)
         return future
-
-
-class Carrier:
-    """A transport that keeps what it is given."""
-
-    def __init__(self) -> None:
-        self.sent: list[tuple[Action, Stamp | None]] = []
-
-    def publish(self, action: Publish, stamp: Stamp) -> None:
-        self.sent.append((action, stamp))
-
-    def ask(self, action: PutQuery, stamp: Stamp) -> None:
-        self.sent.append((action, stamp))
-
-    def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
-        self.sent.append((action, stamp))
-
-    def perform(self, action: Action) -> None:
-        self.sent.append((action, None))
 
 
 def message(number: int, source: str = "field") -> Input:
@@ -83,23 +59,7 @@ def scheduler_of(node: Scripted, executor: object = None) -> NodeScheduler:
     return NodeScheduler(Host(node, "m"), executor or InlineExecutor())
 
 
-def part_of(node: Scripted, executor: object = None) -> Participant:
-    part = Participant(scheduler_of(node, executor), "rover.1")
-    part.obey("k")
-    part.joined(Joined(term="k", admitted=True, now=100, step=0, starts=1))
-    return part
-
-
-def granted(part: Participant, step: int, at: int, **expects: int) -> Participant:
-    part.grant(Grant(term="k", step=step, at=at, process=part.process, expects=expects))
-    return part
-
-
-def stamp(sender: str, number: int, step: int) -> Stamp:
-    return Stamp(sender, f"{sender}.1", number, step, 100)
-
-
-def test_messages_come_before_questions_answers_results_and_timers_and_by_sender_and_number_among_themselves() -> None:
+def test_messages_come_before_queries_replies_results_and_timers_ordered_by_sender_and_number() -> None:
     node = Scripted(
         lambda event, now: (
             [SetTimer("b", 7), SetTimer("a", 7), Compute("job", int)] if isinstance(event, Started) else []
@@ -121,143 +81,67 @@ def test_messages_come_before_questions_answers_results_and_timers_and_by_sender
     assert [e.timer for _, e in node.seen if isinstance(e, TimerFired)] == ["a", "b"]
 
 
-def test_what_arrives_during_a_step_waits_for_the_next() -> None:
-    node = Scripted()
-    part = part_of(node)
-    part.take_message(message(1), stamp("field", 1, step=4))
-    part.take_message(message(2), stamp("field", 2, step=5))
-    granted(part, 5, 100, field=1).act(Carrier())
-    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [1]
-    granted(part, 6, 100, field=1).act(Carrier())
-    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [1, 2]
+class RecordingJournal:
+    """Keeps, for each append, its inputs and how many events the node had seen by then."""
+
+    def __init__(self, node: Scripted) -> None:
+        self.appended: list[tuple[int, list[Input], int]] = []
+        self.checkpoints = 0
+        self._node = node
+
+    def append(self, now: int, inputs: Sequence[Input]) -> None:
+        self.appended.append((now, [*inputs], len(self._node.seen)))
+
+    def checkpoint(self, state: SavedState) -> None:
+        self.checkpoints += 1
 
 
-def test_a_grant_is_acted_upon_only_when_everything_promised_is_there() -> None:
-    part = part_of(Scripted())
-    granted(part, 5, 100, field=2)
-    part.take_message(message(1), stamp("field", 1, step=4))
-    assert not part.ready()
-    assert part.lacks() == {"field": 1}
-    part.take_message(message(2), stamp("field", 2, step=4))
-    assert part.ready()
+class Durable(Scripted):
+    """A scripted node that keeps nothing."""
+
+    state_types: tuple[type, ...] = ()
+    functions: Mapping[str, Callable[..., object]] = {}
+
+    def checkpoint(self) -> SavedState:
+        return {}
+
+    def restore(self, state: SavedState) -> None:
+        assert state == {}
 
 
-def test_what_a_dead_process_left_behind_stands_in_for_nothing_that_is_promised() -> None:
-    part = part_of(Scripted())
-    part.take_message(message(1), stamp("field", 1, step=3))
-    granted(part, 5, 100, field=1)
-    assert part.lacks() == {"field": 1}
+def test_inputs_are_in_the_journal_before_the_node_sees_them() -> None:
+    node = Durable()
+    journal = RecordingJournal(node)
+    scheduler = NodeScheduler(Host(node, "m"), InlineExecutor(), journal)
+    scheduler.put((Kind.MESSAGE, "", 0), ProcessStarted(1))
+    scheduler.run(5)
+    scheduler.put((Kind.MESSAGE, "field", 1), message(1))
+    scheduler.put((Kind.MESSAGE, "field", 0), message(0))
+    scheduler.run(7)
+    assert journal.appended == [(5, [ProcessStarted(1)], 0), (7, [message(0), message(1)], 1)]
 
 
-def test_what_comes_from_outside_asks_for_a_poke_and_stands_in_for_nothing_either() -> None:
-    part = part_of(Scripted())
-    granted(part, 5, 100, field=1)
-    assert part.take_message(message(1), None)
-    assert part.lacks() == {"field": 1}
+def test_a_checkpoint_follows_each_result() -> None:
+    node = Durable(lambda event, now: [Compute("job", int)] if isinstance(event, Started) else [])
+    journal = RecordingJournal(node)
+    scheduler = NodeScheduler(Host(node, "m"), InlineExecutor(), journal)
+    scheduler.put((Kind.MESSAGE, "", 0), ProcessStarted(1))
+    scheduler.run(5)
+    assert journal.checkpoints == 0
+    scheduler.run(5)
+    assert journal.checkpoints == 1
 
 
-def test_a_process_does_not_hear_itself() -> None:
-    node = Scripted()
-    part = part_of(node)
-    assert not part.take_message(message(1), Stamp("rover", "rover.1", 1, 4, 100))
-    granted(part, 5, 100).act(Carrier())
-    assert node.seen == []
-
-
-def test_a_grant_for_another_process_of_the_name_or_of_a_past_step_is_no_grant() -> None:
-    part = part_of(Scripted())
-    part.grant(Grant(term="k", step=1, at=100, process="rover.2", expects={}))
-    assert not part.ready()
-    granted(part, 4, 100).act(Carrier())
-    granted(part, 4, 100)
-    assert not part.ready()
-
-
-def test_what_an_earlier_term_granted_is_void_and_what_it_counted_asks_for_a_poke() -> None:
-    part = part_of(Scripted())
-    granted(part, 5, 100, field=1)
-    part.obey("another")
-    assert part.granted is None
-    granted(part, 6, 100)
-    assert part.granted is None, "nobody of this term has said so"
-    assert part.join().step == 5
-    part.joined(Joined(term="another", admitted=True, now=100, step=7, starts=1))
-    assert part.take_message(message(1), stamp("field", 1, step=4))
-    part.grant(Grant(term="another", step=8, at=100, process="rover.1", expects={}))
-    assert part.ready()
-
-
-def test_an_answer_to_the_join_that_comes_after_the_first_grant_takes_nothing_back() -> None:
-    part = part_of(Scripted())
-    part.obey("another")
-    part.grant(Grant(term="another", step=8, at=100, process="rover.1", expects={}))
-    part.joined(Joined(term="another", admitted=True, now=100, step=7, starts=1))
-    assert part.ready()
-
-
-def test_silence_counts_in_the_step_of_the_question_or_asks_for_a_poke() -> None:
-    node = Scripted(lambda event, now: [])
-    part = part_of(node)
-    asked = Stamp("rover", "rover.1", 9, 4, 100)
-    granted(part, 5, 100, rover=1)
-    assert not part.ready()
-    assert part.take_answer(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
-    assert part.ready()
-
-
-def test_a_computation_that_has_not_ended_holds_the_step_in_which_it_is_due_and_no_other() -> None:
+def test_without_waiting_a_computation_that_is_due_is_left_until_it_has_ended() -> None:
     executor = ManualExecutor()
-    node = Scripted(lambda event, now: [Compute("job", int, (), 1e-9 * 50)] if isinstance(event, Started) else [])
-    part = part_of(node, executor)
-    part.start(1)
-    done = granted(part, 1, 100).act(Carrier())
-    assert done.next_wake == 150
-    assert granted(part, 2, 120).ready()
-    part.act(Carrier())
-    granted(part, 3, 150)
-    assert (part.ready(), part.computing()) == (False, ("job",))
+    node = Scripted(lambda event, now: [Compute("job", int)] if isinstance(event, Started) else [])
+    scheduler = scheduler_of(node, executor)
+    scheduler.put((Kind.MESSAGE, "", 0), ProcessStarted(1))
+    scheduler.run(5, wait=False)
+    assert scheduler.next_wake(wait=False) is None
+    scheduler.run(6, wait=False)
+    assert [type(event) for _, event in node.seen] == [Started]
     executor.futures[0].set_result(7)
-    assert part.ready()
-    part.act(Carrier())
-    assert node.seen[-1][0] == 150
-
-
-def test_everything_sent_is_stamped_and_reported() -> None:
-    event = RoverEvent(kind=EventKind.PARKED, at=0, x_m=0, y_m=0, round=1)
-    node = Scripted(lambda seen, now: [Send(EVENT, event), Send(EVENT, event)] if isinstance(seen, Started) else [])
-    part = part_of(node)
-    part.start(1)
-    carrier = Carrier()
-    done = granted(part, 3, 200).act(carrier)
-    assert [sent[1] for sent in carrier.sent] == [Stamp("rover", "rover.1", n, 3, 200) for n in (1, 2)]
-    assert done.published == ((EVENT.name, "moon", 2),)
-    assert granted(part, 4, 200).act(carrier).published == ()
-
-
-def test_a_timer_in_the_past_is_due_now() -> None:
-    node = Scripted(lambda event, now: [SetTimer("late", now - 50)] if isinstance(event, Started) else [])
-    part = part_of(node)
-    part.start(1)
-    assert granted(part, 1, 100).act(Carrier()).next_wake == 100
-
-
-def test_an_unanswered_question_reaches_the_node_once() -> None:
-    def script(event: Event, now: int) -> Iterable[Effect]:
-        from schemas.measurement import MeasurementRequest
-        from services.runtime.node import SendQuery
-
-        request = MeasurementRequest(sample_id="s", x_m=1.0, y_m=1.0, depth_m=0.1)
-        return [SendQuery(MEASURE, request, "q")] if isinstance(event, Started) else []
-
-    node = Scripted(script)
-    part = part_of(node)
-    part.start(1)
-    carrier = Carrier()
-    done = granted(part, 1, 100).act(carrier)
-    assert done.asked == ((MEASURE.name, "moon"),)
-    asked = carrier.sent[0][1]
-    assert asked is not None
-    for _ in range(2):
-        part.take_answer(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
-    granted(part, 2, 100, rover=1).act(carrier)
-    assert [type(event) for _, event in node.seen] == [Started, QueryFailed]
+    assert scheduler.next_wake(wait=False) == 5
+    scheduler.run(8, wait=False)
+    assert [type(event) for _, event in node.seen] == [Started, Computed]

@@ -1,4 +1,4 @@
-"""The simulation driver: order, time, questions, computations."""
+"""The simulation driver: order, time, queries, computations."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def rover(script: Callable[[Event, int], Iterable[Effect]]) -> Scripted:
     return Scripted(Interface("rover", (Side.MOON,)), script)
 
 
-def test_a_timer_comes_at_the_nanosecond_asked_for_and_a_moved_one_only_once() -> None:
+def test_a_timer_fires_at_its_nanosecond_and_a_moved_timer_only_once() -> None:
     def script(event: Event, now: int) -> Iterable[Effect]:
         if isinstance(event, Started):
             return [SetTimer("a", 5), SetTimer("a", 7), SetTimer("b", 3), SetTimer("c", 4), SetTimer("c", None)]
@@ -67,7 +67,7 @@ def test_a_timer_comes_at_the_nanosecond_asked_for_and_a_moved_one_only_once() -
     assert [(at, event.timer) for at, event in node.seen if isinstance(event, TimerFired)] == [(3, "b"), (7, "a")]
 
 
-def test_messages_of_one_instant_are_handled_by_sender_and_order_of_sending_whatever_the_order_of_nodes() -> None:
+def test_messages_of_one_instant_are_handled_by_sender_and_order_of_sending_in_any_order_of_nodes() -> None:
     def sender(name: str) -> Scripted:
         return Scripted(
             Interface(name, (Side.MOON,)),
@@ -82,7 +82,7 @@ def test_messages_of_one_instant_are_handled_by_sender_and_order_of_sending_what
     assert orders[0] == orders[1] == [("a", 1), ("a", 2), ("b", 1), ("b", 2)]
 
 
-def test_a_message_reaches_only_those_on_its_side() -> None:
+def test_a_message_reaches_only_the_nodes_on_its_side() -> None:
     def talk(event: Event, now: int) -> Iterable[Effect]:
         return [Send(EVENT, happened(1))] if isinstance(event, Started) else []
 
@@ -91,7 +91,7 @@ def test_a_message_reaches_only_those_on_its_side() -> None:
     assert not [event for _, event in earth.seen if isinstance(event, Received)]
 
 
-def test_a_question_is_answered_in_the_same_instant_and_one_to_nobody_says_so() -> None:
+def test_a_query_is_answered_in_the_same_instant_and_one_without_a_server_fails() -> None:
     request = MeasurementRequest(sample_id="s", x_m=1.0, y_m=2.0, depth_m=0.1)
 
     def asker(event: Event, now: int) -> Iterable[Effect]:
@@ -113,7 +113,7 @@ def test_a_question_is_answered_in_the_same_instant_and_one_to_nobody_says_so() 
     assert [e.why for _, e in alone.seen if isinstance(e, QueryFailed)] == [NoReply.NO_ROUTE]
 
 
-def test_a_computation_ends_exactly_as_much_later_as_it_says_and_carries_its_error() -> None:
+def test_a_computation_ends_exactly_when_it_says_with_its_result_or_its_error() -> None:
     def script(event: Event, now: int) -> Iterable[Effect]:
         if isinstance(event, Started):
             return [Compute("sum", sum, ((1, 2),), takes_s=2.5), Compute("bad", int, ("x",), takes_s=1.0)]
@@ -125,7 +125,7 @@ def test_a_computation_ends_exactly_as_much_later_as_it_says_and_carries_its_err
     assert ended == [(SECOND, "bad", None, ValueError), (5 * SECOND // 2, "sum", 3, type(None))]
 
 
-def test_a_stranger_s_bad_message_is_refused_with_one_line_and_handled_by_nobody() -> None:
+def test_a_bad_message_from_outside_is_refused_with_one_line_and_reaches_no_node() -> None:
     listener = Scripted(Interface("listener", (Side.MOON,), subscribes=(STATE, EVENT)), lambda event, now: [])
     world = simulation(listener)
     world.run()
@@ -135,7 +135,7 @@ def test_a_stranger_s_bad_message_is_refused_with_one_line_and_handled_by_nobody
     world.inject(STATE, Side.MOON, encode(header, happened(1)))
     world.run()
     assert listener.seen == before
-    assert world.scheduler("listener").refused == 2
-    texts = [note.text for _, _, note in world.notes]
+    assert world.host("listener").refused == 2
+    texts = [note.text for _, _, note in world.log_records]
     assert len(texts) == 2
     assert all(text.startswith("refused: he3/m/tm/state: ") and "\n" not in text for text in texts)

@@ -1,3 +1,7 @@
+"""Encoding and decoding of messages: the seal, the checks, and the refusals."""
+
+from __future__ import annotations
+
 import json
 from random import Random
 
@@ -14,21 +18,21 @@ HEADER = Header(mission="m", source="rover", incarnation=2, sequence=5, made_at=
 BODY = RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=3, detail='a ,"checksum":1},"body": b')
 
 
-def test_a_message_is_sealed_and_comes_out_as_it_went_in() -> None:
+def test_a_message_is_sealed_and_decoded_as_it_was() -> None:
     header, body = decode(EVENT, encode(HEADER, BODY), "m")
     assert body == BODY
     assert header.checksum is not None
     assert header.model_copy(update={"checksum": None}) == HEADER
 
 
-def test_no_damage_of_one_to_four_bytes_passes() -> None:
+def test_a_change_of_one_to_four_bytes_is_always_refused() -> None:
     payload = encode(HEADER, BODY)
     for seed in range(3000):
         with pytest.raises(Refused):
             decode(EVENT, corrupt(payload, Random(seed)), "m")
 
 
-def test_damage_in_header_or_body_is_named_as_such() -> None:
+def test_damage_in_header_or_body_is_reported_as_damage() -> None:
     payload = encode(HEADER, BODY)
     for found, put in ((b'"sequence":5', b'"sequence":7'), (b'"round":3', b'"round":4')):
         with pytest.raises(Damaged, match=r"tm/event: expected checksum \d+ as the header says, got \d+: damaged"):
@@ -40,13 +44,13 @@ def test_a_message_without_checksum_is_not_checked() -> None:
     assert decode(EVENT, json.dumps(plain, indent=1).encode(), "m")[1] == BODY
 
 
-def test_a_checksum_in_another_form_is_refused_rather_than_trusted() -> None:
+def test_a_checksum_in_another_form_is_refused() -> None:
     spaced = json.dumps(json.loads(encode(HEADER, BODY))).encode()
     with pytest.raises(Refused, match="expected the checksum last"):
         decode(EVENT, spaced, "m")
 
 
-def test_a_repetition_differs_in_what_it_says_of_itself_and_in_nothing_else() -> None:
+def test_a_repetition_differs_in_its_number_and_its_seal_only() -> None:
     again = restamped(restamped(encode(HEADER, BODY), 3, 1), 4, 2)
     header, body = decode(EVENT, again, "m")
     assert body == BODY
@@ -55,7 +59,7 @@ def test_a_repetition_differs_in_what_it_says_of_itself_and_in_nothing_else() ->
         restamped(b"{}", 1, 1)
 
 
-def test_every_topic_refuses_too_long_a_message_before_it_reads_it() -> None:
+def test_a_message_that_is_too_long_is_refused_before_it_is_read() -> None:
     with pytest.raises(Refused, match="at most 1048576 bytes"):
         decode(PLAN, b"x" * 1_048_577, "m")
     assert MissionPlan is PLAN.payload
