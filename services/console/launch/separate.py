@@ -75,7 +75,9 @@ def _run_separate(
             finally:
                 launcher.tell_to_end()  # they end while this session closes, which takes a second without a router
     problem = launcher.failure("recorder")
-    return outcome, [] if problem is None else [problem]
+    if problem is None:
+        return outcome, []
+    return outcome, [problem if str(where.recording) in problem else f"{where.recording}: not complete: {problem}"]
 
 
 def checked_region(scenario: Scenario) -> Region:
