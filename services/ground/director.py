@@ -14,28 +14,25 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
 from he3.errors import NoRoute
 from he3.frames import Place
 from schemas.ground import InterestChange
 from schemas.plans import MissionPlan
-from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
+from schemas.telemetry import EventKind, RoverEvent, RoverState, SampleReport
 from schemas.topics import PLAN
 from services.ground.belief import Belief, fit
 from services.ground.budget import Budget, RemainingBudget
 from services.ground.excursions import Excursions
+from services.ground.execution import ExecutionMonitor, Outcome
 from services.ground.interests import InterestAreas
 from services.ground.mission_end import MissionEnd
-from services.ground.obstacles import MetObstacles
 from services.ground.planners.interface import PlannedRound
 from services.ground.planning import RoundPlanning
 from services.ground.refits import RefitSchedule
 from services.ground.rejections import PlanRejections
-from services.ground.round_log import RoundLog, RoundRecord
+from services.ground.round_log import RoundLog
 from services.ground.round_plans import PlanningTask
-from services.ground.rover_position import RoverPosition
-from services.ground.samples import Refused, Repeated, SampleIntake, Unplanned
+from services.ground.round_record import RoundRecord
 from services.ground.terrain import GroundTerrain, leads_through
 from services.mission.scenario import Scenario
 from services.runtime.node import Effect, Finish, Level, LogRecord, MissionTime, Send, SetTimer, seconds
@@ -44,7 +41,6 @@ from services.runtime.state_codec import SavedState, Stateful
 MAX_FRUITLESS = 40  # rounds in a row from which no sample came
 MAX_ROUNDS = 9_000  # in all; a plan can number 10,000
 REPLAN_TIMER = "replan"
-_NOTHING_TO_DO = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +70,7 @@ class Director:
         belief: Belief,
         terrain: GroundTerrain,
         round_log: RoundLog,
-        samples: SampleIntake,
+        execution: ExecutionMonitor,
         refits: RefitSchedule,
         planning: RoundPlanning,
         budget: Budget,
@@ -84,30 +80,25 @@ class Director:
         self._belief = belief
         self._terrain = terrain
         self._round_log = round_log
-        self._samples = samples
+        self._execution = execution
         self._refits = refits
         self._planning = planning
         self._budget = budget
         self._interests = interests
-        self._rover = RoverPosition(scenario.start_m)
-        self._obstacles = MetObstacles(terrain)
         self._excursions = Excursions()
         self._rejections = PlanRejections()
         self._end = MissionEnd()
-        self._detail = ""
         self._next_start_m: Place | None = scenario.start_m
         """Where the next round begins if not at the end of the chain."""
         self._stateful: dict[str, Stateful] = {
             "belief": belief,
             "terrain": terrain,
             "round_log": round_log,
-            "samples": samples,
+            "execution": execution,
             "refits": refits,
             "planning": planning,
             "budget": budget,
             "interests": interests,
-            "rover": self._rover,
-            "obstacles": self._obstacles,
             "excursions": self._excursions,
             "rejections": self._rejections,
             "end": self._end,
@@ -128,15 +119,16 @@ class Director:
 
     def progress(self) -> MissionProgress:
         """How far the mission is."""
+        finish = self._end.finish
         return MissionProgress(
             rounds_completed=self._round_log.completed,
             samples=len(self._belief),
-            driven_m=self._rover.driven_m,
+            driven_m=self._execution.driven_m,
             plan_revision=self._planning.revision,
             planning=self._planning.busy,
             executing=bool(self._round_log.open_rounds),
-            detail=self._detail,
-            ended=self._end.finish,
+            detail=self._execution.detail if finish is None else finish.why,
+            ended=finish,
         )
 
     def plan_ends(self, now: MissionTime) -> MissionTime | None:
@@ -153,48 +145,27 @@ class Director:
         return self._advance(now)
 
     def state(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> list[Effect]:
-        """The rover has reported its state. If it has dropped the rounds on board, they are planned anew."""
-        newest = self._heard((state.x_m, state.y_m), state.driven_m, made_at)
-        if newest:
-            self._budget.heard(state.energy_wh)
-        waiting = self._round_log.not_begun
-        idle = (
-            state.mode in _NOTHING_TO_DO
-            and state.rounds_on_board == 0
-            and state.plan_revision == self._planning.revision
-        )
-        if not (newest and idle and waiting and state.round < waiting[0].number) or self.ended:
+        """The rover has reported its state. If it has dropped the rounds on board, they are planned again."""
+        if not self._execution.heard((state.x_m, state.y_m), state.driven_m, made_at):
             return []
-        self._take_back(waiting)
-        self._next_start_m = self._rover.place_m
-        note = LogRecord(
-            Level.INFO, f"the rover has dropped round {waiting[0].number} and later ones; planning them anew"
-        )
-        return [note, *self._advance(now)]
+        self._budget.heard(state.energy_wh)
+        dropped = self._execution.rounds_dropped(state, self._planning.revision)
+        if not dropped or self.ended:
+            return []
+        self._take_back(dropped, self._execution.place_m)
+        text = f"the rover has dropped round {dropped[0].number} and later ones; planning them anew"
+        return [LogRecord(Level.INFO, text), *self._advance(now)]
 
     def sample(self, report: SampleReport, now: MissionTime) -> list[Effect]:
         """A measurement has arrived; a repeated or unplanned one changes nothing."""
-        match self._samples.take(report):
-            case Repeated():
-                return []
-            case Unplanned(why):
-                return [_warning(why)]
-            case Refused(record, why):
-                return [_warning(why), *self._begun(record), *self._advance(now)]
-            case taken:
-                self._rover.drove(report.driven_m)
-                effects = self._begun(taken.record)
-                taken.record.note_place((report.x_m, report.y_m))
-                return [*effects, *self._advance(now)]
+        return self._follow(self._execution.sample(report), now)
 
     def event(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
         """The rover has reported an event; a repeated one changes nothing."""
-        place = (event.x_m, event.y_m)
-        if not self._terrain.grid.contains(np.array([place]))[0]:
-            return [
-                _warning(f"event {event.kind.value}: expected a place in the region, got ({place[0]:g}, {place[1]:g})")
-            ]
-        self._heard(place, event.driven_m, event.at)
+        objection = self._execution.objection(event)
+        if objection is not None:
+            return [objection]
+        self._execution.heard((event.x_m, event.y_m), event.driven_m, event.at)
         match event.kind:
             case EventKind.PLAN_ACCEPTED:
                 self._rejections.accepted()
@@ -204,25 +175,8 @@ class Director:
             case EventKind.MISSION_COMPLETED:
                 self._end.plan_completed(event.plan_revision)
                 return self._advance(now)
-            case EventKind.BLOCKED if event.round == 0:  # on a move that the operator commanded
-                self._obstacles.close_off(event)
-                return self._advance(now)
-            case EventKind.SAFE_MODE_ENTERED | EventKind.LOW_ENERGY | EventKind.INSTRUMENT_SILENT:
-                self._detail = f"{event.kind.value.replace('_', ' ')}: {event.detail}"[:400]
-                return []
-            case EventKind.SAFE_MODE_LEFT | EventKind.CHARGED | EventKind.RESUMED:
-                self._detail = ""
-                return []
-            case (
-                EventKind.ROUND_STARTED
-                | EventKind.ROUND_COMPLETED
-                | EventKind.ROUND_ABORTED
-                | EventKind.BLOCKED
-                | EventKind.SAMPLE_SKIPPED
-            ):
-                return self._of_a_round(event, now)
             case _:
-                return []
+                return self._follow(self._execution.event(event, self._planning.revision), now)
 
     def computed(self, job: str, result: Any, error: Exception | None, now: MissionTime) -> list[Effect]:
         """A fit or a plan is there; one that is no longer wanted is dropped."""
@@ -266,75 +220,31 @@ class Director:
             return []
         if not self.ended:
             if place_m is not None:
-                self._rover.sent_to(place_m)
+                self._execution.sent_to(place_m)
             self._take_back(self._round_log.not_begun)
             if self._round_log.idle:
-                self._next_start_m = self._rover.place_m
+                self._next_start_m = self._execution.place_m
         return self._advance(now)
 
-    # --- rounds -----------------------------------------------------------------------------------------------------
+    # --- plans ------------------------------------------------------------------------------------------------------
 
-    def _heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> bool:
-        newest = self._rover.heard(place_m, driven_m, made_at)
-        if newest:
-            self._round_log.note_place(place_m)
-        return newest
-
-    def _of_a_round(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
-        record = self._round_log.version(event.round, event.plan_revision or self._planning.revision)
-        if event.sample_id is not None and (known := self._round_log.of_sample(event.sample_id)) is not None:
-            record = known[0]
-        if record is None:
-            return [_warning(f"event {event.kind.value}: expected a round that was planned, got {event.round}")]
-        effects = self._begun(record)
-        if event.kind is EventKind.ROUND_STARTED and record.ended_early and event.at > record.ended_at:
-            record.ended = record.ended_early = False  # it was aborted, and begun again from an older plan
-        record.done.update(event.samples_done)
-        if event.kind is EventKind.SAMPLE_SKIPPED and event.sample_id is not None:
-            if event.sample_id not in record.settled:
-                record.settled.add(event.sample_id)
-                self._detail = f"sample {event.sample_id} was skipped: {event.detail or 'no reason given'}"[:400]
-        elif event.kind is EventKind.ROUND_COMPLETED and not record.ended:
-            record.ended = True
-            record.reached_m = record.length_m
-        elif event.kind in (EventKind.ROUND_ABORTED, EventKind.BLOCKED):
-            effects += self._ended_early(record, event)
-        return [*effects, *self._advance(now)]
-
-    def _begun(self, record: RoundRecord) -> list[Effect]:
-        if not self._round_log.begin(record):
-            return []
-        # The rover had begun a version that was to be replaced: what comes after it must fit its end.
-        self._end.plan_outdated()
-        self._planning.cancel()
-        self._next_start_m = None
-        return [
-            LogRecord(
-                Level.INFO, f"round {record.number} of revision {record.introduced} had begun; planning on from it"
-            )
-        ]
-
-    def _ended_early(self, record: RoundRecord, event: RoverEvent) -> list[Effect]:
-        first_report = not record.ended
-        blocked = event.kind is EventKind.BLOCKED
-        if blocked:
-            self._obstacles.close_off(event)
-        if not first_report and not blocked:
-            return []
-        record.ended = record.ended_early = True
-        record.ended_at = event.at
-        self._detail = f"round {record.number} ended early: {event.detail or event.kind.value}"[:400]
-        if not self._round_log.goes_on_after(record):
-            self._take_back(self._round_log.not_begun)
-            self._next_start_m = (event.x_m, event.y_m)
-        return [LogRecord(Level.WARNING, self._detail, {"round": record.number, "x_m": event.x_m, "y_m": event.y_m})]
+    def _follow(self, outcome: Outcome, now: MissionTime) -> list[Effect]:
+        """Plan on from what the rover has reported."""
+        if outcome.begun_outdated:
+            self._end.plan_outdated()
+            self._planning.cancel()
+            self._next_start_m = None
+        if outcome.take_back:
+            self._take_back(self._round_log.not_begun, outcome.start_m)
+        return [*outcome.notes, *(self._advance(now) if outcome.changed else [])]
 
     def _plan_rejected(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
         if event.plan_revision < self._planning.revision or self.ended:
             return []  # a newer plan is on its way and is judged by itself
         plan_again_at = self._rejections.rejected(now)
-        self._detail = f"plan {event.plan_revision} was rejected: {event.detail or 'no reason given'}"[:400]
-        effects: list[Effect] = [_warning(self._detail)]
+        why = f"plan {event.plan_revision} was rejected: {event.detail or 'no reason given'}"[:400]
+        self._execution.detail = why
+        effects: list[Effect] = [_warning(why)]
         self._take_back(self._round_log.not_begun)
         if self._rejections.too_many:
             count = self._rejections.in_a_row
@@ -347,12 +257,12 @@ class Director:
             effects.append(SetTimer(REPLAN_TIMER, plan_again_at))
         return [*effects, *self._advance(now)]
 
-    def _take_back(self, records: Sequence[RoundRecord]) -> None:
-        """Take rounds that have not begun out of the chain, to be planned anew from its end."""
+    def _take_back(self, records: Sequence[RoundRecord], start_m: Place | None = None) -> None:
+        """Take rounds that have not begun out of the chain, to be planned again from that place or from its end."""
         self._round_log.drop(records)
         self._planning.take_back(records)
         self._end.reopen()
-        self._next_start_m = None if self._round_log.chain else self._rover.place_m
+        self._next_start_m = start_m or (None if self._round_log.chain else self._execution.place_m)
 
     # --- what comes next --------------------------------------------------------------------------------------------
 
@@ -386,12 +296,12 @@ class Director:
 
     def _next_plan(self, now: MissionTime) -> list[Effect]:
         log = self._round_log
-        remaining = self._budget.left(now, self._rover.driven_m, log.committed(), self._samples_wanted)
+        remaining = self._budget.left(now, self._execution.driven_m, log.committed(), self._samples_wanted)
         why = self._why_no_more_rounds(remaining)
         if why is not None:
             self._end.give_up_planning(why)
             return []
-        start = self._next_start_m or log.end_m or self._rover.place_m
+        start = self._next_start_m or log.end_m or self._execution.place_m
         return [self._planning.start(log.next_number, start, remaining)]
 
     def _why_no_more_rounds(self, remaining: RemainingBudget) -> str | None:
@@ -437,9 +347,7 @@ class Director:
         return [self._finish()]
 
     def _finish(self) -> Finish:
-        finish = self._end.over(len(self._belief), self._scenario.samples, self._detail)
-        self._detail = finish.why
-        return finish
+        return self._end.over(len(self._belief), self._scenario.samples, self._execution.detail)
 
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
@@ -451,13 +359,13 @@ class Director:
     def checkpoint(self) -> SavedState:
         """The state of each part by its name, and the director's own."""
         parts = {name: part.checkpoint() for name, part in self._stateful.items()}
-        return {**parts, "detail": self._detail, "next_start_m": self._next_start_m}
+        return {**parts, "next_start_m": self._next_start_m}
 
     def restore(self, state: SavedState) -> None:
         """Become the director that had this state."""
         for name, part in self._stateful.items():
             part.restore(state[name])
-        self._detail, self._next_start_m = state["detail"], state["next_start_m"]
+        self._next_start_m = state["next_start_m"]
 
 
 def _warning(text: str) -> LogRecord:

@@ -29,6 +29,7 @@ from services.ground.belief import Belief
 from services.ground.budget import Budget
 from services.ground.command_history import CommandHistory
 from services.ground.director import REPLAN_TIMER, Director
+from services.ground.execution import ExecutionMonitor
 from services.ground.interests import InterestAreas
 from services.ground.map.publisher import MapPublisher
 from services.ground.map.service import MAP_TOPICS, answer
@@ -273,7 +274,8 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     mean_slope = float(region.slope_deg[terrain.traversable].mean())
     open_area = float(terrain.traversable.sum()) * grid.resolution_m**2
     budget = Budget(scenario, open_area, mean_slope)
-    director = Director(scenario, belief, terrain, round_log, samples, refits, planning, budget, interests)
+    execution = ExecutionMonitor(terrain, round_log, samples, scenario.start_m)
+    director = Director(scenario, belief, terrain, round_log, execution, refits, planning, budget, interests)
     scorer = Scorer(region.he3_ppb) if ground.score else None
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)

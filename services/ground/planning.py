@@ -18,8 +18,9 @@ from services.ground.interests import InterestAreas
 from services.ground.planners import planner_named
 from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningRequest
 from services.ground.planners.validation import checked_answer
-from services.ground.round_log import RoundLog, RoundRecord
+from services.ground.round_log import RoundLog
 from services.ground.round_plans import PlanningTask, round_plan, sample_id
+from services.ground.round_record import RoundRecord
 from services.ground.terrain import GroundTerrain
 from services.mission.scenario import Scenario
 from services.runtime.node import Compute

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from he3.errors import He3Error
 from schemas.telemetry import SampleReport
 from services.ground.belief import Belief, Observation
-from services.ground.round_log import RoundLog, RoundRecord
+from services.ground.round_log import RoundLog
+from services.ground.round_record import RoundRecord
 from services.runtime.state_codec import SavedState
 
 
@@ -69,11 +70,10 @@ class SampleIntake:
             self._belief.add(report.sample_id, Observation(planned, (report.x_m, report.y_m), report.helium3_ppb))
         except He3Error as error:
             self._refused.add(report.sample_id)
-            record.settled.add(report.sample_id)
+            record.settle(report.sample_id)
             return Refused(record, f"sample {report.sample_id} is left out of the map: {error}")
         self._reports.append(report)
-        record.settled.add(report.sample_id)
-        record.arrived += 1
+        record.settle(report.sample_id, arrived=True)
         return Taken(record)
 
     def checkpoint(self) -> SavedState:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from schemas.plans import PlannedSample, RoundPlan
-from services.ground.round_log import RoundLog, RoundRecord
+from services.ground.round_log import RoundLog
+from services.ground.round_record import RoundRecord
 
 
 def plan(number: int, version: str = "") -> RoundPlan:

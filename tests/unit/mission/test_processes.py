@@ -11,6 +11,7 @@ from services.mission.deployment import find_scenario
 from services.mission.in_process import build_nodes
 from services.mission.processes import CONSOLE, LINK, PROCESSES, RECORDER, VITAL, process_table, vital_on, waited_for
 from services.mission.scenario import load_scenario
+from services.recorder.node import build_node as build_recorder
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -22,7 +23,8 @@ class NoSink:
 
 
 def test_each_process_has_the_name_and_the_sides_of_its_node():
-    nodes = build_nodes(load_scenario(find_scenario("short")), NoSink())
+    scenario = load_scenario(find_scenario("short"))
+    nodes = (*build_nodes(scenario), build_recorder(scenario, NoSink()))
     interfaces = {node.interface.name: node.interface.sides for node in nodes}
     assert {each.name: each.sides for each in PROCESSES} == interfaces
 

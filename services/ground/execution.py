@@ -1,0 +1,184 @@
+"""What the rover's reports say of the execution of its rounds, and what they change for planning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from he3.frames import Place
+from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
+from services.ground.obstacles import MetObstacles
+from services.ground.round_log import RoundLog
+from services.ground.round_record import RoundRecord
+from services.ground.rover_position import RoverPosition
+from services.ground.samples import Refused, Repeated, SampleIntake, Taken, Unplanned
+from services.ground.terrain import GroundTerrain
+from services.runtime.node import Level, LogRecord, MissionTime
+from services.runtime.state_codec import SavedState
+
+_UNOCCUPIED = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a report changes for planning."""
+
+    changed: bool = False
+    """Whether something has changed at all, so that the next step may be due."""
+    notes: tuple[LogRecord, ...] = ()
+    begun_outdated: bool = False
+    """The rover has begun a version of a round that was to be replaced: what follows must fit its end."""
+    take_back: bool = False
+    """The rounds that have not begun are to be planned again, from `start_m` on."""
+    start_m: Place | None = None
+
+
+class ExecutionMonitor:
+    """Follows the rover: its position, its rounds, the samples that arrive and the obstacles that it meets."""
+
+    def __init__(self, terrain: GroundTerrain, round_log: RoundLog, samples: SampleIntake, start_m: Place) -> None:
+        self._grid = terrain.grid
+        self._round_log = round_log
+        self._samples = samples
+        self._rover = RoverPosition(start_m)
+        self._obstacles = MetObstacles(terrain)
+        self.detail = ""
+        """What an operator should know of the rover; may be empty."""
+
+    @property
+    def place_m(self) -> Place:
+        """Where the rover was last heard of (x, y) [m]."""
+        return self._rover.place_m
+
+    @property
+    def driven_m(self) -> float:
+        """Odometer of the rover, as last heard [m]."""
+        return self._rover.driven_m
+
+    def sent_to(self, place_m: Place) -> None:
+        """The operator has sent the rover to that place, and it has arrived."""
+        self._rover.sent_to(place_m)
+
+    def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> bool:
+        """Whether the message that says so, made at that time, is the newest so far."""
+        newest = self._rover.heard(place_m, driven_m, made_at)
+        if newest:
+            self._round_log.note_place(place_m)
+        return newest
+
+    def rounds_dropped(self, state: RoverState, revision: int) -> list[RoundRecord]:
+        """The rounds that a rover with that newest state no longer has on board; revision: of the plan sent last."""
+        waiting = self._round_log.not_begun
+        idle = state.mode in _UNOCCUPIED and state.rounds_on_board == 0 and state.plan_revision == revision
+        return waiting if idle and waiting and state.round < waiting[0].number else []
+
+    def sample(self, report: SampleReport) -> Outcome:
+        """A measurement has arrived; a repeated or unplanned one changes nothing."""
+        match self._samples.take(report):
+            case Repeated():
+                return Outcome()
+            case Unplanned(why):
+                return Outcome(notes=(_warning(why),))
+            case Refused(record, why):
+                outdated, notes = self._begun(record)
+                return Outcome(True, (_warning(why), *notes), outdated)
+            case Taken(record):
+                self._rover.drove(report.driven_m)
+                outdated, notes = self._begun(record)
+                record.note_place((report.x_m, report.y_m))
+                return Outcome(True, notes, outdated)
+
+    def objection(self, event: RoverEvent) -> LogRecord | None:
+        """A warning if the event is from outside the region, and so cannot be right."""
+        if self._grid.contains(np.array([(event.x_m, event.y_m)]))[0]:
+            return None
+        where = f"({event.x_m:g}, {event.y_m:g})"
+        return _warning(f"event {event.kind.value}: expected a place in the region, got {where}")
+
+    def event(self, event: RoverEvent, revision: int) -> Outcome:
+        """The rover has reported an event that is not about a plan; revision: of the plan sent last."""
+        match event.kind:
+            case EventKind.BLOCKED if event.round == 0:  # on a move that the operator commanded
+                self._obstacles.close_off(event)
+                return Outcome(True)
+            case EventKind.SAFE_MODE_ENTERED | EventKind.LOW_ENERGY | EventKind.INSTRUMENT_SILENT:
+                self.detail = f"{event.kind.value.replace('_', ' ')}: {event.detail}"[:400]
+                return Outcome()
+            case EventKind.SAFE_MODE_LEFT | EventKind.CHARGED | EventKind.RESUMED:
+                self.detail = ""
+                return Outcome()
+            case (
+                EventKind.ROUND_STARTED
+                | EventKind.ROUND_COMPLETED
+                | EventKind.ROUND_ABORTED
+                | EventKind.BLOCKED
+                | EventKind.SAMPLE_SKIPPED
+            ):
+                return self._of_a_round(event, revision)
+            case _:
+                return Outcome()
+
+    def _of_a_round(self, event: RoverEvent, revision: int) -> Outcome:
+        record = self._round_log.version(event.round, event.plan_revision or revision)
+        if event.sample_id is not None and (known := self._round_log.of_sample(event.sample_id)) is not None:
+            record = known[0]
+        if record is None:
+            return Outcome(
+                notes=(_warning(f"event {event.kind.value}: expected a round that was planned, got {event.round}"),)
+            )
+        outdated, notes = self._begun(record)
+        if event.kind is EventKind.ROUND_STARTED:
+            record.start(event.at)
+        record.done.update(event.samples_done)
+        if event.kind is EventKind.SAMPLE_SKIPPED and event.sample_id is not None:
+            if record.settle(event.sample_id):
+                self.detail = f"sample {event.sample_id} was skipped: {event.detail or 'no reason given'}"[:400]
+        elif event.kind is EventKind.ROUND_COMPLETED:
+            record.complete()
+        elif event.kind in (EventKind.ROUND_ABORTED, EventKind.BLOCKED):
+            ended = self._ended_early(record, event)
+            return Outcome(True, (*notes, *ended.notes), outdated, ended.take_back, ended.start_m)
+        return Outcome(True, notes, outdated)
+
+    def _begun(self, record: RoundRecord) -> tuple[bool, tuple[LogRecord, ...]]:
+        """Whether the round that has begun was to be replaced, and the note that says so."""
+        if not self._round_log.begin(record):
+            return False, ()
+        text = f"round {record.number} of revision {record.introduced} had begun; planning on from it"
+        return True, (LogRecord(Level.INFO, text),)
+
+    def _ended_early(self, record: RoundRecord, event: RoverEvent) -> Outcome:
+        first_report = not record.ended
+        blocked = event.kind is EventKind.BLOCKED
+        if blocked:
+            self._obstacles.close_off(event)
+        if not first_report and not blocked:
+            return Outcome()
+        record.break_off(event.at)
+        self.detail = f"round {record.number} ended early: {event.detail or event.kind.value}"[:400]
+        place = (event.x_m, event.y_m)
+        note = LogRecord(Level.WARNING, self.detail, {"round": record.number, "x_m": place[0], "y_m": place[1]})
+        if self._round_log.goes_on_after(record):
+            return Outcome(True, (note,))
+        return Outcome(True, (note,), take_back=True, start_m=place)
+
+    def checkpoint(self) -> SavedState:
+        """The state of each part by its name, and the detail."""
+        return {
+            "samples": self._samples.checkpoint(),
+            "rover": self._rover.checkpoint(),
+            "obstacles": self._obstacles.checkpoint(),
+            "detail": self.detail,
+        }
+
+    def restore(self, state: SavedState) -> None:
+        """Become the monitor that had this state."""
+        self._samples.restore(state["samples"])
+        self._rover.restore(state["rover"])
+        self._obstacles.restore(state["obstacles"])
+        self.detail = state["detail"]
+
+
+def _warning(text: str) -> LogRecord:
+    return LogRecord(Level.WARNING, text)
