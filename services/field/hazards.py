@@ -1,4 +1,4 @@
-"""Boulders that no map from orbit shows: seeded circles that close terrain to the rover."""
+"""Hidden hazards: seeded circles of closed terrain, such as boulders, that the orbital map does not show."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, SiteGrid
 
-START_CLEARANCE_M: Final = 10.0  # m around the landing place that stay as the map says: it was chosen for that
-_STREAM: Final = 0x48415A  # tells this use of the mission's seed from all others
-_MAX_DRAWS: Final = 200  # for each hazard; only a region hardly larger than the landing place needs many
+START_CLEARANCE_M: Final = 10.0  # m around the landing place without hazards: the landing place was chosen for that
+_STREAM: Final = 0x48415A  # separates this use of the mission's seed from all others
+_MAX_DRAWS: Final = 200  # for each hazard; only a region little larger than the clearance needs many
 
 
 def hazard_places(
     grid: SiteGrid, count: int, radius_m: float, seed: int, start_m: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """Centres (x, y) [m] of `count` hazards, uniform over the region and clear of the start; the same for a seed.
+    """Centres (x, y) [m] of `count` hazards, uniform over the region outside the start's clearance; the same for a seed.
 
-    Raises InvalidInput when the region has no room that is clear of the start.
+    Raises InvalidInput if the region has no room outside the clearance.
     """
     stream = np.random.default_rng([seed, _STREAM])
     clear_m = radius_m + START_CLEARANCE_M
@@ -39,7 +39,7 @@ def hazard_places(
 
 
 def covered(grid: SiteGrid, places_m: tuple[tuple[float, float], ...], radius_m: float) -> BoolArray:
-    """Cells (rows, columns) whose centre lies in a circle of that radius [m] around a place, or that hold the place."""
+    """Cells (rows, columns) whose centre lies within that radius [m] of a place, and the cell of each place."""
     hidden = np.zeros(grid.shape, dtype=np.bool_)
     for x, y in places_m:
         hidden |= np.add.outer((grid.y_m - y) ** 2, (grid.x_m - x) ** 2) <= radius_m**2

@@ -1,7 +1,7 @@
-"""The Moon itself: answers the rover's instruments from the reference field and the true terrain.
+"""The field's node: answers the rover's instruments from the reference field and the true terrain.
 
-It keeps nothing between questions: every answer is a function of the question, the region and the seed, so that a
-field that was killed and started again answers as before.
+It has no state: every reply is a function of the query, the region and the seed, so a field that was restarted answers
+as before.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from services.runtime.node import Effect, Event, Interface, MissionTime, QueryRe
 
 
 class FieldNode:
-    """Serves measurements with sensor noise, and terrain with the hazards that no map shows."""
+    """Serves measurements with sensor noise, and terrain with the hidden hazards."""
 
     def __init__(self, region: Region, config: FieldConfig, seed: int, start_m: tuple[float, float]) -> None:
         self._region = region
         self._config = config
         self._seed = seed
         self.hazards_m = hazard_places(region.grid, config.hidden_hazards, config.hazard_radius_m, seed, start_m)
-        """Centres (x, y) [m] of the hidden hazards; for tests and pictures, never for the ground."""
+        """Centres (x, y) [m] of the hidden hazards, for tests and pictures; the ground does not know them."""
         self._traversable = region.traversable & ~covered(region.grid, self.hazards_m, config.hazard_radius_m)
 
     @property
@@ -36,7 +36,7 @@ class FieldNode:
         return Interface(name="field", sides=(Side.MOON,), serves=(MEASURE, TERRAIN), custody=False)
 
     def handle(self, event: Event, now: MissionTime) -> list[Effect]:
-        """One answer or refusal for a question; nothing for anything else. The time makes no difference."""
+        """One reply or refusal to a query; no effect of any other event. The time makes no difference."""
         if not isinstance(event, QueryReceived):
             return []
         if event.topic == MEASURE:
@@ -44,9 +44,7 @@ class FieldNode:
         if event.topic == TERRAIN:
             return [SendReply(event.token, self._terrain(event.request))]
         return [
-            RefuseQuery(
-                event.token, f"expected a question for {MEASURE.name} or {TERRAIN.name}, got {event.topic.name}"
-            )
+            RefuseQuery(event.token, f"expected a query on {MEASURE.name} or {TERRAIN.name}, got {event.topic.name}")
         ]
 
     def _measured(self, token: int, request: MeasurementRequest) -> Effect:
@@ -67,7 +65,7 @@ class FieldNode:
         )
 
     def _terrain(self, request: TerrainRequest) -> TerrainReply:
-        """The cells' own values; for a place outside the region those of the nearest cell, and closed to the rover."""
+        """The values of the cells; a place outside the region has those of the nearest cell and is not traversable."""
         grid, points = self._region.grid, np.array(request.points_m)
         columns = np.clip(points[:, 0] // grid.resolution_m, 0, grid.columns - 1).astype(np.intp)
         rows = np.clip(points[:, 1] // grid.resolution_m, 0, grid.rows - 1).astype(np.intp)
@@ -79,7 +77,7 @@ class FieldNode:
 
 
 def build_node(scenario: Scenario, region: Region | None = None) -> FieldNode:
-    """The Moon of that scenario; a region already loaded may be handed in."""
+    """The field of that scenario. region: loaded from the scenario if it is not given."""
     if region is None:
         region = load_region(scenario.region, scenario.field.field_seed)
     return FieldNode(region, scenario.field, scenario.seed, scenario.start_m)

@@ -21,7 +21,7 @@ from schemas.wire import SCHEMA_VERSION, Envelope
 from services.runtime.node import MissionTime
 
 CHUNK_BYTES = 65_536
-"""Uncompressed size at which a chunk is written: what a kill can cost at most when nobody flushes."""
+"""Uncompressed size at which a chunk is written: what a kill can cost at most without a flush."""
 
 PROFILE = "he3-seeker"
 

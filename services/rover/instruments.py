@@ -1,5 +1,5 @@
-"""Queries to the instruments: one at a time, repeated while there is no reply; replies to withdrawn queries are told
-apart by the query's name."""
+"""Queries to the instruments: one at a time, repeated while there is no reply. A reply to a withdrawn query is
+recognised by the query's name."""
 
 from __future__ import annotations
 

@@ -101,9 +101,9 @@ class Hold(Enum):
 
     PAUSE = "pause"
     ENERGY = "low energy"
-    COMMAND = "told to be safe"
+    COMMAND = "commanded"
     TERRAIN = "terrain contradicts the plan"
-    SILENCE = "no word from the ground"
+    SILENCE = "no message from the ground"
     SPENT = "a step needs more energy than there will be"
 
 

@@ -1,7 +1,7 @@
 """A lock on files that one process at a time may write: a folder of outputs, a recording, a journal.
 
 The lock is an advisory `flock(2)` on a hidden file beside them, which names its owner. The system releases it with the
-process, however that ends, so a lock file that a killed process left is in nobody's way.
+process, however that ends: a lock file that a killed process left keeps out no other process.
 """
 
 from __future__ import annotations

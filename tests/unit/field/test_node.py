@@ -1,4 +1,4 @@
-"""The Moon answers the rover's instruments: a function of question, region and seed, and of nothing else."""
+"""The field's replies are a function of query, region and seed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TOKENS = count()
 
 
 def region(grid: SiteGrid = GRID) -> Region:
-    """Another value in every cell of every layer, with one cell closed."""
+    """A region with a different value in every cell of every layer, and one closed cell."""
     cells = np.arange(grid.rows * grid.columns, dtype=np.float64).reshape(grid.shape)
     open_cells = np.ones(grid.shape, dtype=np.bool_)
     open_cells[3, 7] = False
@@ -77,7 +77,7 @@ def test_a_measurement_is_the_field_plus_the_noise_of_seed_and_sample_id():
     assert reply.noise_std_ppb == 0.3
 
 
-def test_the_same_sample_asked_for_again_is_the_same_number_in_any_order_and_after_a_restart():
+def test_the_same_sample_has_the_same_value_in_any_order_and_after_a_restart():
     first, second = field(), field()
     numbers = {name: measured(first, 9.0, 9.0, name).helium3_ppb for name in ("a", "b", "c")}
     for name in ("c", "a", "b", "c"):
@@ -91,7 +91,7 @@ def test_the_same_sample_at_another_place_has_the_same_noise():
 
 
 @pytest.mark.parametrize("place", [(-0.1, 5.0), (80.1, 5.0), (5.0, -3.0), (5.0, 60.5)])
-def test_a_measurement_outside_the_region_is_refused_in_one_line_that_says_what_was_expected(place):
+def test_a_measurement_outside_the_region_is_refused_with_the_expected_range(place):
     request = MeasurementRequest(sample_id="r1s1", x_m=place[0], y_m=place[1], depth_m=0.1)
     (refusal,) = field().handle(QueryReceived(MEASURE, request, 7), 0)
     assert isinstance(refusal, RefuseQuery)
@@ -101,7 +101,7 @@ def test_a_measurement_outside_the_region_is_refused_in_one_line_that_says_what_
     assert f"{place[0]:g}" in refusal.why
 
 
-def test_terrain_is_answered_in_the_order_of_the_places():
+def test_terrain_is_returned_in_the_order_of_the_places():
     reply = terrain(field(), (15.0, 7.0), (0.5, 0.5), (79.0, 59.0))
     cells = [3 * 40 + 7, 0, 29 * 40 + 39]
     assert reply.elevation_m == tuple(cell / 10 for cell in cells)
@@ -127,13 +127,13 @@ def test_hidden_hazards_close_terrain_that_the_map_shows_open():
     assert terrain(node, (10.0, 10.0)).traversable[0]
 
 
-def test_hidden_hazards_follow_from_the_seed():
+def test_hidden_hazards_are_a_function_of_the_seed():
     one, again, other = (hazard_places(GRID, 20, 3.0, seed, (10.0, 10.0)) for seed in (1, 1, 2))
     assert one == again
     assert not set(one) & set(other)
 
 
-def test_more_hazards_of_a_seed_begin_with_the_fewer():
+def test_more_hazards_of_a_seed_include_the_fewer():
     assert hazard_places(GRID, 20, 3.0, 1, (10.0, 10.0))[:5] == hazard_places(GRID, 5, 3.0, 1, (10.0, 10.0))
 
 
@@ -143,18 +143,18 @@ def test_a_hazard_smaller_than_a_cell_closes_the_cell_that_it_is_in():
     assert hidden[0, 0]
 
 
-def test_a_region_without_room_for_its_hazards_is_refused():
+def test_a_region_without_room_for_the_hazards_is_refused():
     with pytest.raises(InvalidInput, match="room for 3 hidden hazards"):
         hazard_places(SiteGrid(10, 10), 3, 3.0, 1, (5.0, 5.0))
 
 
-def test_the_field_heeds_nothing_but_questions():
+def test_the_field_reacts_to_queries_only():
     node = field()
     assert node.handle(Started(1), 0) == []
     assert node.handle(TimerFired("anything"), 0) == []
 
 
-def test_the_field_of_a_scenario_takes_its_seed_noise_and_start_from_it():
+def test_the_field_takes_seed_noise_and_start_from_its_scenario():
     scenario = Scenario(name="x", region="t1", seed=9, field=FieldConfig(noise_std_ppb=0.2))
     reply = measured(build_node(scenario, region()), 1.0, 1.0, "s")
     assert reply.helium3_ppb == 1.0 + sample_noise(9, "s", 0.2)
@@ -176,7 +176,7 @@ def test_noise_of_neighbouring_ids_and_seeds_is_uncorrelated():
     assert abs(np.corrcoef(a[1:], a[:-1])[0, 1]) < 0.13
 
 
-def test_noise_scales_with_its_deviation_and_vanishes_with_it():
+def test_noise_scales_with_its_deviation():
     assert sample_noise(3, "s", 0.0) == 0.0
     assert sample_noise(3, "s", 2.0) == 2.0 * sample_noise(3, "s", 1.0)
 
@@ -188,6 +188,6 @@ def test_noise_is_the_same_in_another_process():
 
 
 @pytest.mark.parametrize("std", [-0.1, math.nan, math.inf])
-def test_a_deviation_that_is_none_is_refused(std):
+def test_a_negative_or_non_finite_deviation_is_refused(std):
     with pytest.raises(InvalidInput, match="standard deviation"):
         sample_noise(1, "s", std)
