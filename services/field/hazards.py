@@ -17,7 +17,7 @@ _MAX_DRAWS: Final = 200  # for each hazard; only a region little larger than the
 def hazard_places(
     grid: SiteGrid, count: int, radius_m: float, seed: int, start_m: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """Centres (x, y) [m] of `count` hazards, uniform over the region outside the start's clearance; the same for a seed.
+    """Centres (x, y) [m] of `count` hazards, uniform over the region outside the start's clearance. Seeded.
 
     Raises InvalidInput if the region has no room outside the clearance.
     """

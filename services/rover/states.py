@@ -73,9 +73,10 @@ TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
     (State.ANALYSING, Trigger.ANALYSIS_DONE): State.MEASURING,
     (State.MEASURING, Trigger.ANALYSIS_DONE): State.MEASURING,
     **{(state, Trigger.ANALYSIS_DONE): State.MEASURING for state in HELD},
-    # Holds. Safe mode overrides a pause; a pause does not override safe mode.
-    **{(state, Trigger.PAUSE): State.PAUSED for state in SAFE_POINTS - {State.SAFE}},
-    **{(state, Trigger.LOW_ENERGY): State.CHARGING for state in SAFE_POINTS - {State.CHARGING}},
+    # Holds. A held state lasts until the next step, also after its hold was released: then any other hold may follow.
+    # That a pause does not override safe mode is a matter of the hold, and of the telecommand.
+    **{(state, Trigger.PAUSE): State.PAUSED for state in SAFE_POINTS},
+    **{(state, Trigger.LOW_ENERGY): State.CHARGING for state in SAFE_POINTS},
     **{(state, Trigger.ENTER_SAFE_MODE): State.SAFE for state in SAFE_POINTS},
     # Nothing is left to do.
     **{(state, Trigger.QUEUE_EMPTY): State.PARKED for state in SAFE_POINTS},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from schemas.commands import CommandStage
+from schemas.telemetry import RoverMode
 from services.runtime.node import (
     seconds,
 )
@@ -108,3 +109,16 @@ def test_the_queue_of_commands_is_bounded():
     moon.run(1000)
     assert [moon.stages(name)[-1] for name in ids] == ["completed"] * 32 + ["rejected"] * 8
     assert "at most 32" in moon.why(ids[-1])
+
+
+def test_safe_resume_and_pause_that_wait_for_one_safe_point_leave_the_rover_paused():
+    moon = moon_with_plan()
+    ids = [moon.command("safe", 30), moon.command("resume", 31), moon.command("pause", 32)]
+    moon.run(5000)
+    assert [moon.stages(command_id) for command_id in ids] == [STAGED] * 3
+    assert moon.kinds("safe_mode_entered", "safe_mode_left", "paused") == [
+        "safe_mode_entered",
+        "safe_mode_left",
+        "paused",
+    ]
+    assert moon.state.mode is RoverMode.PAUSED

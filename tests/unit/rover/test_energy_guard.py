@@ -63,3 +63,14 @@ def test_a_rover_paused_while_charging_stays_paused_when_it_is_charged():
     moon.command("resume", 50_000)
     moon.run(200_000)
     assert len(moon.samples) == 1
+
+
+def test_a_charged_rover_whose_next_step_needs_more_than_it_charged_for_charges_again():
+    # It charges for a bite of 1 cm. Meanwhile that round is aborted, and another begins there with a bite of 20 cm.
+    moon = Moon(**WEAK_BATTERY | {"bite_m": 0.5, "resume_charge": 0.55, "initial_charge": 0.505})
+    moon.plan(plan_of(1, round_plan(1, [START], START, depth=0.01)))
+    moon.command("abort_round", 1.0)
+    moon.plan(plan_of(2, round_plan(1, [START], START, depth=0.2)), 2.0)
+    moon.run()
+    assert moon.kinds("low_energy", "charged")[:4] == ["low_energy", "charged", "low_energy", "charged"]
+    assert [sample.depth_m for sample in moon.samples] == [0.2]

@@ -16,8 +16,8 @@ LEGAL = {
     "analysing": "scan analysis_done pause low_energy enter_safe_mode queue_empty",
     "measuring": "scan drill analysis_done pause low_energy enter_safe_mode queue_empty",
     "paused": "scan drill depth_reached analysis_done pause low_energy enter_safe_mode queue_empty",
-    "charging": "scan drill depth_reached analysis_done pause enter_safe_mode queue_empty",
-    "safe": "scan drill depth_reached analysis_done low_energy enter_safe_mode queue_empty",
+    "charging": "scan drill depth_reached analysis_done pause low_energy enter_safe_mode queue_empty",
+    "safe": "scan drill depth_reached analysis_done pause low_energy enter_safe_mode queue_empty",
     "parked": "scan drill pause low_energy enter_safe_mode queue_empty",
 }
 LEADS_TO = {
