@@ -21,6 +21,7 @@ from scipy.interpolate import RectBivariateSpline
 from he3 import constants
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, SiteGrid
+from he3.nodata import expect_measured, expect_no_walls
 from he3.randomfield import correlated, layer_correlation, unit_fields
 from he3.regolith import RegolithModel
 from he3.terrain import relief_m, slope_deg, traversable
@@ -60,12 +61,13 @@ class OrbitalWindow:
             if layer.ndim != 2 or layer.shape != shape or min(layer.shape) < 4:
                 raise InvalidInput(f"{self.name}: expected {name} (rows, columns) of {shape} and at least 4 x 4, "
                                    f"got {layer.shape}")  # fmt: skip
-            if not bool(np.isfinite(layer).all()):
-                raise InvalidInput(f"{self.name}: expected finite {name}, got NaN or infinity")
-        if not bool((self.iron_wt > 0).all() and (self.maturity > 0).all()):
-            raise InvalidInput(f"{self.name}: expected positive FeO and OMAT; values of 0 or less are no-data")
+        expect_measured(f"{self.name}: iron_wt", self.iron_wt, constants.IRON_MIN_WT, constants.IRON_MAX_WT, "wt %")
+        expect_measured(f"{self.name}: maturity", self.maturity, constants.OMAT_MIN, constants.OMAT_MAX)
+        heights = (constants.ELEVATION_MIN_M, constants.ELEVATION_MAX_M)
+        expect_measured(f"{self.name}: elevation_m", self.elevation_m, *heights, "m")
         if not (self.pixels_per_degree > 0 and abs(self.origin_lat_deg) < 89):
             raise InvalidInput(f"{self.name}: expected a positive pixels_per_degree and a latitude within -89..89 deg")
+        expect_no_walls(f"{self.name}: elevation_m", self.elevation_m, METRES_PER_DEGREE / self.pixels_per_degree)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -132,7 +134,7 @@ def reference(
         provenance=window.provenance,
         grid=grid,
         he3_ppb=model.helium3_ppb(model.titanium_wt(iron), maturity, window.solar_wind_flux),
-        orbital_ppb=resample(window, orbital, grid),
+        orbital_ppb=np.maximum(resample(window, orbital, grid), 0.0),
         elevation_m=_cut(elevation, margin),
         slope_deg=slope,
         traversable=traversable(slope, _cut(relief_m(elevation, grid.resolution_m), margin), slope_limit_deg),
@@ -185,7 +187,7 @@ def orbital_view(he3_ppb: FloatArray, grid: SiteGrid, footprint_m: float = _ORBI
         return np.full(grid.shape, float(he3_ppb.mean()))
     inner = [np.clip(c, k[0], k[-1]) for c, k in zip((grid.y_m, grid.x_m), centres, strict=True)]
     view: FloatArray = RectBivariateSpline(*centres, coarse, kx=orders[0], ky=orders[1], s=0)(*inner)
-    return view
+    return np.clip(view, 0.0, constants.HELIUM3_MAX_PPB)  # beside a step, a spline overshoots
 
 
 def _cut(values: FloatArray, margin: int) -> FloatArray:

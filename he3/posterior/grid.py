@@ -23,16 +23,17 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from he3.constants import MAX_SAMPLES
 from he3.errors import InvalidInput, NumericalFailure
 from he3.frames import Float32Array, FloatArray, SiteGrid, as_points
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
+from he3.kernels import SquaredExponential
 from he3.posterior.probes import LEAST_VARIANCE, Probes
 from he3.posterior.rows import row_source
 from he3.posterior.sums import PosteriorSums
 from he3.posterior.tiles import Task, Tile, TiledGrid
 
-MAX_SAMPLES = 4000  # 1, their Cholesky factor takes 128 MB, and a second to extend by a block
 MAX_ROW_BYTES = 4 * 1024**3  # bytes of stored rows: 4000 samples on 500 x 500 cells in float32
 _CELLS_PER_PART = 4096  # cells whose rows are solved for together: what is worked on stays in cache
 
@@ -164,21 +165,13 @@ class GridPosterior:
         count = len(self) + len(xy)
         if count > MAX_SAMPLES:
             raise InvalidInput(f"expected at most {MAX_SAMPLES} samples on a grid, got {count}")
-        self._expect_room(count)
+        _expect_room(self.grid, count, self._rows.bytes_per_sample)
         process = self._process.condition(xy, values_ppb)
         trend = self.hyperparameters.trend
         if trend is None:
             return process, process
         values = np.asarray(values_ppb, dtype=np.float64)
         return process, self._without_trend.condition(xy, values - trend.at(xy))
-
-    def _expect_room(self, samples: int) -> None:
-        size = samples * self._rows.bytes_per_sample
-        if size > MAX_ROW_BYTES:
-            raise InvalidInput(
-                f"expected a map that takes at most {MAX_ROW_BYTES / 1024**3:.0f} GiB, got {samples} samples on "
-                f"{self.grid.rows} x {self.grid.columns} cells in {self._dtype.name}: {size / 1024**3:.1f} GiB"
-            )
 
     def _set_processes(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
         first = len(self)
@@ -240,6 +233,21 @@ class GridPosterior:
         for other in others:
             if not other.cancel():  # one that has not begun is no longer needed
                 other.result()
+
+
+def expect_map_fits(grid: SiteGrid, kernel_name: str, samples: int) -> None:
+    """Raises InvalidInput if the map of so many samples, with that kernel or "auto", would take too much memory."""
+    separable = kernel_name == SquaredExponential.name
+    _expect_room(grid, samples, 0 if separable else grid.rows * grid.columns * np.dtype(np.float32).itemsize)
+
+
+def _expect_room(grid: SiteGrid, samples: int, bytes_per_sample: int) -> None:
+    size = samples * bytes_per_sample
+    if size > MAX_ROW_BYTES:
+        raise InvalidInput(
+            f"expected a map that takes at most {MAX_ROW_BYTES / 1024**3:.0f} GiB, got {size / 1024**3:.1f} GiB for "
+            f"{samples} samples on {grid.rows} x {grid.columns} cells: use fewer samples, larger cells or kernel se"
+        )
 
 
 @cache

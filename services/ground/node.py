@@ -9,6 +9,7 @@ import numpy as np
 
 from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
+from he3.posterior.grid import expect_map_fits
 from he3.reference import Region
 from he3.trend import OrbitalTrend
 from schemas.commands import CommandReport, Telecommand
@@ -265,6 +266,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     _check_places(scenario, grid)
     terrain = _terrain(scenario, region)
     trend = OrbitalTrend(grid, region.orbital_ppb) if ground.prior == "orbital" else None
+    expect_map_fits(grid, ground.kernel, scenario.samples)
     belief = Belief(grid, ground.kernel, scenario.field.noise_std_ppb, trend)
     interests = InterestAreas(grid, ground.interests)
     round_log = RoundLog()

@@ -12,9 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.constants import HELIUM3_MAX_PPB, RELIEF_WINDOW_M
+from he3.constants import ELEVATION_MAX_M, ELEVATION_MIN_M, HELIUM3_MAX_PPB, RELIEF_WINDOW_M
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
+from he3.nodata import cells_where, expect_measured, expect_no_walls
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
 from he3.terrain import relief_m, slope_deg, traversable
 from schemas.maps import MAX_CELLS
@@ -65,24 +66,19 @@ def load_window(name: str) -> OrbitalWindow:
 
 def _region_from_file(path: Path) -> Region:
     arrays = _read_layers(path)
-    he3 = _layer(path, arrays, "he3_ppb", None)
+    he3 = _layer(path, arrays, "he3_ppb", None, (0.0, HELIUM3_MAX_PPB), "ppb")
     if he3 is None:
         raise InvalidInput(f"{path}: expected key he3_ppb, got {', '.join(sorted(arrays)) or 'no keys'}")
-    low, high = float(he3.min()), float(he3.max())
-    if not 0 <= low <= high <= HELIUM3_MAX_PPB:
-        raise InvalidInput(f"{path}: key he3_ppb: expected 0 to {HELIUM3_MAX_PPB:g} ppb, got {low:g} to {high:g}")
     resolution_m = _resolution_m(path, arrays)
     grid = SiteGrid(he3.shape[0], he3.shape[1], resolution_m)
     if max(grid.width_m, grid.height_m) > MAX_POSITION_M:
         raise InvalidInput(f"{path}: expected a site of at most {MAX_POSITION_M / 1000:g} km on a side, got "
                            f"{grid.width_m / 1000:g} x {grid.height_m / 1000:g} km")  # fmt: skip
-    elevation = _layer(path, arrays, "elevation_m", he3.shape)
-    if elevation is not None and np.abs(elevation).max() > MAX_POSITION_M:
-        low, high = elevation.min(), elevation.max()
-        raise InvalidInput(f"{path}: key elevation_m: expected -{MAX_POSITION_M:g} to {MAX_POSITION_M:g} m, got "
-                           f"{low:g} to {high:g}")  # fmt: skip
+    elevation = _layer(path, arrays, "elevation_m", he3.shape, (ELEVATION_MIN_M, ELEVATION_MAX_M), "m")
+    if elevation is not None:
+        expect_no_walls(f"{path}: key elevation_m", elevation, resolution_m)
     open_cells = _open_cells(path, arrays, he3.shape)
-    orbital = _layer(path, arrays, "orbital_ppb", he3.shape)
+    orbital = _layer(path, arrays, "orbital_ppb", he3.shape, (0.0, HELIUM3_MAX_PPB), "ppb")
     latitude, longitude = _origin_deg(path, arrays)
     if elevation is None and open_cells is None:
         raise InvalidInput(f"{path}: expected key elevation_m or traversable, got {', '.join(sorted(arrays))}")
@@ -130,9 +126,14 @@ def _read_layers(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _layer(
-    path: Path, arrays: Mapping[str, NDArray[Any]], key: str, shape: tuple[int, ...] | None
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    key: str,
+    shape: tuple[int, ...] | None,
+    bounds: tuple[float, float],
+    unit: str,
 ) -> FloatArray | None:
-    """A layer as float64 (rows, columns), checked; None if the file does not hold it."""
+    """A layer as float64 (rows, columns), every cell of it measured; None if the file does not hold it."""
     values = arrays.get(key)
     if values is None:
         return None
@@ -140,9 +141,7 @@ def _layer(
         raise InvalidInput(f"{path}: key {key}: expected real numbers, got dtype {values.dtype}")
     _expect_shape(path, key, values.shape, shape)
     layer = np.array(values, dtype=np.float64, order="C")
-    if not bool(np.isfinite(layer).all()):
-        bad = int(layer.size - np.count_nonzero(np.isfinite(layer)))
-        raise InvalidInput(f"{path}: key {key}: expected finite values, got NaN or infinity in {bad} cells")
+    expect_measured(f"{path}: key {key}", layer, *bounds, unit)
     return layer
 
 
@@ -151,9 +150,11 @@ def _open_cells(path: Path, arrays: Mapping[str, NDArray[Any]], shape: tuple[int
     if values is None:
         return None
     _expect_shape(path, "traversable", values.shape, shape)
-    if values.dtype.kind not in "bui" or not bool(np.isin(values, (0, 1)).all()):
-        raise InvalidInput(f"{path}: key traversable: expected booleans, got dtype {values.dtype} with values "
-                           f"{values.min()} to {values.max()}")  # fmt: skip
+    if values.dtype.kind not in "bui":
+        raise InvalidInput(f"{path}: key traversable: expected booleans, got dtype {values.dtype}")
+    off = ~np.isin(values, (0, 1))
+    if off.any():
+        raise InvalidInput(f"{path}: key traversable: expected booleans, got {values[off][0]} in {cells_where(off)}")
     if not bool(values.any()):
         raise InvalidInput(f"{path}: key traversable: expected at least one open cell, got none")
     return values.astype(np.bool_)

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from he3.constants import MAX_SAMPLES
 from he3.errors import InvalidInput
 from he3.frames import Place
 from schemas.codec import one_line
@@ -23,8 +24,6 @@ from schemas.wire import MissionName
 from services.runtime.node import MissionTime
 
 MAX_SCENARIO_BYTES = 1_000_000
-MAX_SAMPLES = 10_000
-"""Of a mission: for so many the map is tested against an independent implementation."""
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 # What a mission can be computed for. Every bound lies far beyond anything that flies, and keeps times within int64 ns.

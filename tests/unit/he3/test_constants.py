@@ -11,7 +11,7 @@ import pytest
 
 from he3 import constants
 
-SOURCES = ("BIPM", "IAU", "ALMANAC", "PRODUCTS", "FA-JIN", "PAPER", "SOURCEBOOK", "ASSUMED", "by definition")
+SOURCES = ("BIPM", "IAU", "ALMANAC", "PRODUCTS", "LOLA", "FA-JIN", "PAPER", "SOURCEBOOK", "ASSUMED", "by definition")
 
 
 def test_every_constant_has_a_comment_with_unit_and_source() -> None:

@@ -184,9 +184,18 @@ def test_a_region_whose_maps_do_not_fit_its_grid_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("layer", "value", "said"),
-    [("iron_wt", math.nan, "finite iron_wt"), ("maturity", 0.0, "no-data"), ("iron_wt", -1.0, "no-data")],
+    [
+        ("iron_wt", math.nan, "iron_wt: expected finite values, got NaN or infinity in 1 cell, at row 3, column 4"),
+        ("iron_wt", -1.0, "wt %, got -1 in 1 cell, at row 3, column 4"),
+        ("iron_wt", 65535.0, "got 65535 in 1 cell"),
+        ("maturity", 0.0, "got 0 in 1 cell, at row 3, column 4"),
+        ("maturity", 1e20, r"got 1e\+20 in 1 cell"),
+        ("elevation_m", -3.4028226550889045e38, "expected -9500 to 11000 m, got -3.40282e"),
+        ("elevation_m", -9999.0, "got -9999 in 1 cell"),
+        ("elevation_m", -2999.0, "expected steps of at most 676.9"),
+    ],
 )
-def test_rasters_with_holes_are_refused(layer: str, value: float, said: str) -> None:
+def test_rasters_with_missing_values_are_refused_with_their_place(layer: str, value: float, said: str) -> None:
     raster = np.full((PIXELS, PIXELS), 0.2)
     raster[3, 4] = value
     with pytest.raises(InvalidInput, match=said):

@@ -232,10 +232,14 @@ HOLE[7, 9] = np.nan
         ({"he3_ppb": None}, "he3_ppb", "expected key"),
         ({"resolution_m": None}, "resolution_m", "expected key"),
         ({"elevation_m": None}, "elevation_m or traversable", "expected key"),
-        ({"he3_ppb": HOLE}, "he3_ppb", "NaN or infinity in 1 cells"),
-        ({"elevation_m": HOLE}, "elevation_m", "NaN or infinity in 1 cells"),
-        ({"he3_ppb": -np.ones((30, 40))}, "he3_ppb", "expected 0 to 1e+06 ppb, got -1 to -1"),
-        ({"he3_ppb": np.full((30, 40), 1e9)}, "he3_ppb", "expected 0 to 1e+06 ppb, got 1e+09 to 1e+09"),
+        ({"he3_ppb": HOLE}, "he3_ppb", "got NaN or infinity in 1 cell, at row 7, column 9"),
+        ({"elevation_m": HOLE}, "elevation_m", "NaN or infinity in 1 cell, at row 7"),
+        (
+            {"he3_ppb": -np.ones((30, 40))},
+            "he3_ppb",
+            "to 1e+06 ppb, got -1 in 1200 cells, the first at row 0, column 0",
+        ),
+        ({"he3_ppb": np.full((30, 40), 1e9)}, "he3_ppb", "expected 0 to 1e+06 ppb, got 1e+09 in 1200 cells"),
         ({"provenance": "x" * 501}, "provenance", "expected up to 500 printable characters, got 501: 'xxx"),
         ({"provenance": "two\nlines"}, "provenance", "expected up to 500 printable characters, got 9"),
         ({"provenance": 7.0}, "provenance", "got dtype float64"),
@@ -250,7 +254,8 @@ HOLE[7, 9] = np.nan
         ({"elevation_m": np.zeros((40, 30))}, "elevation_m", "(30, 40), got (40, 30)"),
         ({"orbital_ppb": np.zeros((40, 30))}, "orbital_ppb", "(30, 40), got (40, 30)"),
         ({"traversable": np.ones((30, 41), dtype=bool)}, "traversable", "(30, 40), got (30, 41)"),
-        ({"traversable": np.full((30, 40), 2)}, "traversable", "expected booleans"),
+        ({"traversable": np.full((30, 40), 2)}, "traversable", "expected booleans, got 2 in 1200 cells"),
+        ({"traversable": np.where(np.isnan(HOLE), 255, 1)}, "traversable", "got 255 in 1 cell, at row 7, column 9"),
         ({"traversable": np.ones((30, 40))}, "traversable", "got dtype float64"),
         ({"traversable": np.zeros((30, 40), dtype=bool)}, "traversable", "at least one open cell"),
         ({"resolution_m": 0.0}, "resolution_m", "expected 0.01 to 1000 m"),
@@ -291,7 +296,7 @@ def test_a_site_longer_than_messages_can_tell_is_refused(tmp_path: Path) -> None
 def test_an_elevation_that_no_ground_has_is_refused(tmp_path: Path) -> None:
     peak = np.zeros((30, 40))
     peak[3, 4] = 2e5
-    with pytest.raises(InvalidInput, match="key elevation_m: expected -100000 to 100000 m, got 0 to 200000"):
+    with pytest.raises(InvalidInput, match="key elevation_m: expected -9500 to 11000 m, got 200000 in "):
         load_region(saved(tmp_path / "peak.npz", elevation_m=peak))
 
 
@@ -338,3 +343,37 @@ def test_what_is_no_archive_no_file_or_no_known_name_is_refused(tmp_path: Path) 
 def test_a_field_seed_with_a_region_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=r"x\.npz: expected no field seed with a region file, .*; got 7$"):
         load_region(tmp_path / "x.npz", 7)
+
+
+@pytest.mark.parametrize("key", ["he3_ppb", "elevation_m", "orbital_ppb"])
+@pytest.mark.parametrize(
+    "value", [np.nan, np.inf, -9999.0, -32768.0, 32767.0, 65535.0, -3.4028226550889045e38, 1e20, 9999.0, -999.0]
+)
+def test_a_missing_value_is_not_taken_for_a_value(tmp_path: Path, key: str, value: float) -> None:
+    layer = np.random.default_rng(1).uniform(4, 9, (30, 40))
+    assert load_region(saved(tmp_path / "whole.npz", **{key: layer.astype(np.float32)}))
+    layer[7, 9] = value
+    with pytest.raises(InvalidInput, match=f"key {key}: expected .* 1 cell, at row 7, column 9$"):
+        load_region(saved(tmp_path / "holed.npz", **{key: layer.astype(np.float32)}))
+    layer[20:, 3] = value
+    with pytest.raises(InvalidInput, match=f"key {key}: expected .* 11 cells, the first at row 7, column 9$"):
+        load_region(saved(tmp_path / "holed.npz", **{key: layer}))
+
+
+def test_what_resampling_leaves_of_a_missing_height_is_refused(tmp_path: Path) -> None:
+    elevation = np.random.default_rng(1).normal(-2600.0, 3.0, (30, 40))
+    elevation[7, 9] = 0.6 * elevation[7, 9] - 0.4 * 9999.0
+    with pytest.raises(InvalidInput, match=r"steps of at most 300 m between cells of 2 m, got higher ones, .* row 7, "):
+        load_region(saved(tmp_path / "smeared.npz", elevation_m=elevation))
+
+
+def test_steep_ground_walls_and_hot_spots_are_values(tmp_path: Path) -> None:
+    elevation = np.zeros((30, 40))
+    elevation[10:12] = 100.0
+    he3 = np.full((30, 40), 8.0)
+    he3[3, 3] = 500.0
+    region = load_region(saved(tmp_path / "odd.npz", elevation_m=elevation, he3_ppb=he3))
+    assert not region.traversable[10].any()
+    assert region.he3_ppb.max() == 500.0
+    everywhere = load_region(saved(tmp_path / "rich.npz", he3_ppb=np.full((30, 40), 9999.0)))
+    assert everywhere.he3_ppb.min() == 9999.0

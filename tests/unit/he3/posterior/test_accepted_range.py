@@ -19,7 +19,7 @@ from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters, fit_hyperparameters
 from he3.kernels import KERNELS, Kernel, SmoothPlusRough
 from he3.posterior import grid as grid_module
-from he3.posterior.grid import GridPosterior
+from he3.posterior.grid import GridPosterior, expect_map_fits
 from he3.trend import OrbitalTrend
 
 MEAN_TOLERANCE = 1e-5  # of the field's scale
@@ -238,10 +238,15 @@ def test_a_map_that_would_not_fit_into_memory_is_refused(monkeypatch: pytest.Mon
     places, values = rng.uniform(0, 20, (100, 2)), rng.normal(8.0, 1.0, 100)
     hyperparameters = Hyperparameters(KERNELS["matern52"](), 0.1, 8.0, 1.0)
     monkeypatch.setattr(grid_module, "MAX_ROW_BYTES", 99 * 400 * 4)
-    with pytest.raises(InvalidInput, match="100 samples on 20 x 20 cells in float32"):
+    with pytest.raises(InvalidInput, match="for 100 samples on 20 x 20 cells"):
         GridPosterior.build(grid, hyperparameters, places, values)
     posterior = GridPosterior.build(grid, hyperparameters, places[:49], values[:49])
     assert len(posterior) == 49
+    expect_map_fits(grid, "matern52", 99)
+    expect_map_fits(grid, "se", 4000)
+    for name in ("matern52", "auto"):
+        with pytest.raises(InvalidInput, match="for 100 samples on 20 x 20 cells"):
+            expect_map_fits(grid, name, 100)
     accurate = Hyperparameters(KERNELS["matern52"](1.0, 200.0), 0.03, 8.0, 1.0)
     with pytest.raises(NumericalFailure, match="needs float64"):
         GridPosterior.build(grid, accurate, places[:99], values[:99])

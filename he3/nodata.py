@@ -1,0 +1,74 @@
+"""Rasters from outside are measured in every cell: missing values are refused, not computed with.
+
+Rasters mark a missing value by NaN, or by a number that cannot be measured: -9999, -32768, -3.4e38, 65535 and others.
+A computation takes such a number for a value: one cell of -9999 m makes the standard deviation of relief so large that
+hollows are open ground. Each refusal is one line with the number of cells and the place of the first.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from he3.errors import InvalidInput
+from he3.frames import BoolArray, FloatArray
+
+# Numbers in use for missing values that may lie within a physical range: runs of nines, and limits of 16 bits. Those
+# beyond any range (-32768, -3.4e38, 1e20) need no list.
+SENTINELS: Final = (-9999.0, -999.0, 999.0, 9999.0, 32767.0, 65535.0, 99999.0, 999999.0)
+MAX_STEP_DEG: Final = 85.0  # deg, from a cell to the next; no ground stands steeper over MIN_STEP_M, ASSUMED
+MIN_STEP_M: Final = 300.0  # m, lower steps may be boulders, scarps, or walls in a synthetic region, ASSUMED
+
+
+def expect_measured(name: str, values: FloatArray, low: float, high: float, unit: str = "") -> None:
+    """Raises InvalidInput if a value (rows, columns) is not finite, outside low..high, or marks a missing value.
+
+    name: what the line begins with. A number of ``SENTINELS`` within the range is refused where it lies farther from
+    all other values than they lie from one another.
+    """
+    finite = np.isfinite(values)
+    if not finite.all():
+        raise InvalidInput(f"{name}: expected finite values, got NaN or infinity in {cells_where(~finite)}")
+    off = (values < low) | (values > high)
+    if off.any():
+        first = float(values[off][0])
+        raise InvalidInput(
+            f"{name}: expected {low:g} to {high:g}{unit and ' ' + unit}, got {first:g} in {cells_where(off)}"
+        )
+    for sentinel in SENTINELS:
+        missing = values == sentinel
+        if missing.any() and not missing.all():
+            others = values[~missing]
+            lowest, highest = float(others.min()), float(others.max())
+            if max(lowest - sentinel, sentinel - highest) > highest - lowest:
+                raise InvalidInput(
+                    f"{name}: expected values as the others, {lowest:g} to {highest:g}{unit and ' ' + unit}, got "
+                    f"{sentinel:g}, which marks missing values, in {cells_where(missing)}"
+                )
+
+
+def expect_no_walls(name: str, elevation_m: FloatArray, resolution_m: float) -> None:
+    """Raises InvalidInput if an elevation (rows, columns) [m] has steps between cells that no ground has.
+
+    What is left of missing values after a raster was resampled is such a step.
+    """
+    limit = max(MIN_STEP_M, math.tan(math.radians(MAX_STEP_DEG)) * resolution_m)
+    walls = np.zeros(elevation_m.shape, dtype=np.bool_)
+    walls[1:] |= np.abs(np.diff(elevation_m, axis=0)) > limit
+    walls[:, 1:] |= np.abs(np.diff(elevation_m, axis=1)) > limit
+    if walls.any():
+        raise InvalidInput(
+            f"{name}: expected steps of at most {limit:g} m between cells of {resolution_m:g} m, got higher ones, as "
+            f"beside missing values, at {cells_where(walls)}"
+        )
+
+
+def cells_where(where: BoolArray) -> str:
+    """How many cells of a mask (rows, columns) are set, and which is the first, for an error message."""
+    row, column = np.argwhere(where)[0]
+    count = int(where.sum())
+    if count == 1:
+        return f"1 cell, at row {row}, column {column}"
+    return f"{count} cells, the first at row {row}, column {column}"
