@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[3]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 FOLDERS = ("he3", "schemas", "services", "benchmarks", "deploy", "tests", "scripts", "examples", "docs")
 PATH = re.compile(rf"`((?!he3/MISSION)(?:{'|'.join(FOLDERS)})/[\w./-]*)`")  # he3/MISSION/... is a key
+TEST = re.compile(r"\btests/[\w/]+\.py\b")
 MODULE = re.compile(r"`((?:he3|schemas|services|benchmarks)(?:\.\w+)+)`")
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
 
@@ -34,7 +35,9 @@ def exists(module: str) -> bool:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_file_and_module_that_a_page_names_exists(page: Path) -> None:
     text = page.read_text()
-    paths = [path for path in PATH.findall(text) if "NAME" not in path]  # a name that the reader chooses
+    paths = [
+        path for path in PATH.findall(text) + TEST.findall(text) if "NAME" not in path
+    ]  # a name that the reader chooses
     missing = [path for path in paths if not (ROOT / path).exists()]
     missing += [module for module in MODULE.findall(text) if not exists(module)]
     assert not missing
