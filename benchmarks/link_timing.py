@@ -49,7 +49,8 @@ from services.mission.scenario import load_scenario
 from services.runtime.clock import mission_time
 from services.runtime.node import SECOND
 from services.runtime.transport.client import Client
-from services.runtime.transport.session import Session, open_session
+from services.runtime.transport.opening import open_client
+from services.runtime.transport.session import Session
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -169,7 +170,7 @@ def _one_side(side: Side, endpoint: str, mission: str) -> None:
     with Client(endpoint, mission, "bench", side) as client:
         client.subscribe_raw(HEARS[side], came.take)
         clock: ClockState = _once_it_answers(partial(client.latest, CLOCKS[side]))[1]
-        session = Session(open_session(side, "client", endpoint), mission)
+        session = Session(open_client(side, endpoint), mission)
         try:
             first = 0
             for line in sys.stdin:

@@ -34,7 +34,7 @@ from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
 from services.mission.deployment import deployment
 from services.runtime.child import ROOT, child_environment, python_command
 from services.runtime.transport.client import selector_text
-from services.runtime.transport.session import open_session
+from services.runtime.transport.opening import open_client
 
 SCENARIO = "t1-paper"
 POINT_SHARE, BOX_SHARE = 0.90, 0.08
@@ -180,7 +180,7 @@ def _client(
 ) -> None:
     chance = random.Random(number)
     mine = Times()
-    session = open_session(Side.EARTH, "client", endpoint)
+    session = open_client(Side.EARTH, endpoint)
     try:
         due = begin + number / 1000 + chance.random() / per_second
         while due < begin + seconds:
@@ -233,7 +233,7 @@ def _whole_layers(endpoint: str) -> dict[str, float]:
     Each is the mean of its middle half: where a process happens to run, such a transfer takes 0.9 or 1.7 ms, and a
     median between the two would be either, by chance.
     """
-    session = open_session(Side.EARTH, "client", endpoint)
+    session = open_client(Side.EARTH, endpoint)
     times = Times()
     selectors = {"layer": f"{MAP_LAYER.key(SCENARIO)}?layer=mean;format=npy", "bare": f"{BARE_KEY}?large"}
     turns = [*selectors] * LAYERS_TIMED
@@ -289,7 +289,7 @@ class _Bare:
 
 def _answer_barely(endpoint: str) -> None:
     small, large = b"x" * BARE_BYTES, b"x" * LARGE_BYTES
-    session = open_session(Side.EARTH, "client", endpoint)
+    session = open_client(Side.EARTH, endpoint)
 
     def answer(query: Any) -> None:
         query.reply(query.key_expr, large if dict(query.parameters) else small)

@@ -42,7 +42,7 @@ from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.processes import LINK, PROCESSES, VITAL, waited_for
 from services.mission.scenario import load_scenario
-from services.runtime.transport.session import open_session
+from services.runtime.transport.opening import open_client
 
 BARE_KEY = "bench/bare"
 GIVE_UP_S = 300.0
@@ -84,7 +84,7 @@ def run(
         watcher = _Planning(ends.enter_context(MissionClient.when_up(endpoints.earth, mission.name, link.check)))
         bare = Peer(ends, "benchmarks.query_latency", endpoints.earth)
         bare.answer()
-        session = open_session(Side.EARTH, "client", endpoints.earth)
+        session = open_client(Side.EARTH, endpoints.earth)
         ends.callback(session.close)
         row = _measured(session, mission.name, watcher, services, queries, -(-queries // plans))
     row |= {"planner": planner, "scenario": mission.name, "cpus": os.cpu_count(), "load": os.getloadavg()[0]}
@@ -179,7 +179,7 @@ ANSWER += b'"samples":100,"mission_time_ns":1893456000000000000}'
 
 def _answer_barely(endpoint: str) -> None:
     """Answer every query at once until standard input ends."""
-    with open_session(Side.EARTH, "client", endpoint) as session:
+    with open_client(Side.EARTH, endpoint) as session:
         session.declare_queryable(BARE_KEY, lambda query: query.reply(BARE_KEY, ANSWER))
         answer_line("ready")
         sys.stdin.read()

@@ -151,17 +151,26 @@ class DawdlingExecutor:
 
 def main(name: str, seed: str, *arguments: str) -> NoReturn:
     """One chatter in this process."""
-    from services.link.lockstep_process import LockstepLinkProcess
-    from services.runtime.drivers.wall_clock import Service
+    from services.link.lockstep_driver import TimeManagerDriver
+    from services.link.routers import router_on
     from services.runtime.entry import leave, prepare_process
-    from services.runtime.lockstep.process import LockstepProcess
-    from services.runtime.process import serve
+    from services.runtime.lockstep.driver import LockstepDriver
+    from services.runtime.process import connect_side, serve
+    from services.runtime.service import Service
 
     prepare_process()
 
     node = next(each for each in chatters(int(seed)) if each.interface.name == name)
     service = Service(name, lambda options: node, executor=DawdlingExecutor, journals=False)
-    leave(serve(service, arguments, in_lockstep=LockstepLinkProcess if name == "link" else LockstepProcess))
+    is_link = name == "link"
+    leave(
+        serve(
+            service,
+            arguments,
+            in_lockstep=TimeManagerDriver if is_link else LockstepDriver,
+            open_side=router_on if is_link else connect_side,
+        )
+    )
 
 
 if __name__ == "__main__":

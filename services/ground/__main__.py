@@ -5,18 +5,18 @@ from services.runtime.entry import leave, prepare_service
 
 def main() -> int:
     """Exit code of the process."""
-    from services.ground.map.queries import map_queries
+    from services.ground.map.service import MAP_TOPICS
     from services.ground.node import build_node
     from services.ground.planner_process import PlannerProcess
-    from services.runtime.drivers.wall_clock import Service
     from services.runtime.process import serve
+    from services.runtime.service import QueryModule, Service
 
     return serve(
         Service(
             "ground",
             lambda options: build_node(options.scenario),
             executor=PlannerProcess,
-            answers=map_queries(),
+            queries=QueryModule("services.ground.map.process", MAP_TOPICS),
             journals=True,
         )
     )

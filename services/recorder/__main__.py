@@ -16,10 +16,10 @@ def main() -> int:
     from services.recorder.files import open_recording
     from services.recorder.node import build_node
     from services.recorder.sink import RecordingSink
-    from services.runtime.drivers.wall_clock import Service
     from services.runtime.node import Node
     from services.runtime.options import Options
     from services.runtime.process import serve
+    from services.runtime.service import Service
 
     sinks: list[RecordingSink] = []
     with ExitStack() as stack:

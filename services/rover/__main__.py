@@ -6,8 +6,8 @@ from services.runtime.entry import leave, prepare_service
 def main() -> int:
     """Exit code of the process."""
     from services.rover.node import build_node
-    from services.runtime.drivers.wall_clock import Service
     from services.runtime.process import serve
+    from services.runtime.service import Service
 
     return serve(Service("rover", lambda options: build_node(options.scenario), journals=True))
 

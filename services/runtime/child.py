@@ -7,6 +7,7 @@ ends with its parent.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -28,3 +29,13 @@ def child_environment() -> dict[str, str]:
         # Our code was found in the working directory, in a checkout that is not installed: a child does not look there.
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, (ROOT, os.environ.get("PYTHONPATH"))))
     return environment
+
+
+def exit_in_words(code: int) -> str:
+    """How a child ended, from its return code: 'exit code 2', 'killed by SIGKILL'."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"killed by signal {-code}"

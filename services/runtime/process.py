@@ -1,4 +1,9 @@
-"""One service's process, from its command line to its exit code."""
+"""One service's process, from its command line to its exit code.
+
+It builds the node, replays its journal, opens a session on each side that the node stands on, and hands everything to a
+driver, which decides when the node acts. Zenoh's threads only put what arrived into the inbox. Operators' queries are
+answered in another process, from snapshots, and never wait for the node.
+"""
 
 from __future__ import annotations
 
@@ -8,38 +13,195 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import ExitStack, closing
+from functools import partial
+from typing import Any
 
 from he3.errors import He3Error
-from services.runtime.drivers.wall_clock import Process, Service, Stop
-from services.runtime.lockstep.process import LockstepProcess
-from services.runtime.options import parse_options
+from schemas.topics import Side, Topic
+from services.runtime.context import Driver, ProcessContext
+from services.runtime.custody.endpoint import custody_config
+from services.runtime.drivers.wall_clock import WallClockDriver
+from services.runtime.event_log import EventLog
+from services.runtime.file_lock import lock_beside
+from services.runtime.heartbeat import Heartbeat
+from services.runtime.host import Host
+from services.runtime.inbox import Inbox
+from services.runtime.journal import History, JournalFolder, identity_of
+from services.runtime.lockstep.driver import LockstepDriver
+from services.runtime.log import Log
+from services.runtime.options import Options, parse_options
+from services.runtime.process_clock import ProcessClock
+from services.runtime.queries.process import QueryProcess
+from services.runtime.scheduler import Executor, InlineExecutor, NodeScheduler
+from services.runtime.service import Service
+from services.runtime.transport.opening import connect_client
+from services.runtime.transport.session import ONLOOKERS, Session, close_all
 
 ENDS_WITHIN_S = 1.4
 """From the signal on: a call that hangs in the network then no longer keeps the process alive."""
 SWITCH_INTERVAL_S = 0.0005
 """A thread that computes hands over after this time, so that a query waits no longer for it than for the network."""
 
+MakeDriver = Callable[[ProcessContext], Driver]
+OpenSide = Callable[[ProcessContext, Side, str], Session | None]
+"""Opens the session of a side at that endpoint; None when the process was told to stop first."""
+
+
+def connect_side(context: ProcessContext, side: Side, endpoint: str) -> Session | None:
+    """A client session on that side, as soon as its router is there."""
+    return connect_client(side, endpoint, context.mission, context.inbox.stopped, context.log.warning)
+
 
 def serve(
     service: Service,
     arguments: Sequence[str] | None = None,
-    on_wall_clock: type[Process] = Process,
-    in_lockstep: type[Process] = LockstepProcess,
+    on_wall_clock: MakeDriver = WallClockDriver,
+    in_lockstep: MakeDriver = LockstepDriver,
+    open_side: OpenSide = connect_side,
 ) -> int:
     """Run the service until it is told to stop; the process's exit code. One line on standard error if it cannot."""
-    stop = Stop()
+    inbox = Inbox()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+        signal.signal(number, inbox.stop)
     _end_in_time()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         options = parse_options(service.name, sys.argv[1:] if arguments is None else arguments)
-        process = in_lockstep if options.lockstep and not service.onlooker else on_wall_clock
-        return process(service, options, stop).run()
+        make_driver = in_lockstep if options.lockstep and not service.onlooker else on_wall_clock
+        run_process(service, options, inbox, make_driver, open_side)
     except He3Error as error:
         sys.stderr.write(f"he3 {service.name}: {error}\n")
         return 2
+    return 0
+
+
+def run_process(
+    service: Service, options: Options, inbox: Inbox, make_driver: MakeDriver, open_side: OpenSide = connect_side
+) -> None:
+    """Run the service until it is told to stop; all that was opened is closed then. Raises He3Error."""
+    with ExitStack() as stack:
+        context = _context(service, options, inbox, stack)
+        driver = make_driver(context)
+        if _join(service, context, driver, open_side):
+            driver.run()
+
+
+def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack) -> ProcessContext:
+    """The parts of the process; the stack closes them."""
+    clock = ProcessClock()
+    log = Log(service.name, clock.now_or_none, options.level, options.log_json)
+    sessions: dict[Side, Session] = {}
+    query_process = _query_process(service, options, log)  # it starts while the node is built
+    executor = _executor(service, inbox, stack)
+    # The last to be registered is the first to be closed: the event log, which must be whole.
+    stack.callback(lambda: close_all(sessions.values()))
+    if query_process is not None:
+        stack.callback(query_process.close)
+    node = service.build(options)
+    events = stack.enter_context(closing(EventLog(options.events))) if options.events else None
+    host = Host(node, options.scenario.name, events, custody_config(options.scenario.link, node.interface))
+    folder = history = None
+    if options.journal is not None:
+        expected = f"--journal {options.journal}: expected a folder that no other {service.name} uses"
+        stack.enter_context(lock_beside(options.journal / service.name, expected))
+        if service.journals:
+            folder = JournalFolder(options.journal, service.name, identity_of(options.scenario), host.codec)
+            history = folder.history()
+    scheduler = NodeScheduler(host, executor, None if folder is None else folder.begin(history))
+
+    def publish(topic: Topic, side: Side, payload: bytes) -> None:
+        sessions[side].publish_best_effort(topic, payload)
+
+    heartbeat = Heartbeat(host, publish)
+    context = ProcessContext(options, inbox, sessions, clock, log, scheduler, heartbeat, events, query_process)
+    if history is not None:
+        _go_on(context, history)
+    elif not options.lockstep:
+        # Without a journal a start must still differ from an earlier one: the other side remembers what it received.
+        context.incarnation = int(time.time())
+    return context
+
+
+def _query_process(service: Service, options: Options, log: Log) -> QueryProcess | None:
+    if service.queries is None:
+        return None
+    scenario = options.scenario
+    return QueryProcess(service.queries.module, Side.EARTH, scenario.network.earth, scenario.name, log.warning)
+
+
+def _executor(service: Service, inbox: Inbox, stack: ExitStack) -> Executor:
+    if service.executor is None:
+        return InlineExecutor()
+    return _WakingExecutor(stack.enter_context(closing(service.executor())), inbox)
+
+
+def _go_on(context: ProcessContext, history: History) -> None:
+    """Replay what the journal of earlier starts holds."""
+    if history.notice:
+        context.log.warning(history.notice)
+    began = time.monotonic()
+    context.resume = context.scheduler.replay(history.inputs, history.state)
+    context.incarnation = history.starts + 1
+    if history.starts:
+        context.clock.latest = context.scheduler.last
+        context.log.info(
+            "restarted from its journal",
+            inputs=len(history.inputs),
+            torn_bytes=history.torn_bytes,
+            seconds=f"{time.monotonic() - began:.3f}",
+        )
+
+
+def _join(service: Service, context: ProcessContext, driver: Driver, open_side: OpenSide) -> bool:
+    """Open the sessions, learn the time, and show the process as alive; False when it was told to stop first."""
+    interface = context.scheduler.host.interface
+    network = context.options.scenario.network
+    endpoints = {Side.MOON: network.moon, Side.EARTH: network.earth}
+    for side in interface.sides:
+        session = open_side(context, side, endpoints[side])
+        if session is None:
+            return False
+        context.sessions[side] = session
+        _subscribe(service, context, driver, side)
+    if not driver.begin():
+        return False
+    if context.query_process is not None and not context.resume:
+        # A new mission waits until operators can query it; a process that goes on does not keep its mission waiting.
+        context.query_process.wait_until_ready(context.inbox.stopped)
+    for side, session in context.sessions.items():
+        session.declare_alive(interface.name, side)
+        if service.onlooker:
+            session.declare_alive(interface.name, side, ONLOOKERS)
+    context.log.info("ready", sides="+".join(side.value for side in interface.sides), pid=os.getpid())
+    return True
+
+
+def _subscribe(service: Service, context: ProcessContext, driver: Driver, side: Side) -> None:
+    """Subscribe to what the node hears on that side, and serve what it answers itself."""
+    host, session, traffic = context.scheduler.host, context.sessions[side], driver.traffic
+    elsewhere = () if service.queries is None else service.queries.topics
+    for topic, where in host.received_topics():
+        if where is side:
+            session.subscribe(traffic.received_as(topic), partial(traffic.on_message, topic))
+    for topic, where in host.served_topics():
+        if where is side and topic not in elsewhere:
+            session.serve(topic, partial(traffic.on_query, topic))
+
+
+class _WakingExecutor:
+    """An executor that wakes the main loop when a computation ends."""
+
+    def __init__(self, executor: Executor, inbox: Inbox) -> None:
+        self._executor = executor
+        self._inbox = inbox
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        future = self._executor.submit(function, *arguments)
+        future.add_done_callback(self._inbox.wake)
+        return future
 
 
 def _end_in_time() -> None:

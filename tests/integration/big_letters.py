@@ -10,7 +10,6 @@ from collections.abc import Iterable
 
 from schemas.plans import MissionPlan, RoundPlan
 from schemas.topics import PLAN, Side
-from services.runtime.drivers.wall_clock import Service
 from services.runtime.entry import leave, prepare_process
 from services.runtime.node import (
     SECOND,
@@ -28,6 +27,7 @@ from services.runtime.node import (
 )
 from services.runtime.options import Options
 from services.runtime.process import serve
+from services.runtime.service import Service
 
 LETTERS = 30
 BYTES = 100_000

@@ -5,17 +5,18 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from he3.errors import He3Error
 from he3.frames import SiteGrid
 from schemas.topics import Side
-from services.ground.map.queries import MODULE
 from services.ground.map.snapshot import MapSnapshot
+from services.runtime.queries import process as query_process
 from services.runtime.queries.process import QueryProcess
-from tests.waiting import PATIENCE_S
 
 GRID = SiteGrid(50, 60, 1.0)
 
@@ -37,26 +38,26 @@ def warnings() -> list[str]:
 @pytest.fixture
 def answering(warnings: list[str]) -> Iterator[QueryProcess]:
     # Nobody listens there: what is shown is taken in all the same.
-    process = QueryProcess(MODULE, Side.EARTH, "tcp/127.0.0.1:9", "answering", warnings.append)
+    process = QueryProcess("services.ground.map.process", Side.EARTH, "tcp/127.0.0.1:9", "answering", warnings.append)
     yield process
     process.close()
 
 
 def test_what_is_settled_is_answered_from(answering: QueryProcess) -> None:
-    assert answering.settle(0.0)  # nothing was shown, so nothing is to come
+    assert answering.settle()  # nothing was shown, so nothing is to come
     for revision in range(1, 20):
         answering.show(snapshot(revision))
-    assert answering.settle(PATIENCE_S)
+    assert answering.settle()
 
 
 def test_one_that_died_is_replaced_and_is_shown_the_newest_again(answering: QueryProcess, warnings: list[str]) -> None:
     answering.show(snapshot(1))
-    assert answering.settle(PATIENCE_S)
+    assert answering.settle()
     before = answering.pid
     assert before is not None
     os.kill(before, signal.SIGKILL)
     answering.show(snapshot(2))
-    assert answering.settle(PATIENCE_S)
+    assert answering.settle()
     assert answering.pid not in (None, before)
     assert len(warnings) == 1
 
@@ -67,9 +68,43 @@ def test_waiting_for_one_that_never_gets_ready_ends_when_told_to_stop(answering:
     answering.wait_until_ready(stop)
 
 
+def test_one_that_dies_before_it_is_ready_is_reported_with_the_reason(warnings: list[str]) -> None:
+    process = QueryProcess("services.no_such_module", Side.EARTH, "tcp/127.0.0.1:9", "answering", warnings.append)
+    try:
+        with pytest.raises(
+            He3Error, match=r"services\.no_such_module ended by itself, exit code 1, before it was ready"
+        ):
+            process.wait_until_ready(threading.Event())
+    finally:
+        process.close()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs SIGSTOP")
+def test_one_that_hangs_is_waited_for_until_it_has_been_silent_for_long(
+    answering: QueryProcess, warnings: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(query_process, "SILENT_AFTER_S", 3.0)
+    answering.show(snapshot(1))
+    assert answering.settle()
+    pid = answering.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        answering.show(snapshot(2))
+        assert not answering.settle()
+        assert not answering.settle()  # at once: it is known to hang
+        assert [line for line in warnings if "silent" in line] == [
+            f"the query process (pid {pid}) has been silent for 3 s; going on"
+        ]
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    while not answering.settle():  # until it is heard of again
+        time.sleep(0.05)
+
+
 def test_nothing_is_left_behind(answering: QueryProcess) -> None:
     answering.show(snapshot(1))
-    assert answering.settle(PATIENCE_S)
+    assert answering.settle()
     pid = answering.pid
     assert pid is not None
     answering.close()

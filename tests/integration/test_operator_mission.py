@@ -20,7 +20,7 @@ from schemas.maps import MapAbout
 from schemas.topics import Side
 from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
-from services.runtime.transport.session import open_session
+from services.runtime.transport.opening import open_client
 from tests.processes import run
 from tests.waiting import PATIENCE_S, until
 
@@ -56,7 +56,7 @@ def quietly(what: Callable[[], Any]) -> Any:
 def test_a_stock_zenoh_client_asks_with_a_selector_and_gets_json_arrays_and_pictures(
     running: tuple[Launcher, Endpoints],
 ) -> None:
-    session = open_session(Side.EARTH, "client", running[1].earth)
+    session = open_client(Side.EARTH, running[1].earth)
 
     def get(selector: str) -> tuple[str, bytes, bytes]:
         (reply,) = list(session.get(f"he3/{MISSION}/{selector}", timeout=PATIENCE_S))

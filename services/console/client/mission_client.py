@@ -17,6 +17,7 @@ Every query goes over Zenoh as any client may send it (docs/map-queries.md); non
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -24,7 +25,7 @@ from typing import Self
 
 from he3.errors import PeerUnreachable
 from schemas.ground import GroundStatus
-from schemas.topics import GROUND_STATUS, Topic
+from schemas.topics import GROUND_STATUS, Side, Topic
 from services.console.client.commands import Commanding
 from services.console.client.feed import MapFeed
 from services.console.client.link import LinkControl
@@ -34,36 +35,55 @@ from services.console.client.mission_state import MissionState
 from services.console.client.run_file import find
 from services.runtime.node import MissionTime
 from services.runtime.transport.client import Client
+from services.runtime.transport.opening import SilenceReport, WhileWaiting
 
-CONNECT_WITHIN_S = 120.0
-"""How long a service that has just been started may take to open its router."""
+REPORT_AFTER_S = 5.0
+"""Waiting for the router of a mission that is being started is reported after this time."""
 
 
 class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
-    def __init__(self, earth: str | None = None, mission: str | None = None, name: str = "operator") -> None:
+    def __init__(
+        self,
+        earth: str | None = None,
+        mission: str | None = None,
+        name: str = "operator",
+        *,
+        while_waiting: WhileWaiting | None = None,
+    ) -> None:
         """Join the mission that runs on this machine, or the one of that Earth endpoint and name.
 
+        while_waiting: called while the router takes the connection and has not replied; None: that is said once, on
+        standard error.
         Raises PeerUnreachable when there is none, InvalidInput when there are several.
         """
         self.earth, self.mission = find(mission, earth)
-        self._session = Client(self.earth, self.mission, name)
+        waiting = while_waiting or SilenceReport(Side.EARTH, self.earth, _report)
+        self._session = Client(self.earth, self.mission, name, while_waiting=waiting)
 
     @classmethod
     def when_up(cls, earth: str, mission: str, check: Callable[[], None], name: str = "operator") -> MissionClient:
         """A session with a mission whose router is being started; `check` raises when it never will be.
 
-        Raises PeerUnreachable after `CONNECT_WITHIN_S`.
+        Waits as long as `check` does not raise, and says on standard error for what.
         """
-        deadline = time.monotonic() + CONNECT_WITHIN_S
+        began = time.monotonic()
+        silence = SilenceReport(Side.EARTH, earth, _report)
+        reported = False
+
+        def look(waited_s: float) -> None:
+            check()
+            silence(waited_s)
+
         while True:
             check()
             try:
-                return cls(earth, mission, name)
-            except PeerUnreachable:
-                if time.monotonic() > deadline:
-                    raise
+                return cls(earth, mission, name, while_waiting=look)
+            except PeerUnreachable as error:
+                if not reported and time.monotonic() - began > REPORT_AFTER_S:
+                    reported = True
+                    _report(f"{error}; waiting for it as long as the services run")
             time.sleep(0.05)
 
     def __enter__(self) -> Self:
@@ -104,3 +124,7 @@ class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
         if follow:
             state.follow()
         return state
+
+
+def _report(line: str) -> None:
+    print(f"he3: {line}", file=sys.stderr)

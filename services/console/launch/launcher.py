@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-import signal
 import socket
 import subprocess
 import tempfile
@@ -20,7 +19,7 @@ from typing import Self
 from he3.errors import He3Error
 from services.console.interruption import uninterrupted
 from services.mission.processes import LINK, PROCESSES, RECORDER, VITAL, ProcessSpec, waited_for
-from services.runtime.child import child_environment, python_command
+from services.runtime.child import child_environment, exit_in_words, python_command
 
 STOP_WITHIN_S = 1.5
 """How long a service may take to end before it is killed."""
@@ -176,7 +175,7 @@ class Launcher:
         code = self._processes[name].poll()
         if code is None:
             return None
-        return f"the {name} service ended by itself, {_in_words(code)}{self._last_words(name)}"
+        return f"the {name} service ended by itself, {exit_in_words(code)}{self._last_words(name)}"
 
     def failure(self, name: str) -> str | None:
         """One line on why that service, which is over, ended with another exit code than 0; None if it did not."""
@@ -184,7 +183,7 @@ class Launcher:
         if process is None or not process.returncode:
             return None
         said = self._last_words(name).removeprefix(f": he3 {name}: ")
-        return said or f"the {name} service ended by itself, {_in_words(process.returncode)}"
+        return said or f"the {name} service ended by itself, {exit_in_words(process.returncode)}"
 
     def tell_to_end(self) -> None:
         """Ask every service to end, and wait for none."""
@@ -221,12 +220,3 @@ class Launcher:
 
 _TELLING = re.compile(r"he3 \w+: |[\w.]+(Error|Exception)\b")
 """A log line that says why a service ended: its own last line, or the last line of a traceback."""
-
-
-def _in_words(code: int) -> str:
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        return f"killed by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"killed by signal {-code}"

@@ -10,9 +10,12 @@ from services.runtime.entry import prepare_process
 
 def main() -> int:
     """Exit code of the process; it ends with its pipe."""
+    from services.runtime.queries.pipe import say_alive
+
+    say_alive()  # before the imports, which may take long
     from services.ground.map.feed_publisher import FeedPublisher
     from services.ground.map.queries import map_queries
-    from services.runtime.queries.process import serve_from_pipe
+    from services.runtime.queries.pipe_server import serve_from_pipe
 
     return serve_from_pipe(map_queries(), "ground", FeedPublisher(), sys.argv[1:])
 

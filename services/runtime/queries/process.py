@@ -1,62 +1,55 @@
-"""Operators' questions, answered in a process of their own: whatever is asked, the node next door does not feel it.
+"""The owner's end of a query process: a service's process gives each snapshot to a process that answers queries.
 
-The *owner* (a service's process) hands over each snapshot, pickled, through a pipe; only the newest waits. The
-*answerer* has a Zenoh session of its own, keeps what it needs of earlier snapshots, and answers in threads. It ends
-with its pipe, however the owner died, and is started again if it dies itself. The pipe joins two processes of one
-program and one user: it is no way in for others.
+Only the newest snapshot waits. A query process that dies is started again and given the newest. What it writes back is
+in `services.runtime.queries.pipe`, what it does in `services.runtime.queries.pipe_server`.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
-import pickle
-import signal
-import struct
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, BinaryIO, Protocol
+from collections.abc import Callable
+from typing import Any, BinaryIO, cast
 
 from he3.errors import He3Error
 from schemas.topics import Side
-from services.runtime.child import child_environment, python_command
-from services.runtime.queries.server import QueryServer, QueryService
-from services.runtime.transport.session import Session, connect_client
+from services.runtime.child import child_environment, exit_in_words, python_command
+from services.runtime.queries.pipe import ALIVE_EVERY_S, READY, write_snapshot
 
-READY = b"ready\n"
-START_WITHIN_S = 30.0
-"""How long an answerer may take until it answers, on a machine with much else to do."""
+SILENT_AFTER_S = 30 * ALIVE_EVERY_S
+"""A query process that has not said for so long that it lives hangs: nothing waits for it any more until it does."""
+REPORT_AFTER_S = 5.0
+"""Waiting for a query process is reported after this time."""
 START_AGAIN_S = 1.0
 CLOSE_WITHIN_S = 0.3
-"""How long an answerer may take to end by itself; it has nothing to lose."""
-
-SETTLE_WITHIN_S = 5.0
-
-_HEAD = struct.Struct("<QQ")  # number and length of a snapshot
+"""How long a query process may take to end by itself; it has nothing to lose."""
 
 
 class QueryProcess:
-    """The owner's end. `show` may be called from any thread and returns at once."""
+    """A query process and its owner's end. `show` may be called from any thread and returns at once."""
 
     def __init__(self, module: str, side: Side, endpoint: str, mission: str, warn: Callable[[str], None]) -> None:
+        """warn: called with a line for the log."""
         self._module = module
         self._command = python_command(module, side.value, endpoint, mission)
         self._warn = warn
         self._changed = threading.Condition()
         self._newest: tuple[int, Any] = (0, None)
-        self._closed = False
         self._answered_from = 0
-        self._ready = threading.Event()
+        self._ready = False
+        self._died_early: str | None = None
+        self._heard_at_s = time.monotonic()
+        self._hangs = False
+        self._closed = False
         self._process: subprocess.Popen[bytes] | None = None
-        self._thread = threading.Thread(target=self._work, name="answering", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="query-process", daemon=True)
         self._thread.start()
 
     @property
     def pid(self) -> int | None:
-        """Process id of the answerer; None before the first has started."""
+        """Process id of the query process; None before the first was started."""
         return None if self._process is None else self._process.pid
 
     def show(self, snapshot: object) -> None:
@@ -65,48 +58,75 @@ class QueryProcess:
             self._newest = (self._newest[0] + 1, snapshot)
             self._changed.notify_all()
 
-    def settle(self, within_s: float = SETTLE_WITHIN_S) -> bool:
-        """Wait until questions are answered from what was shown last; whether that came about in time."""
-        deadline = time.monotonic() + within_s
-        with self._changed:
-            while self._answered_from < self._newest[0] and not self._closed:
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    return False
-                self._changed.wait(left)
-        return True
+    def settle(self) -> bool:
+        """Wait until queries are answered from what was shown last; False if the query process hangs, or was closed.
+
+        A query process that dies meanwhile is replaced, and waited for.
+        """
+        return self._wait(lambda: self._answered_from >= self._newest[0], "to take a snapshot in")
 
     def wait_until_ready(self, stop: threading.Event) -> None:
-        """Return when questions are answered, or when `stop` is set; raises He3Error when they are not in time."""
-        deadline = time.monotonic() + START_WITHIN_S
-        while not self._ready.wait(0.05):
-            if stop.is_set():
-                return
-            if time.monotonic() > deadline:
-                raise He3Error(f"{self._module}: expected it to be ready within {START_WITHIN_S:g} s")
+        """Return when queries are answered, or when `stop` is set.
+
+        Waits as long as the query process lives; raises He3Error if it ends before it was ever ready.
+        """
+        self._wait(lambda: self._ready or stop.is_set() or self._died_early is not None, "to be ready", hanging=True)
+        if not self._ready and not stop.is_set() and self._died_early is not None:
+            raise He3Error(f"the query process {self._module} {self._died_early} before it was ready")
+
+    def _wait(self, over: Callable[[], bool], what: str, hanging: bool = False) -> bool:
+        """Wait until it is over or this end is closed; unless `hanging`, until the query process is silent as well."""
+        began = time.monotonic()
+        reported = False
+        with self._changed:
+            while not over() and not self._closed:
+                now = time.monotonic()
+                silent_s = now - self._heard_at_s
+                if not reported and now - began > REPORT_AFTER_S:
+                    reported = True
+                    self._warn(f"waiting for the query process (pid {self.pid}) {what}")
+                if not hanging and silent_s > SILENT_AFTER_S:
+                    if not self._hangs:
+                        self._hangs = True
+                        self._warn(f"the query process (pid {self.pid}) has been silent for {silent_s:.0f} s; going on")
+                    return False
+                self._changed.wait(0.05)
+            return over()
 
     def close(self) -> None:
-        """End the answerer."""
+        """End the query process."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         self._thread.join(CLOSE_WITHIN_S)
         process = self._process
         if self._thread.is_alive() and process is not None:
-            process.kill()  # it is being started still, and does not read what it is given
+            process.kill()  # it is still starting, and does not read its pipe
         self._thread.join(CLOSE_WITHIN_S)
+
+    # --- in a thread of its own ---------------------------------------------------------------------------------
 
     def _work(self) -> None:
         while not self._closed:
             process = self._start()
             try:
-                self._hand_over(process)
-            except (BrokenPipeError, OSError):
-                if not self._closed:
-                    self._warn("the process that answers operators has died; starting another")
-                    time.sleep(START_AGAIN_S)
+                self._write_snapshots(process)
+            except OSError:
+                self._end(process)
+                self._note_death(process.returncode)
             finally:
                 self._end(process)
+
+    def _note_death(self, code: int) -> None:
+        how = f"ended by itself, {exit_in_words(code)},"
+        with self._changed:
+            if self._closed:
+                return
+            if not self._ready:
+                self._died_early = how
+            self._changed.notify_all()
+        self._warn(f"the query process {how} and is started again")
+        time.sleep(START_AGAIN_S)
 
     def _start(self) -> subprocess.Popen[bytes]:
         # Not of the owner's group: Ctrl-C is for the owner to judge.
@@ -119,36 +139,37 @@ class QueryProcess:
             env=child_environment(),
         )
         self._process = process
-        stdout = process.stdout
-        assert stdout is not None
-        threading.Thread(target=self._await_ready, args=(stdout,), name="answering-ready", daemon=True).start()
+        self._heard_at_s = time.monotonic()
+        lines = cast(BinaryIO, process.stdout)
+        threading.Thread(target=self._read_lines, args=(lines,), name="query-process-lines", daemon=True).start()
         return process
 
-    def _await_ready(self, stdout: Any) -> None:
-        while line := stdout.readline():
-            if line == READY:
-                self._ready.set()
-            elif line.strip().isdigit():
+    def _read_lines(self, lines: BinaryIO) -> None:
+        with lines:
+            while line := lines.readline():
                 with self._changed:
-                    self._answered_from = int(line)
+                    self._heard_at_s = time.monotonic()
+                    self._hangs = False
+                    if line == READY:
+                        self._ready = True
+                    elif line.strip().isdigit():
+                        self._answered_from = int(line)
                     self._changed.notify_all()
 
-    def _hand_over(self, process: subprocess.Popen[bytes]) -> None:
-        given = 0
+    def _write_snapshots(self, process: subprocess.Popen[bytes]) -> None:
+        """Write each new snapshot, until this end is closed; raises OSError when the query process is gone."""
+        written = 0
         while True:
             with self._changed:
-                while self._newest[0] == given and not self._closed:
-                    # A dead answerer is noticed even when there is nothing to hand over.
+                while self._newest[0] == written and not self._closed:
+                    # A query process that is gone is noticed even when there is nothing to write.
                     self._changed.wait(START_AGAIN_S)
                     if process.poll() is not None:
                         raise BrokenPipeError
                 if self._closed:
                     return
-                given, snapshot = self._newest
-            assert process.stdin is not None
-            payload = pickle.dumps(snapshot, protocol=pickle.HIGHEST_PROTOCOL)
-            _write_all(process.stdin, _HEAD.pack(given, len(payload)))
-            _write_all(process.stdin, payload)
+                written, snapshot = self._newest
+            write_snapshot(cast(BinaryIO, process.stdin), written, snapshot)
 
     def _end(self, process: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(OSError):
@@ -159,72 +180,3 @@ class QueryProcess:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
-
-
-def _write_all(pipe: Any, payload: bytes) -> None:
-    rest = memoryview(payload)
-    while rest:
-        rest = rest[pipe.write(rest) :]
-
-
-class SnapshotPublisher(Protocol):
-    """Publishes what it likes of each snapshot, beside the replies to queries."""
-
-    def begin(self, session: Session) -> None:
-        """Publish on that session from now on."""
-
-    def show(self, snapshot: Any) -> None:
-        """Publish from that snapshot from now on; never blocks."""
-
-    def end(self) -> None:
-        """Publish no more."""
-
-
-def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
-    """Answer that service's queries from the snapshots that come in on standard input; returns when it ends.
-
-    arguments: side, endpoint and mission. publisher: is shown each snapshot as well.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A thread that computes hands over after 0.5 ms, so that a question waits no longer for it than for the network.
-    sys.setswitchinterval(0.0005)
-    side, endpoint, mission = arguments
-    ended = threading.Event()
-    session: list[Session] = []
-    server = QueryServer(service, name, mission)
-
-    def connect() -> None:
-        opened = connect_client(Side(side), endpoint, mission, ended, lambda _: None)
-        if opened is None:
-            return
-        session.append(opened)
-        for topic in service.topics:
-            server.serve(topic, opened)
-        publisher.begin(opened)
-        os.write(1, READY)
-
-    connecting = threading.Thread(target=connect, name="connect", daemon=True)
-    connecting.start()
-    pipe = sys.stdin.buffer
-    while (given := _read(pipe)) is not None:
-        number, snapshot = given
-        publisher.show(server.show(snapshot))
-        os.write(1, b"%d\n" % number)
-    ended.set()
-    publisher.end()
-    for opened in session:
-        opened.close()
-    # Threads of Zenoh may still hold on to what is going away.
-    os._exit(0)
-
-
-def _read(pipe: BinaryIO) -> tuple[int, Any] | None:
-    """Number and content of the next snapshot; None at the end."""
-    head = pipe.read(_HEAD.size)
-    if len(head) < _HEAD.size:
-        return None
-    number, length = _HEAD.unpack(head)
-    payload = pipe.read(length)
-    return (number, pickle.loads(payload)) if len(payload) == length else None

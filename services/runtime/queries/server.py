@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 from he3.errors import Busy, He3Error, NotReady
 from schemas.topics import Topic
@@ -38,7 +38,15 @@ def _no_rendering(_topic: Topic, _request: Any, _snapshot: Any) -> Encoded | Non
     return None
 
 
-def _newest(snapshot: Any, _before: Any) -> Any:
+class Snapshot(Protocol):
+    """What queries are answered from; immutable."""
+
+    @property
+    def mission_time_ns(self) -> MissionTime:
+        """When it was made."""
+
+
+def _newest(snapshot: Snapshot, _before: Snapshot | None) -> Snapshot:
     return snapshot
 
 
@@ -51,39 +59,28 @@ class QueryService:
     """(topic, request, snapshot) -> reply; raises He3Error with one line."""
     render: Callable[[Topic, Any, Any], Encoded | None] = _no_rendering
     """(topic, request, snapshot) -> the reply if it is not JSON, else None; raises He3Error."""
-    keep: Callable[[Any, Any | None], Any] = _newest
+    keep: Callable[[Any, Any | None], Snapshot] = _newest
     """(new snapshot, what was kept before) -> what is kept, and answered from, from now on."""
     threads: int = 2
-    module: str | None = None
-    """Module to run as the query process (see `services.runtime.queries.process`); None: threads of this process."""
 
 
 class QueryServer:
-    """The threads that answer a service's queries, for one process."""
+    """The threads that answer a service's queries; they end with the process."""
 
-    def __init__(
-        self,
-        service: QueryService,
-        name: str,
-        mission: str,
-        now: Callable[[], MissionTime | None] = lambda: None,
-    ) -> None:
+    def __init__(self, service: QueryService, name: str, mission: str) -> None:
         self._service = service
         self._name = name
         self._mission = mission
-        self._snapshot: object | None = None
-        self._now = now
+        self._snapshot: Snapshot | None = None
         self._waiting: queue.Queue[tuple[Topic, IncomingQuery]] = queue.Queue(MAX_WAITING)
         for number in range(service.threads):
             threading.Thread(target=self._work, name=f"queries-{number}", daemon=True).start()
 
-    def show(self, snapshot: object) -> object:
+    def show(self, snapshot: Snapshot) -> Snapshot:
         """Answer from that snapshot from now on; returns what is kept of it and of earlier ones."""
-        self._snapshot = self._service.keep(snapshot, self._snapshot)
-        return self._snapshot
-
-    def close(self) -> None:
-        """Nothing to end: the threads end with the process."""
+        kept = self._service.keep(snapshot, self._snapshot)
+        self._snapshot = kept
+        return kept
 
     def serve(self, topic: Topic, session: Session) -> None:
         """Answer that topic's queries on that session from now on."""
@@ -116,7 +113,6 @@ class QueryServer:
         if rendered is not None:
             return rendered
         reply = self._service.answer(topic, request, snapshot)
-        now = self._now()
-        made_at: MissionTime = getattr(snapshot, "mission_time_ns", 0) if now is None else now
+        made_at = snapshot.mission_time_ns
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=made_at)
         return Encoded(encode_reply(query, header, reply), JSON, b"")

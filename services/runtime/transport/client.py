@@ -17,7 +17,8 @@ from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
 from services.runtime.node import NoReply
 from services.runtime.refusals import error_of
-from services.runtime.transport.session import NotReplied, Outcome, Replied, Session, open_session
+from services.runtime.transport.opening import WhileWaiting, open_client
+from services.runtime.transport.session import NotReplied, Outcome, Replied, Session
 
 QUERY_TIMEOUT_S = 10.0
 
@@ -25,11 +26,21 @@ QUERY_TIMEOUT_S = 10.0
 class Client:
     """An operator's session on one side. Use it in a `with` statement; its methods may be called from any thread."""
 
-    def __init__(self, endpoint: str, mission: str, name: str = "operator", side: Side = Side.EARTH) -> None:
-        """Raises PeerUnreachable when no router listens at the endpoint."""
+    def __init__(
+        self,
+        endpoint: str,
+        mission: str,
+        name: str = "operator",
+        side: Side = Side.EARTH,
+        while_waiting: WhileWaiting = lambda _: None,
+    ) -> None:
+        """Raises PeerUnreachable when no router listens at the endpoint.
+
+        while_waiting: see `open_client`.
+        """
         self._mission = mission
         self._name = name
-        self._session = Session(open_session(side, "client", endpoint), mission)
+        self._session = Session(open_client(side, endpoint, while_waiting), mission)
 
     def __enter__(self) -> Self:
         return self

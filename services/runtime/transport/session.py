@@ -1,4 +1,4 @@
-"""A Zenoh session on one side of a mission: publish, subscribe, query, serve, liveliness; and how one is opened.
+"""A Zenoh session on one side of a mission: publish, subscribe, query, serve, liveliness.
 
 Zenoh's callbacks run in its own threads. They only hand over what came; nothing may block inside one. A session that
 loses its router reconnects by itself.
@@ -6,7 +6,6 @@ loses its router reconnects by itself.
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -15,36 +14,24 @@ from typing import Any
 
 import zenoh
 
-from he3.errors import InvalidInput, PeerUnreachable
 from schemas.refusal import Refusal, RefusalCode, decode_refusal
 from schemas.topics import KEY_ROOT, Side, Topic
-from services.mission.deployment import deployment
 from services.runtime.node import NoReply
 
 CLOSE_WITHIN_S = 1.0
 """Longest wait for a session to close; on a bad link Zenoh itself takes up to 10 s."""
-RETRY_CONNECT_S = 0.3
 
 ALIVE = "alive"
 """Liveliness group of all processes."""
+MEMBERS = "member"
+"""Liveliness group of the participants in lockstep; each start of a process has a token of its own."""
+ONLOOKERS = "onlooker"
+"""Liveliness group of the processes for which virtual time never waits."""
 
 JSON = "application/json"
 
 OnPayload = Callable[[bytes, bytes], None]
 """Called with payload and attachment (empty when there is none)."""
-
-
-def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
-    """The shipped configuration of that side and role (`router` or `client`), with that endpoint."""
-    path = deployment("zenoh", f"{side.value}-{role}.json5")
-    try:
-        config = zenoh.Config.from_file(str(path))
-        config.insert_json5("listen/endpoints" if role == "router" else "connect/endpoints", json.dumps([endpoint]))
-    except zenoh.ZError as error:
-        raise InvalidInput(
-            f"{path}: expected a Zenoh configuration and an endpoint, got: {_first_line(error)}"
-        ) from None
-    return config
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,38 +258,6 @@ def liveliness_key(mission: str, side: Side, name: str, group: str = ALIVE) -> s
     return f"{KEY_ROOT}/{mission}/{side.value}/{group}/{name}"
 
 
-def open_session(side: Side, role: str, endpoint: str) -> zenoh.Session:
-    """A session, connected (`client`) or listening (`router`); raises PeerUnreachable with one line."""
-    config = session_config(side, role, endpoint)
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        if role == "router":
-            raise PeerUnreachable(
-                f"cannot listen as the {side.value} router at {endpoint}: {_first_line(error)}"
-            ) from None
-        raise PeerUnreachable(f"no {side.value} router at {endpoint}") from None
-
-
-def connect_client(
-    side: Side, endpoint: str, mission: str, stop: threading.Event, on_waiting: Callable[[str], None]
-) -> Session | None:
-    """A client session on that side, as soon as its router is there; None when `stop` is set first.
-
-    on_waiting: called once, with one line, when the router is not there at once.
-    """
-    reported = False
-    while not stop.is_set():
-        try:
-            return Session(open_session(side, "client", endpoint), mission)
-        except PeerUnreachable as error:
-            if not reported:
-                on_waiting(f"{error}; still trying")
-                reported = True
-            stop.wait(RETRY_CONNECT_S)
-    return None
-
-
 def _is_put(sample: Any) -> bool:
     return bool(sample.kind == zenoh.SampleKind.PUT)
 
@@ -310,7 +265,3 @@ def _is_put(sample: Any) -> bool:
 def _attachment(carrier: Any) -> bytes:
     attachment = carrier.attachment
     return b"" if attachment is None else bytes(attachment.to_bytes())
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0].split(" at /")[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -34,6 +35,14 @@ def point(request: MapPointQuery, revision: int) -> MapPoint:
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A snapshot."""
+
+    revision: int
+    mission_time_ns: int = 7
+
+
 class FakeQuery:
     """A question as Zenoh hands it over, whose end can be waited for."""
 
@@ -58,8 +67,8 @@ class OneTopicBus:
 
 @pytest.fixture
 def server() -> QueryServer:
-    service = QueryService((MAP_POINT,), lambda _topic, request, snapshot: point(request, snapshot))
-    return QueryServer(service, "ground", "short", lambda: 7)
+    service = QueryService((MAP_POINT,), lambda _topic, request, snapshot: point(request, snapshot.revision))
+    return QueryServer(service, "ground", "short")
 
 
 @pytest.fixture
@@ -85,7 +94,7 @@ def test_before_there_is_a_map_a_question_is_refused_and_not_kept_waiting(ask):
 
 
 def test_parameters_are_answered_with_the_plain_body_and_a_message_with_a_message(server, ask):
-    server.show(3)
+    server.show(Shown(3))
     how, plain = ask(FakeQuery(x="1", y="2"))
     assert how == "answered"
     body = json.loads(plain)
@@ -99,7 +108,7 @@ def test_parameters_are_answered_with_the_plain_body_and_a_message_with_a_messag
 
 def test_the_newest_snapshot_answers(server, ask):
     for revision in (1, 2, 9):
-        server.show(revision)
+        server.show(Shown(revision))
         assert json.loads(ask(FakeQuery(x="1", y="2"))[1])["revision"] == revision
 
 
@@ -118,7 +127,7 @@ def test_the_newest_snapshot_answers(server, ask):
     ],
 )
 def test_bad_questions_are_refused_in_one_line_and_the_next_is_answered(server, ask, query, code, expected):
-    server.show(1)
+    server.show(Shown(1))
     how, refusal = ask(query)
     assert how == "refused"
     assert refusal.code is code
@@ -130,7 +139,7 @@ def test_bad_questions_are_refused_in_one_line_and_the_next_is_answered(server, 
 def test_a_hundred_questions_at_once_are_each_answered_once(server):
     session = OneTopicBus()
     server.serve(MAP_POINT, session)
-    server.show(1)
+    server.show(Shown(1))
     queries = [FakeQuery(x=str(number), y="2") for number in range(100)]
     for query in queries:
         session.ask(query)
@@ -190,6 +199,6 @@ def test_selectors_that_say_nonsense_are_refused_in_one_line(topic, parameters):
 
 
 def test_a_malformed_message_is_invalid_input(server):
-    server.show(1)
+    server.show(Shown(1))
     with pytest.raises(InvalidInput):
         server.reply(MAP_POINT, FakeQuery(b"\xff"))

@@ -1,0 +1,131 @@
+"""The mission's clock on the wall clock, which the link keeps: it alone is seen from both sides.
+
+Mission time starts when the processes have come that the link was told to wait for. It runs at the rate that an
+operator sets, and goes on where it was when the link is started again.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+
+from he3.errors import InvalidInput
+from schemas.codec import encode
+from schemas.link import ClockState
+from schemas.topics import CLOCK_SET, Side
+from schemas.wire import Header
+from services.link.kept_clock import keep, kept_clock, this_machine
+from services.runtime.clock import at_rate, started
+from services.runtime.context import ProcessContext
+from services.runtime.process_clock import CLOCKS
+from services.runtime.queries.request import read_request
+from services.runtime.refusals import refusal_of
+from services.runtime.transport.session import IncomingQuery
+
+CLOCK_FILE = "clock.json"
+ANNOUNCE_EVERY_S = 5.0
+"""Wall time between two announcements of the time while it is not changed."""
+
+
+class ClockKeeper:
+    """The time source of the link's process, and of all others: it publishes each change and answers queries."""
+
+    def __init__(self, context: ProcessContext) -> None:
+        self._context = context
+        self._clock = context.clock.followed
+        self._missing = set(context.options.wait_for)
+        self._sequence = 0
+        self._announced_at_s = 0.0
+        folder = context.options.journal
+        self._file = None if folder is None else folder / CLOCK_FILE
+        self._machine = this_machine()
+        self._kept = True
+
+    def begin(self) -> bool:
+        """Start the clock, or go on with the one that an earlier start of this process left."""
+        context, scenario = self._context, self._context.options.scenario
+        state = self._remembered()
+        if state is None:
+            state = started(scenario.start_ns, 0.0 if self._missing else scenario.rate, time.time_ns())
+        else:
+            self._missing.clear()
+        self._clock.follow(state)
+        inbox = context.inbox
+        for side, session in context.sessions.items():
+            session.serve(CLOCKS[side], lambda query: query.reply(self._message()))
+            if self._missing:
+                session.watch_alive(side, lambda name, alive: inbox.put(partial(self._process_seen, name, alive)))
+        context.sessions[Side.EARTH].serve(CLOCK_SET, lambda query: inbox.put(partial(self._set_rate, query)))
+        self._announce()
+        if self._missing:
+            context.log.info("mission time waits", for_=", ".join(sorted(self._missing)))
+        return True
+
+    def tend(self, monotonic_s: float) -> None:
+        """Announce the time now and then: to processes whose machine was suspended, and for a restart of this one."""
+        if monotonic_s - self._announced_at_s >= ANNOUNCE_EVERY_S:
+            self._announce()
+
+    def _process_seen(self, name: str, alive: bool) -> None:
+        if alive and name in self._missing:
+            self._missing.discard(name)
+            if not self._missing:
+                rate = self._context.options.scenario.rate
+                self._change_rate(rate)
+                self._context.log.info("mission time runs", rate=rate)
+
+    def _set_rate(self, query: IncomingQuery) -> None:
+        try:
+            change = read_request(CLOCK_SET, query, self._context.mission)
+        except InvalidInput as error:
+            query.refuse(refusal_of(error))
+            self._context.refused(str(error))
+            return
+        self._missing.clear()
+        self._change_rate(change.rate)
+        query.reply(self._message())
+
+    def _change_rate(self, rate: float) -> None:
+        now = self._clock.anchored_now()
+        self._clock.follow(at_rate(now, rate, now.anchor_wall_ns))
+        self._announce()
+
+    def _announce(self) -> None:
+        self._announced_at_s = time.monotonic()
+        self._remember()
+        for side, session in self._context.sessions.items():
+            session.publish(CLOCKS[side], self._message())
+
+    def _message(self) -> bytes:
+        state = self._clock.anchored_now()
+        self._sequence += 1
+        header = Header(
+            mission=self._context.mission,
+            source=self._context.name,
+            incarnation=0,
+            sequence=self._sequence,
+            made_at=state.anchor_mission_ns,
+        )
+        return encode(header, state)
+
+    # --- what survives a restart --------------------------------------------------------------------------------
+
+    def _remembered(self) -> ClockState | None:
+        if self._file is None or not self._file.exists():
+            return None
+        try:
+            return kept_clock(self._file, self._machine)
+        except ValueError:
+            self._context.log.warning(f"{self._file}: expected a clock, got something else; starting mission time anew")
+            return None
+
+    def _remember(self) -> None:
+        if self._file is None:
+            return
+        try:
+            keep(self._file, self._clock.anchored_now(), self._machine)
+            self._kept = True
+        except OSError as error:
+            if self._kept:  # reported once: it is tried again with each announcement
+                self._context.log.warning(f"{self._file}: cannot keep the clock for a restart: {error.strerror}")
+            self._kept = False

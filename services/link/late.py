@@ -1,0 +1,65 @@
+"""Whom virtual time waits for, and what is known of each: a slow process is not a dead one.
+
+A process that is gone is known at once, by its liveliness token. One that is there and does not finish its step may be
+slow, or hang: an operator is told when it was last heard of, and virtual time waits for it. Every process sends a
+heartbeat every two seconds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+
+from schemas.lockstep import StepBusy
+
+REPORT_AFTER_S = 5.0
+"""A process that has not finished a step for so long is reported."""
+REPORT_COMPUTING_AFTER_S = 120.0
+"""The same for a process that says that it computes."""
+
+
+class SignsOfLife:
+    """When each process was last heard of, and what it said of its step. Wall time comes from `now_s` [s]."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._heard_at_s: dict[str, float] = {}
+        self._busy: dict[str, StepBusy] = {}
+        self._step_began_s = now_s()
+
+    def heard(self, name: str) -> None:
+        """A message of that process has arrived."""
+        self._heard_at_s[name] = self._now_s()
+
+    def begin_step(self) -> None:
+        """What was said of the step before is out of date."""
+        self._step_began_s = self._now_s()
+        self._busy.clear()
+
+    def busy(self, busy: StepBusy) -> None:
+        """A process has said why it cannot finish the step yet."""
+        self.heard(busy.name)
+        self._busy[busy.name] = busy
+
+    def overdue(self, outstanding: Collection[str]) -> bool:
+        """Whether it is time to report those who have not finished the step."""
+        if not outstanding:
+            return False
+        computing = {name for name, busy in self._busy.items() if busy.computing}
+        bound = REPORT_COMPUTING_AFTER_S if set(outstanding) <= computing else REPORT_AFTER_S
+        return self._now_s() - self._step_began_s > bound
+
+    def report(self, step: int, outstanding: Collection[str]) -> str:
+        """For whom that step waits, and what is known of each, in one line."""
+        waits = ", ".join(f"{name} ({self._known_of(name)})" for name in sorted(outstanding))
+        return f"step {step} waits for {waits}; mission time stands"
+
+    def _known_of(self, name: str) -> str:
+        busy = self._busy.get(name)
+        if busy is not None and busy.lacks:
+            lacks = ", ".join(f"{count} from {sender}" for sender, count in sorted(busy.lacks.items()))
+            return f"has not received {lacks}"
+        if busy is not None:
+            return f"computing {', '.join(busy.computing)}"
+        heard_at_s = self._heard_at_s.get(name)
+        return "not heard of yet" if heard_at_s is None else f"last heard of {self._now_s() - heard_at_s:.0f} s ago"

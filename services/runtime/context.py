@@ -1,0 +1,127 @@
+"""What a driver works with in a service's process: the node's scheduler, the sessions, the clock, the log.
+
+`services.runtime.process` makes it and hands it to a driver. A driver decides when the node acts; what is alike for all
+drivers is done here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from schemas.refusal import Refusal
+from schemas.topics import Side, Topic
+from services.runtime.actions import Action
+from services.runtime.event_log import EventLog
+from services.runtime.heartbeat import Heartbeat
+from services.runtime.inbox import Inbox
+from services.runtime.log import Log
+from services.runtime.node import Finish, LogRecord, PublishSnapshot
+from services.runtime.options import Options
+from services.runtime.process_clock import ProcessClock
+from services.runtime.queries.process import QueryProcess
+from services.runtime.scheduler import NodeScheduler
+from services.runtime.transport.session import IncomingQuery, Session
+
+IDLE_S = 0.5
+"""Longest sleep of a main loop [s of wall time]."""
+
+
+class Traffic(Protocol):
+    """What a driver does with messages and queries that arrive. Called in Zenoh's threads: it may only hand over."""
+
+    def received_as(self, topic: Topic) -> Topic:
+        """The topic on whose key that topic's messages reach this process."""
+
+    def on_message(self, topic: Topic, payload: bytes, attachment: bytes) -> None: ...
+
+    def on_query(self, topic: Topic, query: IncomingQuery) -> None: ...
+
+
+class Driver(Protocol):
+    """Decides when the node of a process acts."""
+
+    @property
+    def traffic(self) -> Traffic: ...
+
+    def begin(self) -> bool:
+        """Learn or set mission time; the sessions are open. False when the process was told to stop first."""
+
+    def run(self) -> None:
+        """Let the node act until the process is told to stop."""
+
+
+class OpenQueries:
+    """The queries that the node has not answered yet, by token."""
+
+    def __init__(self) -> None:
+        self._queries: dict[int, IncomingQuery] = {}
+        self._tokens = 0
+
+    def next_token(self) -> int:
+        self._tokens += 1
+        return self._tokens
+
+    def add(self, token: int, query: IncomingQuery) -> None:
+        self._queries[token] = query
+
+    def reply(self, token: int, payload: bytes, attachment: bytes | None = None) -> None:
+        """Reply to that query; nothing for a token of an earlier start of this process, whose client is gone."""
+        query = self._queries.pop(token, None)
+        if query is not None:
+            query.reply(payload, attachment)
+
+    def refuse(self, token: int, refusal: Refusal) -> None:
+        """Refuse that query; nothing for a token of an earlier start of this process."""
+        query = self._queries.pop(token, None)
+        if query is not None:
+            query.refuse(refusal)
+
+
+@dataclass(slots=True)
+class ProcessContext:
+    """The parts of one service's process."""
+
+    options: Options
+    inbox: Inbox
+    sessions: dict[Side, Session]
+    clock: ProcessClock
+    log: Log
+    scheduler: NodeScheduler
+    heartbeat: Heartbeat
+    events: EventLog | None
+    query_process: QueryProcess | None
+    incarnation: int = 1
+    """Which start of the process this is."""
+    resume: list[Action] = field(default_factory=list)
+    """What a replayed journal left to do."""
+    open_queries: OpenQueries = field(default_factory=OpenQueries)
+
+    @property
+    def name(self) -> str:
+        return self.scheduler.name
+
+    @property
+    def mission(self) -> str:
+        return self.options.scenario.name
+
+    def beat(self, monotonic_s: float) -> None:
+        """Publish a heartbeat if it is due."""
+        self.heartbeat.beat(monotonic_s, self.clock.latest)
+
+    def perform(self, action: Action) -> None:
+        """Carry out an action that concerns no other process of the mission: snapshot, log line, end."""
+        match action:
+            case PublishSnapshot(snapshot, awaited):
+                if self.query_process is not None:
+                    self.query_process.show(snapshot)
+                    if awaited:
+                        self.query_process.settle()
+            case LogRecord():
+                self.log.write(action, self.clock.latest)
+            case Finish(ok, why):
+                self.log.info(f"finished: {why}", ok=ok)
+
+    def refused(self, why: str) -> None:
+        """Count and log something from outside that never reached the node."""
+        self.log.write(self.scheduler.host.refuse(why))

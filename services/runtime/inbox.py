@@ -1,0 +1,51 @@
+"""What other threads hand to the main loop of a process, and whether the process was told to stop."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any
+
+TakeIn = Callable[[], None]
+"""Called in the main loop, which alone touches the node."""
+
+
+class Inbox:
+    """A queue of calls for the main loop. `put` and `stop` may be called from any thread and from signal handlers."""
+
+    def __init__(self) -> None:
+        self.stopped = threading.Event()
+        self._waiting: queue.SimpleQueue[TakeIn] = queue.SimpleQueue()
+
+    def put(self, take_in: TakeIn) -> None:
+        """Have that called in the main loop."""
+        self._waiting.put(take_in)
+
+    def wake(self, *_: Any) -> None:
+        """Let the main loop look around."""
+        self._waiting.put(_nothing)
+
+    def stop(self, *_: Any) -> None:
+        """Tell the process to stop: a signal handler."""
+        self.stopped.set()
+        self.wake()
+
+    def next(self, timeout_s: float = 0.0) -> TakeIn | None:
+        """The next call that waits or comes within the timeout; None if there is none."""
+        try:
+            return self._waiting.get(timeout=timeout_s) if timeout_s > 0 else self._waiting.get_nowait()
+        except queue.Empty:
+            return None
+
+    def take(self, timeout_s: float = 0.0) -> bool:
+        """Make the next call that waits or comes within the timeout; whether there was one."""
+        take_in = self.next(timeout_s)
+        if take_in is None:
+            return False
+        take_in()
+        return True
+
+
+def _nothing() -> None:
+    """Nothing to take in: it only wakes the loop."""

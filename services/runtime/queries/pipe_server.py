@@ -1,0 +1,72 @@
+"""The query process: operators' queries answered from the snapshots that come through its standard input.
+
+It has a Zenoh session of its own, keeps what it needs of earlier snapshots, and answers in threads. Whatever is asked,
+the node in the owner's process is not disturbed. It ends with its pipe, however the owner ended.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from schemas.topics import Side
+from services.runtime.queries.pipe import READY, read_snapshot, say
+from services.runtime.queries.server import QueryServer, QueryService
+from services.runtime.transport.opening import connect_client
+from services.runtime.transport.session import Session
+
+SWITCH_INTERVAL_S = 0.0005
+"""A thread that computes hands over after this time, so that a query waits no longer for it than for the network."""
+
+
+class SnapshotPublisher(Protocol):
+    """Publishes what it likes of each snapshot, beside the replies to queries."""
+
+    def begin(self, session: Session) -> None:
+        """Publish on that session from now on."""
+
+    def show(self, snapshot: Any) -> None:
+        """Publish from that snapshot from now on; never blocks."""
+
+    def end(self) -> None:
+        """Publish no more."""
+
+
+def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
+    """Answer that service's queries from the snapshots that come in on standard input; returns when it ends.
+
+    name: of the owner, which stands in the headers of replies. arguments: side, endpoint and mission. publisher: is
+    shown each snapshot as well.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    side, endpoint, mission = arguments
+    ended = threading.Event()
+    sessions: list[Session] = []
+    server = QueryServer(service, name, mission)
+
+    def connect() -> None:
+        session = connect_client(Side(side), endpoint, mission, ended, lambda _: None)
+        if session is None:
+            return
+        sessions.append(session)
+        for topic in service.topics:
+            server.serve(topic, session)
+        publisher.begin(session)
+        say(READY)
+
+    threading.Thread(target=connect, name="connect", daemon=True).start()
+    while (given := read_snapshot(sys.stdin.buffer)) is not None:
+        number, snapshot = given
+        publisher.show(server.show(snapshot))
+        say(b"%d\n" % number)
+    ended.set()
+    publisher.end()
+    for session in sessions:
+        session.close()
+    # Threads of Zenoh may still hold on to what is going away.
+    os._exit(0)

@@ -1,0 +1,43 @@
+"""What distinguishes one service's process from another's, as its `__main__` declares it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from schemas.topics import Topic
+from services.runtime.node import Node
+from services.runtime.options import Options
+from services.runtime.scheduler import Executor
+
+
+class OwnedExecutor(Executor, Protocol):
+    """An executor with a process of its own to end."""
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class QueryModule:
+    """The query process of a service."""
+
+    module: str
+    """Run as a program with side, endpoint and mission; see `services.runtime.queries.process`."""
+    topics: tuple[Topic, ...]
+    """The queries that it answers in the node's place."""
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """A service's process."""
+
+    name: str
+    build: Callable[[Options], Node]
+    executor: Callable[[], OwnedExecutor] | None = None
+    """Where computations run; None: in the main loop."""
+    queries: QueryModule | None = None
+    journals: bool = False
+    """Whether it goes on from a journal after a restart; a service without one has nothing to remember."""
+    onlooker: bool = False
+    """It only subscribes: in lockstep, virtual time never waits for it."""

@@ -1,0 +1,130 @@
+"""How a Zenoh session is configured and opened, and what is said while that takes long."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from he3.errors import InvalidInput, PeerUnreachable
+from schemas.topics import Side
+from services.mission.deployment import deployment
+from services.runtime.transport.session import Session
+
+RETRY_CONNECT_S = 0.3
+LOOK_EVERY_S = 0.05
+SILENT_AFTER_S = 3.0
+"""An endpoint that takes a connection and has not replied for so long is reported; a busy router may still reply."""
+
+WhileWaiting = Callable[[float], None]
+"""Called while a session is being opened, with how long was waited [s]; what it raises ends the waiting."""
+
+
+def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
+    """The shipped configuration of that side and role (`router` or `client`), with that endpoint."""
+    path = deployment("zenoh", f"{side.value}-{role}.json5")
+    try:
+        config = zenoh.Config.from_file(str(path))
+        config.insert_json5("listen/endpoints" if role == "router" else "connect/endpoints", json.dumps([endpoint]))
+    except zenoh.ZError as error:
+        raise InvalidInput(
+            f"{path}: expected a Zenoh configuration and an endpoint, got: {_first_line(error)}"
+        ) from None
+    return config
+
+
+def open_router(side: Side, endpoint: str) -> zenoh.Session:
+    """A session that listens as that side's router; raises PeerUnreachable, with the reason, when it cannot."""
+    try:
+        return zenoh.open(session_config(side, "router", endpoint))
+    except zenoh.ZError as error:
+        raise PeerUnreachable(f"cannot listen as the {side.value} router at {endpoint}: {_first_line(error)}") from None
+
+
+def open_client(side: Side, endpoint: str, while_waiting: WhileWaiting = lambda _: None) -> zenoh.Session:
+    """A session that is connected to that side's router; raises PeerUnreachable when no router listens there.
+
+    Zenoh waits up to a minute for the reply of a program that takes the connection and says nothing, in a call that no
+    signal interrupts. So the call runs in a thread. while_waiting: called meanwhile, again and again, with how long was
+    waited [s]; what it raises ends the waiting.
+    """
+    config = session_config(side, "client", endpoint)
+    ended = threading.Event()
+    opened: list[zenoh.Session] = []
+    abandoned: list[bool] = []
+
+    def work() -> None:
+        with contextlib.suppress(zenoh.ZError):
+            session = zenoh.open(config)
+            opened.append(session)
+            if abandoned:
+                session.close()  # type: ignore[no-untyped-call]
+        ended.set()
+
+    threading.Thread(target=work, name="zenoh-open", daemon=True).start()
+    began = time.monotonic()
+    try:
+        while not ended.wait(LOOK_EVERY_S):
+            while_waiting(time.monotonic() - began)
+    except BaseException:
+        abandoned.append(True)
+        raise
+    if not opened:
+        raise PeerUnreachable(f"no {side.value} router at {endpoint}")
+    return opened[0]
+
+
+def connect_client(
+    side: Side, endpoint: str, mission: str, stop: threading.Event, on_waiting: Callable[[str], None]
+) -> Session | None:
+    """A client session on that side, as soon as its router is there; None when `stop` is set first.
+
+    on_waiting: called with one line when the router is not there at once, and when something else seems to be.
+    """
+    silence = SilenceReport(side, endpoint, on_waiting)
+    reported = False
+
+    def look(waited_s: float) -> None:
+        if stop.is_set():
+            raise _Stopped
+        silence(waited_s)
+
+    with contextlib.suppress(_Stopped):
+        while not stop.is_set():
+            try:
+                return Session(open_client(side, endpoint, look), mission)
+            except PeerUnreachable as error:
+                if not reported:
+                    on_waiting(f"{error}; still trying")
+                    reported = True
+                stop.wait(RETRY_CONNECT_S)
+    return None
+
+
+class SilenceReport:
+    """Reports, once, that an endpoint takes the connection and does not reply: a `WhileWaiting`."""
+
+    def __init__(self, side: Side, endpoint: str, report: Callable[[str], None]) -> None:
+        self._line = (
+            f"{endpoint} takes the connection, but has not replied for {SILENT_AFTER_S:g} s: "
+            f"expected the {side.value} router there, got perhaps another program; still waiting"
+        )
+        self._report = report
+        self._reported = False
+
+    def __call__(self, waited_s: float) -> None:
+        if waited_s > SILENT_AFTER_S and not self._reported:
+            self._reported = True
+            self._report(self._line)
+
+
+class _Stopped(Exception):
+    """The process was told to stop while it waited."""
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0].split(" at /")[0]
