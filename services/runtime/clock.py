@@ -82,11 +82,6 @@ def newer(one: ClockState | None, other: ClockState) -> ClockState:
     return other if _order(other) >= _order(one) else one
 
 
-def elapsed_s(state: ClockState, mission_ns: MissionTime) -> float:
-    """Seconds of mission time since the mission began."""
-    return (mission_ns - state.start_ns) / SECOND
-
-
 class FollowedClock:
     """Mission time in this process. It may be read by several threads."""
 

@@ -212,6 +212,26 @@ def test_a_mission_goes_on_without_a_recorder_that_dies_and_says_so(
     assert said == f"he3: {ended}; the mission goes on without it\nhe3: {incomplete}\n"
 
 
+def test_services_that_are_up_stay_up_without_a_recorder_that_dies(tmp_path: Path, environment: dict[str, str]) -> None:
+    network = [
+        f'network.{side}="tcp/127.0.0.1:{port}"' for side, port in zip(("moon", "earth"), free_ports(), strict=True)
+    ]
+    settings = [word for setting in network for word in ("--set", setting)]
+    with started(
+        "up", "short", "--quiet", "--out", str(tmp_path / "out"), *settings, environment=environment
+    ) as process:
+        assert process.stderr is not None
+        pids = services_of(process, environment)
+        assert "is up" in process.stderr.readline()
+        os.kill(pids["recorder"], signal.SIGKILL)
+        ended = "the recorder service ended by itself, killed by SIGKILL"
+        assert process.stderr.readline() == f"he3: {ended}; the mission goes on without it\n"
+        until_answered(environment, "map", "score")
+        assert "recorder" not in alive(pids)
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 130
+
+
 def test_the_services_do_not_outlive_a_starter_that_was_killed(environment: dict[str, str]) -> None:
     with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:
         pids = services_of(process, environment)

@@ -61,5 +61,6 @@ def up(
             err=True,
         )
         while True:
-            launcher.check()
+            for line in launcher.check_vital():
+                typer.echo(f"he3: {line}", err=True)
             time.sleep(LOOK_EVERY_S)
