@@ -22,7 +22,9 @@ from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.measurement import sample_noise
 from he3.reference import Region
 from he3.trend import OrbitalTrend
-from services.ground.belief import Belief, Observation, fit
+from services.ground.belief import Belief
+from services.ground.fitting import fit
+from services.ground.observation import Observation
 from services.ground.planners import planner_named
 from services.ground.planners.interface import Planner, PlannerOptions, PlanningRequest
 from services.ground.planners.traversability import OpenGround

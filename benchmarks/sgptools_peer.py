@@ -25,7 +25,9 @@ from he3.errors import He3Error, InvalidInput
 from he3.frames import FloatArray, path_length
 from he3.measurement import sample_noise
 from he3.reference import Region
-from services.ground.belief import Belief, Observation, fit
+from services.ground.belief import Belief
+from services.ground.fitting import fit
+from services.ground.observation import Observation
 from services.ground.planners.tour.paths import shortest_path
 from services.ground.planners.traversability import OpenGround
 from services.ground.scoring import Scorer

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas
+from scipy.linalg import blas, solve_triangular
 
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess
@@ -16,6 +17,15 @@ from he3.posterior.screening import RowBlock
 from he3.posterior.tiles import Tile, TiledGrid
 
 _ROWS_TO_SOLVE = 128  # rows solved for together; more waste time in the triangle, fewer in the product [measured]
+
+
+@dataclass(frozen=True, slots=True)
+class RowCombination:
+    """A row (k_n - coefficients' V) / pivot of the n rows known, and how far each of its values may be off."""
+
+    coefficients: FloatArray
+    pivot: float
+    tolerance: float
 
 
 def solve_rows(
@@ -88,3 +98,11 @@ def _of_squared_distance(kernel: Kernel, r2: NDArray[np.floating]) -> NDArray[np
         kernel.fill(r2, r2)
         return r2
     return kernel.of_squared_distance(r2.astype(np.float64, copy=False))
+
+
+def row_weights(process: GaussianProcess) -> FloatArray:
+    """Weights (n,) of the kernel at the samples in the last row of V: (-L^-T l, 1) / d, with l of the rows before."""
+    last = np.zeros(len(process))
+    last[-1] = 1.0
+    weights: FloatArray = solve_triangular(process.factor, last, lower=True, trans=1, check_finite=False)
+    return weights

@@ -63,5 +63,6 @@ def row_source(
     if isinstance(kernel, SquaredExponential):
         return SeparableRows(tiled, kernel, dtype)
     if isinstance(kernel, SmoothPlusRough) and (bulk_count is None or bulk_count >= SPLIT_FROM):
-        return SplitRows(tiled, kernel, hyperparameters, dtype)
+        smooth, rough = SeparableRows(tiled, kernel.smooth, dtype), StoredRows(tiled, kernel.rough, dtype)
+        return SplitRows(kernel, hyperparameters, smooth, rough)
     return StoredRows(tiled, kernel, dtype)

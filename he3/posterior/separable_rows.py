@@ -16,12 +16,11 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.kernels import SquaredExponential
-from he3.posterior.row_solving import solve_rows
+from he3.posterior.row_solving import row_weights, solve_rows
 from he3.posterior.screening import RowBlock
 from he3.posterior.tiles import RunTasks, Tile, TiledGrid
 
@@ -150,11 +149,3 @@ class SeparableRows:
         new = places_m[len(self._east) :]
         self._east = np.vstack((self._east, self._eastward.at_nodes(new[:, 0])))
         self._north = np.vstack((self._north, self._northward.at_nodes(new[:, 1])))
-
-
-def row_weights(process: GaussianProcess) -> FloatArray:
-    """Weights (n,) of the kernel at the samples in the last row of V: (-L^-T l, 1) / d, with l of the rows before."""
-    last = np.zeros(len(process))
-    last[-1] = 1.0
-    weights: FloatArray = solve_triangular(process.factor, last, lower=True, trans=1, check_finite=False)
-    return weights

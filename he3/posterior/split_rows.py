@@ -14,18 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
-
-import numpy as np
 
 from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import SmoothPlusRough
+from he3.posterior.row_solving import RowCombination, row_weights
 from he3.posterior.screening import RowBlock
-from he3.posterior.separable_rows import SeparableRows, row_weights
-from he3.posterior.stored_rows import FLOAT32, RowCombination, StoredRows
-from he3.posterior.tiles import RunTasks, Tile, TiledGrid
+from he3.posterior.separable_rows import SeparableRows
+from he3.posterior.stored_rows import StoredRows
+from he3.posterior.tiles import RunTasks, Tile
 
 
 class SplitRows:
@@ -33,17 +31,15 @@ class SplitRows:
 
     def __init__(
         self,
-        tiled: TiledGrid,
         kernel: SmoothPlusRough,
         hyperparameters: Hyperparameters,
-        dtype: np.dtype[Any] = FLOAT32,
-        *,
-        screening: float | None = None,
+        smooth: SeparableRows,
+        rough: StoredRows,
     ) -> None:
-        """No rows yet. kernel: that of the hyperparameters. screening: see ``StoredRows``."""
+        """No rows yet. kernel: that of the hyperparameters. smooth, rough: sources of rows for its two parts."""
         self._kernel = kernel
-        self._smooth = SeparableRows(tiled, kernel.smooth, dtype)
-        self._rough = StoredRows(tiled, kernel.rough, dtype, screening=screening)
+        self._smooth = smooth
+        self._rough = rough
         self._rough_process = GaussianProcess(replace(hyperparameters, kernel=kernel.rough))
 
     @property

@@ -9,17 +9,16 @@ value by more than the screening tolerance.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from he3.frames import Float32Array, FloatArray
+from he3.frames import Float32Array
 from he3.gp import GaussianProcess
 from he3.kernels import Kernel
-from he3.posterior.row_solving import fill_covariance, solve_rows
+from he3.posterior.row_solving import RowCombination, fill_covariance, solve_rows
 from he3.posterior.screening import ReadPlan, RowBlock, significant_rows
 from he3.posterior.tiles import RunTasks, Tile, TiledGrid
 
@@ -33,15 +32,6 @@ def screening_tolerance(dtype: np.dtype[Any]) -> float:
     Four times what rounding may do to a value of that size: 2^-22 for float32, 2^-51 for float64.
     """
     return 2.0 * float(np.finfo(dtype).eps)
-
-
-@dataclass(frozen=True, slots=True)
-class RowCombination:
-    """A row (k_n - coefficients' V) / pivot of the n rows known, and how far each of its values may be off."""
-
-    coefficients: FloatArray
-    pivot: float
-    tolerance: float
 
 
 class StoredRows:

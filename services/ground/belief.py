@@ -8,18 +8,20 @@ whatever the order and the delays of their arrival.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite
 
 import numpy as np
 
 from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, Place, SiteGrid
-from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
+from he3.frames import FloatArray, SiteGrid
+from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import AUTO, kernel_from
 from he3.posterior.grid import GridPosterior, PosteriorMap
 from he3.trend import OrbitalTrend
+from services.ground.fitting import FitRequest
+from services.ground.observation import Observation
 from services.runtime.state_codec import SavedState
 
 # The map before the first sample: the site means of six landing sites lie at 1.4 to 15.1 ppb [assumed].
@@ -30,49 +32,8 @@ BELOW_ZERO_PPB = 1e3  # an instrument may read so far below zero, or beyond what
 NOISE_STDS = 10.0  # or so many standard deviations of its noise: of honest readings none is lost
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
-    """One measurement."""
-
-    planned: tuple[int, int, int]
-    """Its place in the order of planning: round, revision of the plan, index within the round."""
-    place_m: Place
-    """Where it was taken [m]."""
-    value_ppb: float
-
-
 MAP_THREADS = 2
 """Threads among which the map's cells are divided; the map is the same to the byte whatever their number."""
-
-
-@dataclass(frozen=True, slots=True)
-class FitRequest:
-    """The input of a refit: places (n, 2) [m], values (n,) [ppb], previous hyperparameters, extent of the site [m]."""
-
-    xy_m: FloatArray
-    values_ppb: FloatArray
-    kernel: str
-    noise_std_ppb: float
-    previous: Hyperparameters
-    trend: OrbitalTrend | None
-    seed: tuple[int, ...]
-    extent_m: float
-
-
-def fit(request: FitRequest) -> Hyperparameters:
-    """The hyperparameters of maximum likelihood, without the trend, which the caller has. Pure and picklable."""
-    rng = np.random.default_rng(np.random.SeedSequence(request.seed))
-    fitted = fit_hyperparameters(
-        request.xy_m,
-        request.values_ppb,
-        request.kernel,
-        rng=rng,
-        noise_std_ppb=request.noise_std_ppb,
-        previous=request.previous,
-        trend=request.trend,
-        extent_m=request.extent_m,
-    )
-    return replace(fitted, trend=None)
 
 
 class Belief:

@@ -20,10 +20,11 @@ from schemas.ground import InterestChange
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverState, SampleReport
 from schemas.topics import PLAN
-from services.ground.belief import Belief, fit
+from services.ground.belief import Belief
 from services.ground.budget import Budget, RemainingBudget
 from services.ground.excursions import Excursions
 from services.ground.execution import ExecutionMonitor, Outcome
+from services.ground.fitting import fit
 from services.ground.interests import InterestAreas
 from services.ground.mission_end import MissionEnd
 from services.ground.planners.interface import PlannedRound

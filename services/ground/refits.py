@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from he3.gp import Hyperparameters
-from services.ground.belief import Belief, fit
+from services.ground.belief import Belief
+from services.ground.fitting import fit
 from services.ground.round_log import RoundLog
 from services.runtime.node import Compute, Effect, Level, LogRecord
 from services.runtime.state_codec import SavedState

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from he3.errors import He3Error
 from schemas.telemetry import SampleReport
-from services.ground.belief import Belief, Observation
+from services.ground.belief import Belief
+from services.ground.observation import Observation
 from services.ground.round_log import RoundLog
 from services.ground.round_record import RoundRecord
 from services.runtime.state_codec import SavedState

@@ -18,8 +18,9 @@ from schemas.link import LinkConditions
 from schemas.maps import MapScore
 from schemas.plans import RoundPlan
 from schemas.telemetry import RoverState, SampleReport
-from services.ground.belief import FitRequest, Observation
+from services.ground.fitting import FitRequest
 from services.ground.map.snapshot import MapSnapshot
+from services.ground.observation import Observation
 from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
 from services.ground.round_plans import PlanningTask
 

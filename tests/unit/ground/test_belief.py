@@ -11,7 +11,9 @@ from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
 from he3.trend import OrbitalTrend
-from services.ground.belief import Belief, Observation, fit
+from services.ground.belief import Belief
+from services.ground.fitting import fit
+from services.ground.observation import Observation
 
 GRID = SiteGrid(40, 50)
 NOISE = 0.1

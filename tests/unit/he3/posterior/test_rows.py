@@ -71,7 +71,9 @@ def sources(kernel: Kernel, dtype: np.dtype, screening: float | None = None) -> 
     if isinstance(kernel, SquaredExponential):
         found.append(SeparableRows(SITE, kernel, dtype))
     if isinstance(kernel, SmoothPlusRough):
-        found.append(SplitRows(SITE, kernel, Hyperparameters(kernel, NOISE), dtype, screening=screening))
+        smooth = SeparableRows(SITE, kernel.smooth, dtype)
+        rough = StoredRows(SITE, kernel.rough, dtype, screening=screening)
+        found.append(SplitRows(kernel, Hyperparameters(kernel, NOISE), smooth, rough))
     return found
 
 

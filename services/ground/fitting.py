@@ -1,0 +1,41 @@
+"""The fit of the hyperparameters, as a function that runs in another process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from he3.frames import FloatArray
+from he3.hyperparameters import Hyperparameters, fit_hyperparameters
+from he3.trend import OrbitalTrend
+
+
+@dataclass(frozen=True, slots=True)
+class FitRequest:
+    """The input of a refit: places (n, 2) [m], values (n,) [ppb], previous hyperparameters, extent of the site [m]."""
+
+    xy_m: FloatArray
+    values_ppb: FloatArray
+    kernel: str
+    noise_std_ppb: float
+    previous: Hyperparameters
+    trend: OrbitalTrend | None
+    seed: tuple[int, ...]
+    extent_m: float
+
+
+def fit(request: FitRequest) -> Hyperparameters:
+    """The hyperparameters of maximum likelihood, without the trend, which the caller has. Pure and picklable."""
+    rng = np.random.default_rng(np.random.SeedSequence(request.seed))
+    fitted = fit_hyperparameters(
+        request.xy_m,
+        request.values_ppb,
+        request.kernel,
+        rng=rng,
+        noise_std_ppb=request.noise_std_ppb,
+        previous=request.previous,
+        trend=request.trend,
+        extent_m=request.extent_m,
+    )
+    return replace(fitted, trend=None)

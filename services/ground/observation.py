@@ -1,0 +1,18 @@
+"""One measurement, as the belief takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from he3.frames import Place
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One measurement."""
+
+    planned: tuple[int, int, int]
+    """Its place in the order of planning: round, revision of the plan, index within the round."""
+    place_m: Place
+    """Where it was taken [m]."""
+    value_ppb: float
