@@ -61,11 +61,12 @@ from services.ground.node import build_node as build_ground
 from services.ground.planner_process import PlannerProcess
 from services.link.node import build_node as build_link
 from services.mission.in_process import InProcessMission
+from services.mission.mission_time import SECOND, MissionTime
 from services.mission.regions import load_region
 from services.mission.scenario import Scenario, checked_scenario
 from services.rover.node import build_node as build_rover
 from services.runtime.journal import identity_of
-from services.runtime.node import SECOND, MissionTime, Node
+from services.runtime.node import Node
 from services.runtime.scheduler import Executor, InlineExecutor
 
 CELLS = 120

@@ -45,9 +45,9 @@ from schemas.wire import Header, Wire
 from services.console.client.mission_client import MissionClient
 from services.console.launch.launcher import free_endpoints
 from services.mission.deployment import find_scenario
+from services.mission.mission_time import SECOND
 from services.mission.scenario import load_scenario
 from services.runtime.clock import mission_time
-from services.runtime.node import SECOND
 from services.runtime.transport.client import Client
 from services.runtime.transport.opening import open_client
 from services.runtime.transport.session import Session

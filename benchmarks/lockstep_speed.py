@@ -34,9 +34,9 @@ from services.console.launch.launcher import Launcher, free_endpoints
 from services.console.launch.scenarios import Chosen, choose
 from services.ground.planner_process import PlannerProcess
 from services.mission.in_process import InProcessMission
+from services.mission.mission_time import SECOND
 from services.mission.processes import GROUND, LINK, VITAL
 from services.runtime.event_log import EventLog, merge_event_logs
-from services.runtime.node import SECOND
 from services.runtime.scheduler import Executor
 
 Row = dict[str, Any]

@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize
@@ -47,7 +48,9 @@ from he3.kernels import (
     with_log_parameters,
 )
 from he3.likelihood import log_marginal_likelihood
-from he3.trend import OrbitalTrend
+
+if TYPE_CHECKING:
+    from he3.trend import OrbitalTrend
 
 DEFAULT_NOISE_STD_PPB = 0.1  # ppb, the sensor's, PAPER
 EXTENT_M = 500.0  # m, width of the site that the following length scales are for, PAPER

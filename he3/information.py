@@ -12,11 +12,15 @@ small noise, but is negative for small S, where its power I^alpha is undefined.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput, NumericalFailure
-from he3.frames import FloatArray
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
 
 
 def information_gain(covariance: FloatArray, noise_variance: float) -> float:

@@ -10,14 +10,16 @@ with respect to the logarithms of the kernel's parameters, in their order, and t
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import lapack
 
 from he3.errors import NumericalFailure
-from he3.frames import FloatArray
-from he3.kernels import Kernel
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
+    from he3.kernels import Kernel
 
 _factor: Callable[..., tuple[Any, int]] = lapack.dpotrf
 _solve: Callable[..., tuple[Any, int]] = lapack.dpotrs

@@ -8,12 +8,14 @@ hollows are open ground. Each refusal is one line with the number of cells and t
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from he3.errors import InvalidInput
-from he3.frames import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from he3.frames import BoolArray, FloatArray
 
 # Numbers in use for missing values that may lie within a physical range: runs of nines, and limits of 16 bits. Those
 # beyond any range (-32768, -3.4e38, 1e20) need no list.

@@ -8,11 +8,15 @@ of 25 m. Otherwise the torus is grown until the negative ones, set to zero, hold
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy import fft
 
 from he3.errors import InvalidInput, NumericalFailure
-from he3.frames import FloatArray
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
 
 _MAX_GROWTHS = 8  # doublings of the torus before giving up
 _MAX_TORUS_CELLS = 2**24  # a quarter of a gigabyte of complex numbers

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from he3 import constants
 from he3.errors import InvalidInput
-from he3.frames import FloatArray
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

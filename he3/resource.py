@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,10 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
-from he3.frames import BoolArray, FloatArray, SiteGrid
-from he3.gp import GaussianProcess
+
+if TYPE_CHECKING:
+    from he3.frames import BoolArray, FloatArray, SiteGrid
+    from he3.gp import GaussianProcess
 
 MAX_NODES = 6000  # places at which the correlation with the samples is integrated: 0.1 s with 150 samples
 MAX_DRAWN_NODES = 700  # places of a joint draw: its Cholesky factor takes 10 ms

@@ -5,12 +5,16 @@ The rule for traversability is the paper's. Arrays are over the site: [y, x], ro
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy import ndimage
 
 from he3 import constants
 from he3.errors import InvalidInput
-from he3.frames import BoolArray, FloatArray, SiteGrid
+
+if TYPE_CHECKING:
+    from he3.frames import BoolArray, FloatArray, SiteGrid
 
 _SQUARE = np.ones((3, 3), dtype=np.bool_)
 

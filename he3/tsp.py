@@ -7,10 +7,14 @@ whole-matrix arithmetic; short double-bridge kicks (Martin, Otto and Felten 1991
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, IntArray
 
 MAX_TRANSFER = 3
 """Places that one Or-opt move takes along; longer stretches hardly ever pay."""

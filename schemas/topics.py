@@ -213,3 +213,8 @@ def addressed(topic: Topic, name: str) -> Topic:
 def crossing(direction: Direction) -> tuple[Topic, ...]:
     """The topics that go over the link that way."""
     return tuple(topic for topic in TOPICS if topic.direction is direction)
+
+
+def under_custody(topic: Topic) -> bool:
+    """Whether messages of that topic are kept until they are acknowledged."""
+    return isinstance(topic.service, Custody) and topic.direction is not None

@@ -16,8 +16,8 @@ from typing import NoReturn
 
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import Query, Side, Topic
+from services.mission.mission_time import SECOND
 from services.runtime.node import (
-    SECOND,
     Compute,
     Effect,
     Event,

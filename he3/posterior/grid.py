@@ -19,6 +19,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,12 +28,14 @@ from he3.constants import MAX_SAMPLES
 from he3.errors import InvalidInput, NumericalFailure
 from he3.frames import Float32Array, FloatArray, SiteGrid, as_points
 from he3.gp import GaussianProcess
-from he3.hyperparameters import Hyperparameters
 from he3.kernels import SquaredExponential
 from he3.posterior.probes import LEAST_VARIANCE, Probes
 from he3.posterior.rows import row_source
 from he3.posterior.sums import PosteriorSums
 from he3.posterior.tiles import Task, Tile, TiledGrid
+
+if TYPE_CHECKING:
+    from he3.hyperparameters import Hyperparameters
 
 MAX_ROW_BYTES = 4 * 1024**3  # bytes of stored rows: 4000 samples on 500 x 500 cells in float32
 _CELLS_PER_PART = 4096  # cells whose rows are solved for together: what is worked on stays in cache

@@ -8,15 +8,18 @@ lattice of cells, which costs as much as that many more cells would.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from he3.frames import FloatArray, IntArray
-from he3.gp import GaussianProcess
-from he3.hyperparameters import Hyperparameters
 from he3.posterior.sums import PosteriorSums
-from he3.posterior.tiles import TiledGrid
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, IntArray
+    from he3.gp import GaussianProcess
+    from he3.hyperparameters import Hyperparameters
+    from he3.posterior.tiles import TiledGrid
 
 PROBES_PER_AXIS = 8
 # The field's scale is its prior mean or its prior standard deviation, whichever is larger. The largest error lies

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, solve_triangular
 
-from he3.frames import FloatArray, SiteGrid
-from he3.gp import GaussianProcess
 from he3.kernels import Kernel, SmoothPlusRough, SquaredExponential
-from he3.posterior.screening import RowBlock
-from he3.posterior.tiles import Tile, TiledGrid
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, SiteGrid
+    from he3.gp import GaussianProcess
+    from he3.posterior.screening import RowBlock
+    from he3.posterior.tiles import Tile, TiledGrid
 
 _ROWS_TO_SOLVE = 128  # rows solved for together; more waste time in the triangle, fewer in the product [measured]
 

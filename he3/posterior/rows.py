@@ -14,18 +14,21 @@ They are tested to agree; ``row_source`` returns the fastest.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from he3.gp import GaussianProcess
-from he3.hyperparameters import Hyperparameters
 from he3.kernels import SmoothPlusRough, SquaredExponential
-from he3.posterior.screening import RowBlock
 from he3.posterior.separable_rows import SeparableRows
 from he3.posterior.split_rows import SplitRows
 from he3.posterior.stored_rows import StoredRows
-from he3.posterior.tiles import RunTasks, Tile, TiledGrid
+
+if TYPE_CHECKING:
+    from he3.hyperparameters import Hyperparameters
+    from he3.posterior.screening import RowBlock
+    from he3.posterior.tiles import RunTasks, Tile, TiledGrid
 
 SPLIT_FROM = 256  # samples; the rows of fewer are read in less time than two kinds of rows take to make [measured]
 
@@ -64,5 +67,5 @@ def row_source(
         return SeparableRows(tiled, kernel, dtype)
     if isinstance(kernel, SmoothPlusRough) and (bulk_count is None or bulk_count >= SPLIT_FROM):
         smooth, rough = SeparableRows(tiled, kernel.smooth, dtype), StoredRows(tiled, kernel.rough, dtype)
-        return SplitRows(kernel, hyperparameters, smooth, rough)
+        return SplitRows(kernel, smooth, rough, GaussianProcess(replace(hyperparameters, kernel=kernel.rough)))
     return StoredRows(tiled, kernel, dtype)

@@ -11,12 +11,14 @@ place; scattered rows are first copied together, because a matrix product over c
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.frames import BoolArray, Float32Array, FloatArray, IntArray
-from he3.posterior.tiles import Tile
+if TYPE_CHECKING:
+    from he3.frames import BoolArray, Float32Array, FloatArray, IntArray
+    from he3.posterior.tiles import Tile
 
 RowBlock = NDArray[np.floating]
 """Rows (k, cells) of V, float32 or float64."""

@@ -13,16 +13,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from he3.frames import FloatArray
-from he3.gp import GaussianProcess
-from he3.kernels import SquaredExponential
 from he3.posterior.row_solving import row_weights, solve_rows
-from he3.posterior.screening import RowBlock
-from he3.posterior.tiles import RunTasks, Tile, TiledGrid
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
+    from he3.gp import GaussianProcess
+    from he3.kernels import SquaredExponential
+    from he3.posterior.screening import RowBlock
+    from he3.posterior.tiles import RunTasks, Tile, TiledGrid
 
 _INTERPOLATION_ERROR = 2.0**-53  # 1, of a function of size 1: what float64 rounds off
 

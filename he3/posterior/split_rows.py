@@ -13,17 +13,18 @@ so |M' w| <= |L' w| = |l|.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from he3.frames import FloatArray
-from he3.gp import GaussianProcess
-from he3.hyperparameters import Hyperparameters
-from he3.kernels import SmoothPlusRough
 from he3.posterior.row_solving import RowCombination, row_weights
-from he3.posterior.screening import RowBlock
-from he3.posterior.separable_rows import SeparableRows
-from he3.posterior.stored_rows import StoredRows
-from he3.posterior.tiles import RunTasks, Tile
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
+    from he3.gp import GaussianProcess
+    from he3.kernels import SmoothPlusRough
+    from he3.posterior.screening import RowBlock
+    from he3.posterior.separable_rows import SeparableRows
+    from he3.posterior.stored_rows import StoredRows
+    from he3.posterior.tiles import RunTasks, Tile
 
 
 class SplitRows:
@@ -32,15 +33,18 @@ class SplitRows:
     def __init__(
         self,
         kernel: SmoothPlusRough,
-        hyperparameters: Hyperparameters,
         smooth: SeparableRows,
         rough: StoredRows,
+        rough_process: GaussianProcess,
     ) -> None:
-        """No rows yet. kernel: that of the hyperparameters. smooth, rough: sources of rows for its two parts."""
+        """No rows yet.
+
+        smooth, rough: sources of rows for the kernel's two parts. rough_process: of the rough part alone, empty.
+        """
         self._kernel = kernel
         self._smooth = smooth
         self._rough = rough
-        self._rough_process = GaussianProcess(replace(hyperparameters, kernel=kernel.rough))
+        self._rough_prior = self._rough_process = rough_process
 
     @property
     def values_read(self) -> int:
@@ -65,7 +69,7 @@ class SplitRows:
 
     def recompute(self, process: GaussianProcess) -> Callable[[Tile], Iterator[tuple[int, RowBlock]]]:
         """All rows of a process, replacing those known, as a function of a part of a tile: see ``RowSource``."""
-        self._rough_process = GaussianProcess(self._rough_process.hyperparameters).condition_on_places(process.places_m)
+        self._rough_process = self._rough_prior.condition_on_places(process.places_m)
         all_on = self._smooth.recompute(process)
         rough_on = self._rough.recompute(self._rough_process)  # stored; mean and variance need the whole kernel's rows
 

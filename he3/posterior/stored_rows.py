@@ -11,16 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from he3.frames import Float32Array
-from he3.gp import GaussianProcess
-from he3.kernels import Kernel
 from he3.posterior.row_solving import RowCombination, fill_covariance, solve_rows
 from he3.posterior.screening import ReadPlan, RowBlock, significant_rows
-from he3.posterior.tiles import RunTasks, Tile, TiledGrid
+
+if TYPE_CHECKING:
+    from he3.frames import Float32Array
+    from he3.gp import GaussianProcess
+    from he3.kernels import Kernel
+    from he3.posterior.tiles import RunTasks, Tile, TiledGrid
 
 ROWS_PER_BLOCK = 64  # rows of V allocated together: 64 MB at 500 x 500 cells in float32; V grows and is never moved
 FLOAT32: np.dtype[Any] = np.dtype(np.float32)

@@ -9,14 +9,17 @@ and 2.42).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.frames import FloatArray, IntArray
-from he3.hyperparameters import Hyperparameters
-from he3.posterior.screening import RowBlock
 from he3.trend import TrendOnCells
+
+if TYPE_CHECKING:
+    from he3.hyperparameters import Hyperparameters
+    from he3.posterior.screening import RowBlock
 
 Cells = slice | IntArray
 

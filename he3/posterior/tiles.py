@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.frames import SiteGrid
+if TYPE_CHECKING:
+    from he3.frames import SiteGrid
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from he3.errors import InvalidInput
-from he3.frames import BoolArray, SiteGrid
+
+if TYPE_CHECKING:
+    from he3.frames import BoolArray, SiteGrid
 
 START_CLEARANCE_M: Final = 10.0  # m around the landing place without hazards: the landing place was chosen for that
 _STREAM: Final = 0x48415A  # separates this use of the mission's seed from all others

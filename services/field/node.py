@@ -6,18 +6,23 @@ as before.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from he3.errors import OutsideRegion
 from he3.measurement import sample_noise
-from he3.reference import Region
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.refusal import RefusalCode
 from schemas.topics import MEASURE, TERRAIN, Side
 from services.field.hazards import covered, hazard_places
 from services.mission.regions import load_region
-from services.mission.scenario import FieldConfig, Scenario
-from services.runtime.node import Effect, Event, Interface, MissionTime, QueryReceived, RefuseQuery, SendReply
+from services.runtime.node import Effect, Event, Interface, QueryReceived, RefuseQuery, SendReply
+
+if TYPE_CHECKING:
+    from he3.reference import Region
+    from services.mission.mission_time import MissionTime
+    from services.mission.scenario import FieldConfig, Scenario
 
 
 class FieldNode:

@@ -10,19 +10,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import isfinite
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import AUTO, kernel_from
 from he3.posterior.grid import GridPosterior, PosteriorMap
-from he3.trend import OrbitalTrend
 from services.ground.fitting import FitRequest
-from services.ground.observation import Observation
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, SiteGrid
+    from he3.trend import OrbitalTrend
+    from services.ground.observation import Observation
+    from services.runtime.saved_state import SavedState
 
 # The map before the first sample: the site means of six landing sites lie at 1.4 to 15.1 ppb [assumed].
 PRIOR_MEAN_PPB = 7.5

@@ -5,10 +5,13 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 from math import ceil, inf, pi, radians, tan
+from typing import TYPE_CHECKING
 
-from services.mission.scenario import Scenario
-from services.runtime.node import SECOND, MissionTime
-from services.runtime.state_codec import SavedState
+from services.mission.mission_time import SECOND, MissionTime
+
+if TYPE_CHECKING:
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState
 
 TOUR_CONSTANT = 0.7124
 """Length of the shortest tour through n random places in an area A is about this times sqrt(n A)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from he3.errors import InvalidInput
-from he3.frames import SiteGrid
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
-from schemas.link import LinkStatus
 from schemas.topics import COMMAND
 from services.ground.terrain import keep_out_objection
-from services.runtime.node import SECOND, MissionTime, seconds
-from services.runtime.state_codec import SavedState
+from services.mission.mission_time import SECOND, MissionTime, seconds
+
+if TYPE_CHECKING:
+    from he3.frames import SiteGrid
+    from schemas.link import LinkStatus
+    from services.runtime.saved_state import SavedState
 
 MAX_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
 MAX_LISTED = 300  # commands in a list, the newest; with the largest polygons they still fit into a reply

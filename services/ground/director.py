@@ -12,32 +12,35 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from he3.errors import NoRoute
-from he3.frames import Place
-from schemas.ground import InterestChange
 from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverState, SampleReport
 from schemas.topics import PLAN
-from services.ground.belief import Belief
-from services.ground.budget import Budget, RemainingBudget
 from services.ground.excursions import Excursions
-from services.ground.execution import ExecutionMonitor, Outcome
 from services.ground.fitting import fit
-from services.ground.interests import InterestAreas
 from services.ground.mission_end import MissionEnd
-from services.ground.planners.interface import PlannedRound
-from services.ground.planning import RoundPlanning
-from services.ground.refits import RefitSchedule
 from services.ground.rejections import PlanRejections
-from services.ground.round_log import RoundLog
-from services.ground.round_plans import PlanningTask
-from services.ground.round_record import RoundRecord
 from services.ground.terrain import GroundTerrain, leads_through
-from services.mission.scenario import Scenario
-from services.runtime.node import Effect, Finish, Level, LogRecord, MissionTime, Send, SetTimer, seconds
-from services.runtime.state_codec import SavedState, Stateful
+from services.mission.mission_time import MissionTime, seconds
+from services.runtime.node import Effect, Finish, Level, LogRecord, Send, SetTimer
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from schemas.ground import InterestChange
+    from services.ground.belief import Belief
+    from services.ground.budget import Budget, RemainingBudget
+    from services.ground.execution import ExecutionMonitor, Outcome
+    from services.ground.interests import InterestAreas
+    from services.ground.planners.interface import PlannedRound
+    from services.ground.planning import RoundPlanning
+    from services.ground.refits import RefitSchedule
+    from services.ground.round_log import RoundLog
+    from services.ground.round_plans import PlanningTask
+    from services.ground.round_record import RoundRecord
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState, Stateful
 
 MAX_FRUITLESS = 40  # rounds in a row from which no sample came
 MAX_ROUNDS = 9_000  # in all; a plan can number 10,000

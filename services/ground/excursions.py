@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from services.runtime.state_codec import SavedState
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from services.runtime.saved_state import SavedState
 
 
 class Excursions:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from he3.frames import Place
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
 from services.ground.obstacles import MetObstacles
-from services.ground.round_log import RoundLog
-from services.ground.round_record import RoundRecord
 from services.ground.rover_position import RoverPosition
 from services.ground.samples import Refused, Repeated, SampleIntake, Taken, Unplanned
-from services.ground.terrain import GroundTerrain
-from services.runtime.node import Level, LogRecord, MissionTime
-from services.runtime.state_codec import SavedState
+from services.runtime.node import Level, LogRecord
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from services.ground.round_log import RoundLog
+    from services.ground.round_record import RoundRecord
+    from services.ground.terrain import GroundTerrain
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 _UNOCCUPIED = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 

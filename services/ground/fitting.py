@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from he3.frames import FloatArray
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
-from he3.trend import OrbitalTrend
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
+    from he3.trend import OrbitalTrend
 
 
 @dataclass(frozen=True, slots=True)

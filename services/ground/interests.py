@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 from he3.frames import BoolArray, Place, SiteGrid
 from schemas.ground import InterestArea, InterestChange, InterestList
 from services.ground.terrain import interest_area_objection, interest_objection, interest_weights
-from services.mission.scenario import InterestRegion
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from services.mission.scenario import InterestRegion
+    from services.runtime.saved_state import SavedState
 
 MAX_AREAS = 100
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from services.runtime.node import Finish
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from services.runtime.saved_state import SavedState
 
 
 class MissionEnd:

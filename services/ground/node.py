@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from he3.errors import He3Error, InvalidInput
-from he3.frames import SiteGrid
 from he3.posterior.grid import expect_map_fits
-from he3.reference import Region
 from he3.trend import OrbitalTrend
 from schemas.commands import CommandReport, Telecommand
 from schemas.ground import InterestChange
@@ -34,8 +32,6 @@ from services.ground.execution import ExecutionMonitor
 from services.ground.interests import InterestAreas
 from services.ground.map.publisher import MapPublisher
 from services.ground.map.service import MAP_TOPICS, answer
-from services.ground.map.snapshot import MapSnapshot
-from services.ground.planners.interface import Planner
 from services.ground.planning import RoundPlanning
 from services.ground.refits import RefitSchedule
 from services.ground.round_log import RoundLog
@@ -54,8 +50,8 @@ from services.ground.terrain import (
     interest_weights,
     keep_out_objection,
 )
+from services.mission.mission_time import MissionTime, seconds
 from services.mission.regions import load_region
-from services.mission.scenario import Scenario
 from services.runtime.node import (
     Computed,
     Effect,
@@ -63,7 +59,6 @@ from services.runtime.node import (
     Interface,
     Level,
     LogRecord,
-    MissionTime,
     QueryFailed,
     QueryReceived,
     Received,
@@ -73,9 +68,15 @@ from services.runtime.node import (
     SetTimer,
     Started,
     TimerFired,
-    seconds,
 )
-from services.runtime.state_codec import SavedState, Stateful
+
+if TYPE_CHECKING:
+    from he3.frames import SiteGrid
+    from he3.reference import Region
+    from services.ground.map.snapshot import MapSnapshot
+    from services.ground.planners.interface import Planner
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState, Stateful
 
 NAME = "ground"
 STATUS_TIMER = "status"

@@ -35,13 +35,15 @@ from concurrent.futures import Future
 from contextlib import suppress
 from math import inf
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from he3.errors import He3Error, InvalidInput
 from services.ground.bounded_task import BoundedTask
 from services.ground.planner_channel import CANCEL, DIED, ERROR, EXIT_CODE, LATE, LIMIT_S, TASK, receive, send
 from services.ground.planners import PLANNERS, plan, planner_named
-from services.ground.planners.interface import PlannedRound, PlanningRequest
+
+if TYPE_CHECKING:
+    from services.ground.planners.interface import PlannedRound, PlanningRequest
 
 T = TypeVar("T")
 

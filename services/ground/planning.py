@@ -4,27 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from he3.frames import FloatArray, Place, SiteGrid
 from he3.posterior.grid import GridPosterior
-from schemas.plans import PlannedSample, RoundPlan
-from services.ground.belief import Belief
 from services.ground.bounded_task import BoundedTask
-from services.ground.budget import RemainingBudget
-from services.ground.interests import InterestAreas
 from services.ground.planners import planner_named
 from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningRequest
 from services.ground.planners.validation import checked_answer
-from services.ground.round_log import RoundLog
 from services.ground.round_plans import PlanningTask, round_plan, sample_id
-from services.ground.round_record import RoundRecord
-from services.ground.terrain import GroundTerrain
-from services.mission.scenario import Scenario
 from services.runtime.node import Compute
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, Place, SiteGrid
+    from schemas.plans import PlannedSample, RoundPlan
+    from services.ground.belief import Belief
+    from services.ground.budget import RemainingBudget
+    from services.ground.interests import InterestAreas
+    from services.ground.round_log import RoundLog
+    from services.ground.round_record import RoundRecord
+    from services.ground.terrain import GroundTerrain
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState
 
 MAX_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
 MAX_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from he3.gp import Hyperparameters
-from services.ground.belief import Belief
 from services.ground.fitting import fit
-from services.ground.round_log import RoundLog
 from services.runtime.node import Compute, Effect, Level, LogRecord
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from services.ground.belief import Belief
+    from services.ground.round_log import RoundLog
+    from services.runtime.saved_state import SavedState
 
 _SEED = 1  # tells the seeds of fits from those of plans
 

@@ -7,12 +7,15 @@ rover may have begun one of them before it heard of the replacement.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from he3.frames import Place
-from schemas.plans import PlannedSample, RoundPlan, Waypoint
 from services.ground.budget import Committed
 from services.ground.round_record import RoundRecord
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from schemas.plans import PlannedSample, RoundPlan, Waypoint
+    from services.runtime.saved_state import SavedState
 
 
 class RoundLog:

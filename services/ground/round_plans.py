@@ -7,10 +7,13 @@ being planned, `RoundPlan` the message to the rover, `RoundRecord` the entry of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from he3.frames import FloatArray, Place
 from schemas.plans import PlannedSample, RoundPlan
-from services.ground.planners.interface import PlannedRound
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, Place
+    from services.ground.planners.interface import PlannedRound
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from he3.frames import FloatArray, Place
-from schemas.plans import PlannedSample, RoundPlan, Waypoint
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, Place
+    from schemas.plans import PlannedSample, RoundPlan, Waypoint
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 
 @dataclass(slots=True, eq=False)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from he3.frames import Place
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 
 class RoverPosition:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from he3.errors import He3Error
-from schemas.telemetry import SampleReport
-from services.ground.belief import Belief
 from services.ground.observation import Observation
-from services.ground.round_log import RoundLog
-from services.ground.round_record import RoundRecord
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from schemas.telemetry import SampleReport
+    from services.ground.belief import Belief
+    from services.ground.round_log import RoundLog
+    from services.ground.round_record import RoundRecord
+    from services.runtime.saved_state import SavedState
 
 
 @dataclass(frozen=True, slots=True)

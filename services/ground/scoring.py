@@ -5,13 +5,17 @@ Nothing else on the ground sees the reference: neither belief nor planners do.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
-from he3.frames import Float32Array
 from schemas.maps import MapScore
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from he3.frames import Float32Array
+    from services.mission.mission_time import MissionTime
 
 
 class Scorer:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from services.runtime.node import SECOND, Level, LogRecord, MissionTime, seconds
-from services.runtime.state_codec import SavedState
+from typing import TYPE_CHECKING
+
+from services.mission.mission_time import SECOND, MissionTime, seconds
+from services.runtime.node import Level, LogRecord
+
+if TYPE_CHECKING:
+    from services.runtime.saved_state import SavedState
 
 
 class SilenceWatch:

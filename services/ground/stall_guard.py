@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from schemas.link import LinkChange, LinkStatus
-from schemas.telemetry import RoverState
 from schemas.topics import LINK_SET
-from services.ground.director import Director
-from services.ground.silence import SilenceWatch
-from services.ground.stall_watch import StallWatch
-from services.runtime.node import Effect, MissionTime, SendQuery
-from services.runtime.state_codec import SavedState
+from services.runtime.node import Effect, SendQuery
+
+if TYPE_CHECKING:
+    from schemas.telemetry import RoverState
+    from services.ground.director import Director
+    from services.ground.silence import SilenceWatch
+    from services.ground.stall_watch import StallWatch
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 STALL_QUERY = "link-of-a-stalled-mission"
 

@@ -13,11 +13,15 @@ have passed, unless no further one comes.
 
 from __future__ import annotations
 
-from schemas.link import DirectionConditions, LinkStatus
+from typing import TYPE_CHECKING
+
 from schemas.telemetry import RoverMode, RoverState
-from services.mission.scenario import Scenario
-from services.runtime.node import SECOND, MissionTime, seconds
-from services.runtime.state_codec import SavedState
+from services.mission.mission_time import SECOND, MissionTime, seconds
+
+if TYPE_CHECKING:
+    from schemas.link import DirectionConditions, LinkStatus
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState
 
 CONTACT_PERIODS = 3  # that must pass without progress
 ROUND_TRIPS = 10  # that must pass: a plan goes up, its first sample comes down, each repeated a few times

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from schemas.ground import GroundStatus, KernelParameters, MissionPhase
-from schemas.telemetry import RoverState
 from schemas.topics import GROUND_STATUS
-from services.ground.belief import Belief
-from services.ground.director import Director, MissionProgress
-from services.ground.map.publisher import MapPublisher
-from services.ground.silence import SilenceWatch
-from services.mission.scenario import Scenario
-from services.runtime.node import MissionTime, Send
-from services.runtime.state_codec import SavedState
+from services.runtime.node import Send
+
+if TYPE_CHECKING:
+    from schemas.telemetry import RoverState
+    from services.ground.belief import Belief
+    from services.ground.director import Director, MissionProgress
+    from services.ground.map.publisher import MapPublisher
+    from services.ground.silence import SilenceWatch
+    from services.mission.mission_time import MissionTime
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState
 
 
 class StatusReporter:

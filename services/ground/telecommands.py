@@ -7,25 +7,20 @@ there is no link, nothing answers and the stage is not reported.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.commands import ENDS, CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
 from schemas.link import LinkChange, LinkStatus
 from schemas.topics import COMMAND, COMMAND_STATUS, LINK_SET
 from services.ground.command_history import LOOK_AGAIN_S, CommandHistory
-from services.ground.director import Director
-from services.mission.scenario import Scenario
-from services.runtime.node import (
-    Effect,
-    MissionTime,
-    RefuseQuery,
-    Send,
-    SendQuery,
-    SendReply,
-    SetTimer,
-    seconds,
-)
-from services.runtime.state_codec import SavedState
+from services.mission.mission_time import MissionTime, seconds
+from services.runtime.node import Effect, RefuseQuery, Send, SendQuery, SendReply, SetTimer
+
+if TYPE_CHECKING:
+    from services.ground.director import Director
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState
 
 LOOK_QUERY, LOOK_TIMER = "commands-on-the-link", "look"
 LOST_TIMER = "lost:"

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import ceil, hypot
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import InvalidInput
-from he3.frames import BoolArray, FloatArray, Place, SiteGrid
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import BoolArray, FloatArray, Place, SiteGrid
+    from services.runtime.saved_state import SavedState
 
 _BOUNDARY_STEP_CELLS = 0.25  # step along a polygon's edge; it can miss only the corner of a cell
 BESIDE_TRACK_M = 2.5  # distance from the end of its known track within which the rover is taken to stand on it

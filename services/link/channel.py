@@ -18,15 +18,18 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass
 from random import Random
+from typing import TYPE_CHECKING
 
 from schemas.link import AtEdge, DirectionConditions, DirectionCounts
 from schemas.topics import Custody
-from services.link.contact import Contact, Span
 from services.link.counts import Counts, DropReason
 from services.link.impairments import Draws, transit
-from services.link.packet import Packet
 from services.link.transmit_queue import TransmitQueue
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
+
+if TYPE_CHECKING:
+    from services.link.contact import Contact, Span
+    from services.link.packet import Packet
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.codec import encode
-from schemas.link import ClockState
 from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
 from services.link.kept_clock import keep, kept_clock, this_machine
 from services.runtime.clock import at_rate, started
-from services.runtime.context import ProcessContext
 from services.runtime.process_clock import CLOCKS
 from services.runtime.queries.request import read_request
 from services.runtime.refusals import refusal_of
-from services.runtime.transport.session import IncomingQuery
+
+if TYPE_CHECKING:
+    from schemas.link import ClockState
+    from services.runtime.context import ProcessContext
+    from services.runtime.transport.session import IncomingQuery
 
 CLOCK_FILE = "clock.json"
 ANNOUNCE_EVERY_S = 5.0

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from schemas.link import LinkConditions
-from services.runtime.node import MissionTime, seconds
+from services.mission.mission_time import MissionTime, seconds
+
+if TYPE_CHECKING:
+    from schemas.link import LinkConditions
 
 
 class Span(NamedTuple):

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from random import Random
+from typing import TYPE_CHECKING
 
-from schemas.link import DirectionConditions
-from services.runtime.node import MissionTime, seconds
+from services.mission.mission_time import MissionTime, seconds
+
+if TYPE_CHECKING:
+    from schemas.link import DirectionConditions
 
 _MAX_CORRUPTED_BYTES = 4  # of one payload
 

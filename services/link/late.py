@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING
 
-from schemas.lockstep import StepBusy
+if TYPE_CHECKING:
+    from schemas.lockstep import StepBusy
 
 REPORT_AFTER_S = 5.0
 """A process that has not finished a step for so long is reported."""

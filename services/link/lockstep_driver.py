@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, encode
@@ -16,17 +17,19 @@ from schemas.link import ClockMode, ClockState
 from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.topics import TIME_CONTROL, Side, Topic
 from services.link.late import SignsOfLife
-from services.runtime.context import ProcessContext
 from services.runtime.heartbeat import TOPICS as HEARTBEATS
 from services.runtime.lockstep.pace import Pace
 from services.runtime.lockstep.participant_io import ParticipantIO
 from services.runtime.lockstep.time_manager import TimeManager
 from services.runtime.lockstep.topics import JOIN, TO_TIME_MANAGER, grant_to
-from services.runtime.node import MissionTime
 from services.runtime.process_clock import CLOCKS
 from services.runtime.queries.request import encode_reply, read_request
 from services.runtime.refusals import refusal_of
 from services.runtime.transport.session import MEMBERS, ONLOOKERS, IncomingQuery
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
+    from services.runtime.context import ProcessContext
 
 SHOW_TIME_EVERY_S = 0.1
 

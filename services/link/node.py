@@ -6,23 +6,21 @@ It forwards raw payloads when they arrive, reports the link's status, and lets o
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.link import Direction, LinkChange
 from schemas.topics import LINK_SET, LINK_STATUS, Side, crossing
-from services.link.channel import Drop
 from services.link.counts import DropReason
 from services.link.relay import Relay
-from services.mission.scenario import Scenario
+from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.node import (
-    SECOND,
     Effect,
     Event,
     Forward,
     Interface,
     Level,
     LogRecord,
-    MissionTime,
     QueryReceived,
     ReceivedRaw,
     RefuseQuery,
@@ -32,6 +30,10 @@ from services.runtime.node import (
     Started,
     TimerFired,
 )
+
+if TYPE_CHECKING:
+    from services.link.channel import Drop
+    from services.mission.scenario import Scenario
 
 STATUS_INTERVAL_MIN: MissionTime = 1 * SECOND
 """Shortest interval between two reports while packets are offered [ns]."""

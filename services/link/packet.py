@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from schemas.topics import Custody, Latest, Topic
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
 
 UNKNOWN_SOURCE = "?"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from random import Random
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
@@ -23,7 +24,9 @@ from schemas.topics import COMMAND, Topic
 from services.link.channel import Channel, Drop, Flight, Limits
 from services.link.contact import Contact
 from services.link.packet import Packet, packet_of
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
 
 SHOWN_IN_FLIGHT = 200
 SHOWN_DROPPED = 50

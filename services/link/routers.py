@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from schemas.topics import Side
-from services.runtime.context import ProcessContext
+from typing import TYPE_CHECKING
+
 from services.runtime.transport.opening import open_router
 from services.runtime.transport.session import Session
+
+if TYPE_CHECKING:
+    from schemas.topics import Side
+    from services.runtime.context import ProcessContext
 
 
 def router_on(context: ProcessContext, side: Side, endpoint: str) -> Session:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from services.link.packet import Packet
+if TYPE_CHECKING:
+    from services.link.packet import Packet
 
 
 class TransmitQueue:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
-from he3.reference import Region
 from schemas.codec import Refused, decode
 from schemas.ground import GroundStatus, MissionPhase
-from schemas.link import LinkStatus
 from schemas.topics import GROUND_STATUS, LINK_STATUS, Side, Topic
-from schemas.wire import Wire
-from services.mission.scenario import Scenario
+from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.drivers.simulation import Simulation
-from services.runtime.host import EventSink
-from services.runtime.node import SECOND, MissionTime, Node
-from services.runtime.scheduler import Executor
+from services.runtime.node import Node
+
+if TYPE_CHECKING:
+    from he3.reference import Region
+    from schemas.link import LinkStatus
+    from schemas.wire import Wire
+    from services.mission.scenario import Scenario
+    from services.runtime.host import EventSink
+    from services.runtime.scheduler import Executor
 
 ENDED = frozenset({MissionPhase.COMPLETED, MissionPhase.FAILED})
 

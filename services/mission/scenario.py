@@ -11,7 +11,7 @@ import re
 import tomllib
 from datetime import UTC, date, datetime, time
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -21,7 +21,9 @@ from he3.frames import Place
 from schemas.codec import one_line
 from schemas.link import LinkConditions
 from schemas.wire import MissionName
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
 
 MAX_SCENARIO_BYTES = 1_000_000
 

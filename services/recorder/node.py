@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from schemas.codec import encode
 from schemas.topics import TOPICS, Side, Topic
-from services.mission.scenario import Scenario
-from services.runtime.node import (
-    Effect,
-    Event,
-    Interface,
-    Level,
-    LogRecord,
-    MissionTime,
-    Received,
-    SetTimer,
-    Started,
-    TimerFired,
-    seconds,
-)
+from services.mission.mission_time import MissionTime, seconds
+from services.runtime.node import Effect, Event, Interface, Level, LogRecord, Received, SetTimer, Started, TimerFired
+
+if TYPE_CHECKING:
+    from services.mission.scenario import Scenario
 
 FLUSH = "flush"
 """Timer: make the messages since the last flush safe."""

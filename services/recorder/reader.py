@@ -8,17 +8,19 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mcap.records import Channel, Message, Metadata, Statistics
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode
 from schemas.topics import BY_NAME, Topic
-from schemas.wire import Header
+from services.mission.mission_time import SECOND, MissionTime
 from services.recorder.recovery import Fault, read_records
 from services.recorder.writer import CHANNEL_RECORD, GAP_RECORD, MISSION_RECORD
-from services.runtime.node import SECOND, MissionTime
+
+if TYPE_CHECKING:
+    from schemas.wire import Header
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,14 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
-from schemas.topics import Topic
-from services.recorder.files import RecordingFile
 from services.recorder.writer import RecordingWriter
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from services.mission.mission_time import MissionTime
+    from services.recorder.files import RecordingFile
 
 MAX_PENDING_BYTES: Final = 16 * 1024 * 1024  # of memory, for what the file does not take at present
 

@@ -12,13 +12,15 @@ import math
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import IO, Protocol, Self, cast
+from typing import IO, TYPE_CHECKING, Protocol, Self, cast
 
 from mcap.writer import CompressionType, Writer
 
-from schemas.topics import Topic
 from schemas.wire import SCHEMA_VERSION, Envelope
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from services.mission.mission_time import MissionTime
 
 CHUNK_BYTES = 65_536
 """Uncompressed size at which a chunk is written: what a kill can cost at most without a flush."""

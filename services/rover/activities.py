@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from he3.frames import Place
-from schemas.commands import Telecommand
-from schemas.plans import PlannedSample, RoundPlan
 from services.rover.drill import Borehole
 from services.rover.geometry import nearest_fraction, squared_distance
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from schemas.commands import Telecommand
+    from schemas.plans import PlannedSample, RoundPlan
+    from services.runtime.saved_state import SavedState
 
 SAMPLE_TOLERANCE_M: Final = 0.5  # m; how far a sample may lie beside its path. The rover drives to the sample itself.
 _SAME_PLACE_M: Final = 1e-6

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from he3.frames import Place, SiteGrid
-from schemas.plans import MissionPlan, RoundPlan
 from services.rover.activities import Activity, Leg, legs_of
-from services.rover.keep_outs import KeepOuts
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from schemas.plans import MissionPlan, RoundPlan
+    from services.rover.keep_outs import KeepOuts
 
 JOIN_TOLERANCE_M: Final = 2.0  # m between where a round begins and where the rover will be
 MAX_ROUND_M: Final = 50_000.0  # m of path in one round; more is an error: a whole mission drives 20 km

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from he3.frames import Place, SiteGrid
 from schemas.commands import CommandKind, CommandStage, Telecommand
-from schemas.wire import Header
+from services.mission.mission_time import MissionTime
 from services.rover.activities import Activity, Leg
 from services.rover.admission import outside
 from services.rover.command_registry import MAX_WAITING, CommandRegistry, is_past
-from services.rover.keep_outs import KeepOuts
-from services.rover.operating_state import OperatingState
-from services.rover.reporter import Reporter
-from services.rover.schedule import Schedule
 from services.rover.states import Hold
 from services.rover.track import return_path
-from services.rover.vehicle import Vehicle
-from services.runtime.node import Effect, Level, LogRecord, MissionTime
+from services.runtime.node import Effect, Level, LogRecord
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from schemas.wire import Header
+    from services.rover.keep_outs import KeepOuts
+    from services.rover.operating_state import OperatingState
+    from services.rover.reporter import Reporter
+    from services.rover.schedule import Schedule
+    from services.rover.vehicle import Vehicle
 
 MAX_KEEP_OUTS: Final = 100
 

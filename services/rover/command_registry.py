@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
-from schemas.wire import Header
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from schemas.wire import Header
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 MAX_WAITING: Final = 32
 MAX_REMEMBERED: Final = 10_000  # commands whose ids are kept; a mission sends hundreds

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from schemas.plans import PlannedSample
-from services.runtime.state_codec import SavedState
+if TYPE_CHECKING:
+    from schemas.plans import PlannedSample
+    from services.runtime.saved_state import SavedState
 
 _ROUNDING_M: Final = 1e-9  # m; a last bite shallower than this is rounding, not drilling
 

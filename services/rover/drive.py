@@ -6,12 +6,15 @@ import math
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-from he3.frames import Place
-from schemas.measurement import TerrainReply
-from services.mission.scenario import RoverConfig
-from services.rover.path_scan import PathSection, ScanPattern
-from services.runtime.node import SECOND, MissionTime, seconds
+from services.mission.mission_time import SECOND, MissionTime, seconds
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from schemas.measurement import TerrainReply
+    from services.mission.scenario import RoverConfig
+    from services.rover.path_scan import PathSection, ScanPattern
 
 
 @dataclass(frozen=True, slots=True)

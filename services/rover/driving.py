@@ -5,25 +5,28 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
-from he3.frames import Place, SiteGrid
 from schemas.measurement import TerrainReply, TerrainRequest
 from schemas.telemetry import EventKind
 from schemas.topics import TERRAIN
-from services.mission.scenario import RoverConfig
-from services.rover.activities import Activity
 from services.rover.drive import drive_over
-from services.rover.energy_guard import EnergyGuard
-from services.rover.instruments import Instruments
-from services.rover.keep_outs import KeepOuts
-from services.rover.operating_state import OperatingState
 from services.rover.path_scan import PathSection, ScanPattern, obstacles, scan_planner
-from services.rover.reporter import Reporter
-from services.rover.schedule import Schedule
 from services.rover.states import Hold, Trigger
-from services.rover.vehicle import Vehicle
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from services.mission.mission_time import MissionTime
+    from services.mission.scenario import RoverConfig
+    from services.rover.activities import Activity
+    from services.rover.energy_guard import EnergyGuard
+    from services.rover.instruments import Instruments
+    from services.rover.keep_outs import KeepOuts
+    from services.rover.operating_state import OperatingState
+    from services.rover.reporter import Reporter
+    from services.rover.schedule import Schedule
+    from services.rover.vehicle import Vehicle
+    from services.runtime.saved_state import SavedState
 
 
 @dataclass(frozen=True, slots=True)

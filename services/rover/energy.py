@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from services.mission.scenario import RoverConfig
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
+
+if TYPE_CHECKING:
+    from services.mission.scenario import RoverConfig
 
 _WS_PER_WH: Final = 3600.0  # W s in a Wh
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from schemas.telemetry import EventKind
-from services.mission.scenario import RoverConfig
 from services.rover.operating_state import CHARGED, OperatingState
-from services.rover.reporter import Reporter
 from services.rover.states import Hold
-from services.rover.vehicle import Vehicle
-from services.runtime.node import Effect, MissionTime, SetTimer
+from services.runtime.node import Effect, SetTimer
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
+    from services.mission.scenario import RoverConfig
+    from services.rover.reporter import Reporter
+    from services.rover.vehicle import Vehicle
 
 _ROUNDING_WH: Final = 1e-6  # Wh; a charging hold ends at a whole nanosecond, so the level is met up to rounding
 

@@ -8,17 +8,10 @@ know nothing of the executive: each returns the outcome of its step, and the exe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from he3.frames import Place, SiteGrid
-from schemas.commands import Telecommand
-from schemas.measurement import MeasurementReply, TerrainReply
-from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind, RoverMode, RoverState
 from schemas.topics import MEASURE, Topic
-from schemas.wire import Header
-from services.mission.scenario import RoverConfig
-from services.rover.activities import Activity
 from services.rover.command_handlers import CommandHandlers, Controls
 from services.rover.command_registry import CommandRegistry
 from services.rover.drill import Borehole
@@ -35,8 +28,18 @@ from services.rover.schedule import Schedule
 from services.rover.states import ENDED_BY_PLAN, State, Trigger
 from services.rover.vehicle import Vehicle
 from services.rover.watchdog import Watchdog
-from services.runtime.node import Effect, Finish, Level, LogRecord, MissionTime, NoReply, SetTimer
-from services.runtime.state_codec import SavedState, Stateful
+from services.runtime.node import Effect, Finish, Level, LogRecord, NoReply, SetTimer
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from schemas.commands import Telecommand
+    from schemas.measurement import MeasurementReply, TerrainReply
+    from schemas.plans import MissionPlan
+    from schemas.wire import Header
+    from services.mission.mission_time import MissionTime
+    from services.mission.scenario import RoverConfig
+    from services.rover.activities import Activity
+    from services.runtime.saved_state import SavedState, Stateful
 
 STEP: Final = "step"
 """Timer: the drive, the bite or the analysis under way is done."""

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from he3.frames import Place
+if TYPE_CHECKING:
+    from he3.frames import Place
 
 _ENTRY_TOLERANCE_M: Final = 0.01  # m; how exactly the place is found where a path comes too near to an area
 

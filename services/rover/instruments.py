@@ -3,14 +3,17 @@ recognised by the query's name."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from schemas.telemetry import EventKind
-from schemas.topics import Topic
-from schemas.wire import Wire
-from services.rover.reporter import Reporter
-from services.runtime.node import Effect, MissionTime, SendQuery, SetTimer, seconds
-from services.runtime.state_codec import SavedState
+from services.mission.mission_time import MissionTime, seconds
+from services.runtime.node import Effect, SendQuery, SetTimer
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from schemas.wire import Wire
+    from services.rover.reporter import Reporter
+    from services.runtime.saved_state import SavedState
 
 RETRY: Final = "retry"
 """Timer: ask the silent instrument again."""

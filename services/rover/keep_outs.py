@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from he3.frames import Place
 from services.rover.geometry import Area
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from services.runtime.saved_state import SavedState
 
 
 class KeepOuts:

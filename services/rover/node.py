@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from he3 import constants
 from he3.frames import Place, SiteGrid
-from schemas.telemetry import RoverMode
 from schemas.topics import COMMAND, MEASURE, PLAN, STATE, TERRAIN, Side
+from services.mission.mission_time import MissionTime, seconds
 from services.mission.regions import EMBEDDED, load_region
-from services.mission.scenario import RoverConfig, Scenario
 from services.rover.executive import STEP, Executive
 from services.rover.instruments import RETRY
 from services.rover.operating_state import CHARGED
@@ -20,7 +19,6 @@ from services.runtime.node import (
     Effect,
     Event,
     Interface,
-    MissionTime,
     QueryFailed,
     QueueDepthChanged,
     Received,
@@ -29,9 +27,12 @@ from services.runtime.node import (
     SetTimer,
     Started,
     TimerFired,
-    seconds,
 )
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from schemas.telemetry import RoverMode
+    from services.mission.scenario import RoverConfig, Scenario
+    from services.runtime.saved_state import SavedState
 
 REPORT_STATE: Final = "state"
 """Timer: report the state again."""

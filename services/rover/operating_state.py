@@ -5,14 +5,17 @@ Every change of state goes through here, with the power that the new state draws
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from schemas.telemetry import EventKind, RoverMode
-from services.rover.reporter import Reporter
 from services.rover.states import HOLD_TRIGGERS, INTERRUPTIBLE, MODES, STANDING, Hold, State, Trigger, next_state
-from services.rover.vehicle import Vehicle
-from services.runtime.node import Effect, MissionTime, SetTimer
-from services.runtime.state_codec import SavedState
+from services.runtime.node import Effect, SetTimer
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
+    from services.rover.reporter import Reporter
+    from services.rover.vehicle import Vehicle
+    from services.runtime.saved_state import SavedState
 
 CHARGED: Final = "charged"
 """Timer: the battery holds enough energy to continue."""

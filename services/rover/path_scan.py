@@ -10,12 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
-from he3.frames import Place, SiteGrid
-from schemas.measurement import TerrainReply
-from services.mission.scenario import RoverConfig
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from schemas.measurement import TerrainReply
+    from services.mission.scenario import RoverConfig
 
 _LINE_PLACES: Final = 320  # of the 512 places of one terrain query, for the lines along a section
 _TURN_PLACES: Final = 176  # of the 512, for the rings at turns and what each turn adds to the lines

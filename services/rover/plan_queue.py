@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from he3.frames import Place, SiteGrid
-from schemas.plans import MissionPlan
 from services.rover.activities import Activity
 from services.rover.admission import Admission, admit
-from services.rover.keep_outs import KeepOuts
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from schemas.plans import MissionPlan
+    from services.rover.keep_outs import KeepOuts
+    from services.runtime.saved_state import SavedState
 
 BEFORE_THE_FIRST: Final = 0  # the plan revision and the round before the first
 

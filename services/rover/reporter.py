@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from he3.frames import Place
-from schemas.commands import CommandReport
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import COMMAND_REPORT, EVENT
-from services.rover.activities import Activity
-from services.rover.plan_queue import PlanQueue
-from services.rover.vehicle import Vehicle
-from services.runtime.node import Effect, MissionTime, Send
+from services.runtime.node import Effect, Send
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from schemas.commands import CommandReport
+    from services.mission.mission_time import MissionTime
+    from services.rover.activities import Activity
+    from services.rover.plan_queue import PlanQueue
+    from services.rover.vehicle import Vehicle
 
 MAX_DETAIL: Final = 500  # characters; the limit of the message's field
 

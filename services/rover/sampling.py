@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, SampleReport
 from schemas.topics import MEASURE, SAMPLE
-from services.mission.scenario import RoverConfig
-from services.rover.drill import Borehole
-from services.rover.energy_guard import EnergyGuard
-from services.rover.instruments import Instruments
-from services.rover.operating_state import OperatingState
-from services.rover.plan_queue import PlanQueue
-from services.rover.reporter import Reporter
-from services.rover.schedule import Schedule
+from services.mission.mission_time import MissionTime, seconds
 from services.rover.states import State, Trigger
-from services.rover.vehicle import Vehicle
-from services.runtime.node import Effect, MissionTime, Send, seconds
+from services.runtime.node import Effect, Send
+
+if TYPE_CHECKING:
+    from services.mission.scenario import RoverConfig
+    from services.rover.drill import Borehole
+    from services.rover.energy_guard import EnergyGuard
+    from services.rover.instruments import Instruments
+    from services.rover.operating_state import OperatingState
+    from services.rover.plan_queue import PlanQueue
+    from services.rover.reporter import Reporter
+    from services.rover.schedule import Schedule
+    from services.rover.vehicle import Vehicle
 
 
 class Sampling:

@@ -5,18 +5,23 @@ Activities begin and end here, and every beginning and end is reported here.
 
 from __future__ import annotations
 
-from he3.frames import Place, SiteGrid
+from typing import TYPE_CHECKING
+
 from schemas.commands import CommandStage
-from schemas.plans import MissionPlan
 from schemas.telemetry import EventKind
 from services.rover.activities import Activity
-from services.rover.command_registry import CommandRegistry
-from services.rover.keep_outs import KeepOuts
-from services.rover.plan_queue import PlanQueue
-from services.rover.reporter import Reporter
-from services.rover.vehicle import Vehicle
-from services.runtime.node import Effect, Level, LogRecord, MissionTime
-from services.runtime.state_codec import SavedState
+from services.runtime.node import Effect, Level, LogRecord
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from schemas.plans import MissionPlan
+    from services.mission.mission_time import MissionTime
+    from services.rover.command_registry import CommandRegistry
+    from services.rover.keep_outs import KeepOuts
+    from services.rover.plan_queue import PlanQueue
+    from services.rover.reporter import Reporter
+    from services.rover.vehicle import Vehicle
+    from services.runtime.saved_state import SavedState
 
 
 class Schedule:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from he3.frames import FloatArray, Place
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, Place
 
 _SAME_PLACE_M: Final = 1e-6
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from he3.frames import Place
+from typing import TYPE_CHECKING
+
 from schemas.telemetry import RoverMode, RoverState
-from services.rover.drive import Drive
-from services.rover.energy import Battery
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from services.mission.mission_time import MissionTime
+    from services.rover.drive import Drive
+    from services.rover.energy import Battery
+    from services.runtime.saved_state import SavedState
 
 
 class Vehicle:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from services.rover.operating_state import OperatingState
+from services.mission.mission_time import MissionTime, seconds
 from services.rover.states import Hold
-from services.runtime.node import Effect, MissionTime, SetTimer, seconds
+from services.runtime.node import Effect, SetTimer
+
+if TYPE_CHECKING:
+    from services.rover.operating_state import OperatingState
 
 WATCHDOG: Final = "watchdog"
 """Timer: the ground has been silent for too long."""

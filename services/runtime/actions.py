@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from schemas.refusal import RefusalCode
-from schemas.topics import Side, Topic
 from services.runtime.node import Compute, Finish, LogRecord, PublishSnapshot, SetTimer
+
+if TYPE_CHECKING:
+    from schemas.topics import Side, Topic
 
 
 @dataclass(frozen=True, slots=True)

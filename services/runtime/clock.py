@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Final
 
 from schemas.link import ClockMode, ClockState
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
 
 _EPOCH_BITS: Final = 53  # so that a page's numbers hold it exactly
 _MAX_EPOCHS: Final = 100  # whose furthest reading is kept

@@ -7,21 +7,23 @@ drivers is done here.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from schemas.refusal import Refusal
-from schemas.topics import Side, Topic
-from services.runtime.actions import Action
-from services.runtime.event_log import EventLog
-from services.runtime.heartbeat import Heartbeat
-from services.runtime.inbox import Inbox
-from services.runtime.log import Log
 from services.runtime.node import Finish, LogRecord, PublishSnapshot
-from services.runtime.options import Options
-from services.runtime.process_clock import ProcessClock
-from services.runtime.queries.process import QueryProcess
-from services.runtime.scheduler import NodeScheduler
-from services.runtime.transport.session import IncomingQuery, Session
+
+if TYPE_CHECKING:
+    from schemas.refusal import Refusal
+    from schemas.topics import Side, Topic
+    from services.runtime.actions import Action
+    from services.runtime.event_log import EventLog
+    from services.runtime.heartbeat import Heartbeat
+    from services.runtime.inbox import Inbox
+    from services.runtime.log import Log
+    from services.runtime.options import Options
+    from services.runtime.process_clock import ProcessClock
+    from services.runtime.queries.process import QueryProcess
+    from services.runtime.scheduler import NodeScheduler
+    from services.runtime.transport.session import IncomingQuery, Session
 
 IDLE_S = 0.5
 """Longest sleep of a main loop [s of wall time]."""

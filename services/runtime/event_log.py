@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
 
 
 class EventLog:

@@ -6,12 +6,15 @@ import os
 import platform
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
 from schemas.codec import encode
 from schemas.ground import Presence
 from schemas.topics import EARTH_PRESENCE, MOON_PRESENCE, Side, Topic
 from schemas.wire import Header
-from services.runtime.host import Host
+
+if TYPE_CHECKING:
+    from services.runtime.host import Host
 
 PERIOD_S = 2.0
 """Wall time between two heartbeats [s]."""

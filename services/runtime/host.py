@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, decode_reply, encode
-from schemas.topics import Crosses, Side, Topic
+from schemas.topics import Crosses, Side, Topic, under_custody
 from schemas.wire import Header, Wire
+from services.mission.mission_time import MissionTime
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.endpoint import STATE_TYPES as CUSTODY_STATE_TYPES
-from services.runtime.custody.protocol import CustodyConfig, under_custody
 from services.runtime.inputs import (
     CheckedQueryArrived,
     ComputationEnded,
@@ -40,7 +40,6 @@ from services.runtime.node import (
     Interface,
     Level,
     LogRecord,
-    MissionTime,
     Node,
     NoReply,
     PublishSnapshot,
@@ -57,7 +56,11 @@ from services.runtime.node import (
     Started,
     TimerFired,
 )
-from services.runtime.state_codec import SavedState, StateCodec
+from services.runtime.state_codec import StateCodec
+
+if TYPE_CHECKING:
+    from services.runtime.custody.protocol import CustodyConfig
+    from services.runtime.saved_state import SavedState
 
 
 def origin(topic: Topic) -> Side:

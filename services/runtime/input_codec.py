@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import He3Error, InvalidInput, NoRoute, NumericalFailure, OutsideRegion, PeerUnreachable
 from schemas.topics import BY_NAME
@@ -19,7 +19,9 @@ from services.runtime.inputs import (
     TimerElapsed,
 )
 from services.runtime.node import NoReply
-from services.runtime.state_codec import StateCodec
+
+if TYPE_CHECKING:
+    from services.runtime.state_codec import StateCodec
 
 ERRORS: Final[dict[str, type[He3Error]]] = {
     error.__name__: error

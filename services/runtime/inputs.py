@@ -7,11 +7,12 @@ time at which it is handled is not part of it. `services.runtime.actions` is the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from schemas.topics import Topic
-from schemas.wire import Wire
-from services.runtime.node import NoReply
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from schemas.wire import Wire
+    from services.runtime.node import NoReply
 
 
 @dataclass(frozen=True, slots=True)

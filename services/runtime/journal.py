@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from functools import partial
 from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import IO, Final, TypeVar
+from typing import IO, TYPE_CHECKING, Final, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -35,12 +35,15 @@ from mcap.records import Channel, Message, Metadata
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from he3.errors import He3Error, InvalidInput
-from services.mission.scenario import Scenario
 from services.runtime.checkpoint_file import CRC_BYTES, Checkpoint, Mark, read_checkpoint, write_checkpoint
 from services.runtime.input_codec import decode_input, encode_input
 from services.runtime.inputs import Input, ProcessStarted
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState, StateCodec
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
+    from services.mission.scenario import Scenario
+    from services.runtime.saved_state import SavedState
+    from services.runtime.state_codec import StateCodec
 
 PROFILE: Final = "he3-journal"
 FORMAT: Final = "2"

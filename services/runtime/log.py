@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from typing import Any, TextIO
 
 from schemas.codec import printable
-from services.runtime.node import SECOND, Level, LogRecord, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
+from services.runtime.node import Level, LogRecord
 
 ORDER = {Level.DEBUG: 0, Level.INFO: 1, Level.WARNING: 2, Level.ERROR: 3}
 

@@ -10,23 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from schemas.refusal import RefusalCode
-from schemas.topics import Side, Topic
-from schemas.wire import Header, Wire
-from services.runtime.state_codec import Stateful
+from services.runtime.saved_state import Stateful
 
-MissionTime = int
-"""Nanoseconds of mission time (UTC) since 1970-01-01T00:00:00Z."""
-
-SECOND: MissionTime = 1_000_000_000
-
-
-def seconds(value: float) -> MissionTime:
-    """A duration [ns] from seconds, to the nearest nanosecond."""
-    return round(value * SECOND)
-
+if TYPE_CHECKING:
+    from schemas.topics import Side, Topic
+    from schemas.wire import Header, Wire
+    from services.mission.mission_time import MissionTime
 
 # --- events: what a node sees -----------------------------------------------------------------------------------
 

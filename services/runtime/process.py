@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack, closing
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
 from schemas.topics import Side, Topic
@@ -36,9 +36,11 @@ from services.runtime.options import Options, parse_options
 from services.runtime.process_clock import ProcessClock
 from services.runtime.queries.process import QueryProcess
 from services.runtime.scheduler import Executor, InlineExecutor, NodeScheduler
-from services.runtime.service import Service
 from services.runtime.transport.opening import connect_client
 from services.runtime.transport.session import ONLOOKERS, Session, close_all
+
+if TYPE_CHECKING:
+    from services.runtime.service import Service
 
 ENDS_WITHIN_S = 1.4
 """From the signal on: a call that hangs in the network then no longer keeps the process alive."""

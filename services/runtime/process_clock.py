@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from schemas.link import ClockState
+from typing import TYPE_CHECKING
+
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side
 from services.runtime.clock import FollowedClock
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from schemas.link import ClockState
+    from services.mission.mission_time import MissionTime
 
 CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
 """Topic of the mission's clock on each side."""

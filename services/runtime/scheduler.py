@@ -11,14 +11,17 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from he3.errors import InvalidInput
-from services.runtime.actions import Action, PutQuery
-from services.runtime.host import Host
+from services.mission.mission_time import MissionTime, seconds
 from services.runtime.inputs import ComputationEnded, Input, TimerElapsed
-from services.runtime.node import Compute, Finish, MissionTime, PublishSnapshot, SetTimer, seconds
-from services.runtime.state_codec import SavedState
+from services.runtime.node import Compute, Finish, PublishSnapshot, SetTimer
+
+if TYPE_CHECKING:
+    from services.runtime.actions import Action, PutQuery
+    from services.runtime.host import Host
+    from services.runtime.saved_state import SavedState
 
 CHECKPOINT_EVERY: Final = 300
 """Inputs between two checkpoints, at most: so many are handled again after a restart."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from schemas.topics import Topic
-from services.runtime.node import Node
-from services.runtime.options import Options
 from services.runtime.scheduler import Executor
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from services.runtime.node import Node
+    from services.runtime.options import Options
 
 
 class OwnedExecutor(Executor, Protocol):

@@ -27,7 +27,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,19 +40,6 @@ MAGIC: Final = b"he3state1\n"
 _LENGTH_BYTES: Final = 8
 _NUMERIC: Final = frozenset("biufc")
 """Kinds of the arrays that are encoded: booleans and numbers, no objects."""
-
-SavedState = dict[str, Any]
-"""What an object keeps of itself: named parts, each of which the codec can encode."""
-
-
-class Stateful(Protocol):
-    """An object that names what it keeps."""
-
-    def checkpoint(self) -> SavedState:
-        """All that a new object of the same making needs to become this one."""
-
-    def restore(self, state: SavedState) -> None:
-        """Become the object that had this state."""
 
 
 class _NotEncodable(Exception):

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 
 from schemas.plans import MissionPlan, RoundPlan
 from schemas.topics import PLAN, Side
+from services.mission.mission_time import SECOND
 from services.runtime.entry import leave, prepare_process
 from services.runtime.node import (
-    SECOND,
     Effect,
     Event,
     Finish,

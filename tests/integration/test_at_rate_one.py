@@ -32,8 +32,8 @@ from schemas.topics import (
     MOON_PRESENCE,
     Side,
 )
+from services.mission.mission_time import SECOND
 from services.runtime.clock import mission_time
-from services.runtime.node import SECOND
 from tests.waiting import PATIENCE_S, expect_within, slowness, until
 
 SERVICES = ("rover", "recorder", "ground", "field")

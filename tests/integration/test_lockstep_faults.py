@@ -18,8 +18,8 @@ from schemas.link import LinkChange
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.measurement import MeasurementRequest
 from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_SET, MEASURE, TIME_CONTROL, Side
+from services.mission.mission_time import SECOND
 from services.mission.processes import VITAL, waited_for
-from services.runtime.node import SECOND
 from services.runtime.transport.client import Client
 from tests.processes import start
 from tests.waiting import expect_within, until

@@ -9,7 +9,6 @@ import typer
 from services.console.cli import (
     bench,
     command,
-    demo,
     link,
     map,
     reference,
@@ -41,7 +40,7 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
     app.callback()(_common)
-    app.command("demo", short_help="Run a demonstration mission.", epilog=demo.EXAMPLES)(demo.demo)
+    app.command("demo", short_help="Run a demonstration mission.", epilog=run.DEMO_EXAMPLES)(run.demo)
     app.command("run", short_help="Run a whole mission and report on it.", epilog=run.EXAMPLES)(run.run)
     app.command("up", short_help="Start the services and keep them running.", epilog=up.EXAMPLES)(up.up)
     app.command("status", short_help="Show processes, rover, map and link.", epilog=status.EXAMPLES)(status.status)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -12,10 +12,12 @@ from schemas.codec import one_line
 from schemas.link import ClockChange, ClockMode, ClockState
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL
-from schemas.wire import Header
+from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.clock import FollowedClock, mission_time
-from services.runtime.node import SECOND, MissionTime
-from services.runtime.transport.client import Client
+
+if TYPE_CHECKING:
+    from schemas.wire import Header
+    from services.runtime.transport.client import Client
 
 MAX_CLOCK_RATE = 100_000.0
 """Mission seconds a wall second that a mission on the wall clock accepts."""

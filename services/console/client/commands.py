@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import time
 import uuid
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -13,11 +13,13 @@ from he3.errors import InvalidInput, PeerUnreachable
 from schemas.codec import one_line
 from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
 from schemas.topics import COMMAND_STATUS, ISSUE_COMMAND, LIST_COMMANDS
-from schemas.wire import Header
 from services.console.client.clock import ClockQueries
-from services.console.client.map_queries import Polygon
-from services.runtime.node import seconds
-from services.runtime.transport.client import Client
+from services.mission.mission_time import seconds
+
+if TYPE_CHECKING:
+    from schemas.wire import Header
+    from services.console.client.map_queries import Polygon
+    from services.runtime.transport.client import Client
 
 ASK_AGAIN_S = 1.0
 """Wall time without a report after which the list of commands is asked for: a report may be lost on a busy session."""

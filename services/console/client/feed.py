@@ -5,11 +5,14 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from he3.errors import He3Error, InvalidInput
 from schemas.topics import MAP_FEED
 from services.ground.map.feed import FeedMap, FeedReader
-from services.runtime.transport.client import Client
+
+if TYPE_CHECKING:
+    from services.runtime.transport.client import Client
 
 
 class MapFeed:

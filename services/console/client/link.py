@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -11,7 +11,9 @@ from he3.errors import InvalidInput
 from schemas.codec import one_line
 from schemas.link import LinkChange, LinkStatus
 from schemas.topics import LINK_SET
-from services.runtime.transport.client import Client
+
+if TYPE_CHECKING:
+    from services.runtime.transport.client import Client
 
 
 class LinkControl:

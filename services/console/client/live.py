@@ -7,13 +7,15 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from schemas.topics import COMMAND_STATUS, EVENT, GROUND_STATUS, LINK_STATUS, SAMPLE, STATE, Side, Topic
-from schemas.wire import Header, Wire
 from services.mission.processes import vital_on
-from services.runtime.node import MissionTime
-from services.runtime.transport.client import Client
+
+if TYPE_CHECKING:
+    from schemas.wire import Header, Wire
+    from services.mission.mission_time import MissionTime
+    from services.runtime.transport.client import Client
 
 NEWS: tuple[Topic, ...] = (GROUND_STATUS, SAMPLE, EVENT, STATE, COMMAND_STATUS, LINK_STATUS)
 MAX_HELD = 10_000

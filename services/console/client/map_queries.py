@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,9 @@ from schemas.topics import (
     TRACK,
     Topic,
 )
-from services.runtime.transport.client import Client
+
+if TYPE_CHECKING:
+    from services.runtime.transport.client import Client
 
 Polygon = Sequence[tuple[float, float]]
 AsOf = int | str | None

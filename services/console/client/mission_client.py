@@ -21,10 +21,9 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from he3.errors import PeerUnreachable
-from schemas.ground import GroundStatus
 from schemas.topics import GROUND_STATUS, Side, Topic
 from services.console.client.commands import Commanding
 from services.console.client.feed import MapFeed
@@ -33,9 +32,12 @@ from services.console.client.live import LiveNews
 from services.console.client.map_queries import MapQueries
 from services.console.client.mission_state import MissionState
 from services.console.client.run_file import find
-from services.runtime.node import MissionTime
 from services.runtime.transport.client import Client
 from services.runtime.transport.opening import SilenceReport, WhileWaiting
+
+if TYPE_CHECKING:
+    from schemas.ground import GroundStatus
+    from services.mission.mission_time import MissionTime
 
 REPORT_AFTER_S = 5.0
 """Waiting for the router of a mission that is being started is reported after this time."""

@@ -13,13 +13,10 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
 from schemas.commands import CommandStatus, NoParameters
-from schemas.ground import GroundStatus, Presence
-from schemas.link import ClockState, LinkStatus
-from schemas.telemetry import RoverEvent, RoverState
 from schemas.topics import (
     COMMAND_STATUS,
     EARTH_CLOCK,
@@ -31,11 +28,16 @@ from schemas.topics import (
     STATE,
     Topic,
 )
-from schemas.wire import Header
 from services.console.client.clock import MissionClock, time_shown
 from services.console.client.staleness import SILENT_S
-from services.runtime.node import MissionTime, seconds
-from services.runtime.transport.client import Client
+from services.mission.mission_time import MissionTime, seconds
+
+if TYPE_CHECKING:
+    from schemas.ground import GroundStatus, Presence
+    from schemas.link import ClockState, LinkStatus
+    from schemas.telemetry import RoverEvent, RoverState
+    from schemas.wire import Header
+    from services.runtime.transport.client import Client
 
 MAX_EVENTS = 300
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from schemas.link import LinkStatus
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from schemas.link import LinkStatus
 
 SILENT_S = 15.0
 """Wall time without any message after which a mission counts as silent; heartbeats come every 2 s."""

@@ -6,7 +6,7 @@ import re
 from datetime import UTC, datetime
 
 from he3.errors import InvalidInput
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
 
 _UNITS_S = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _DURATION = re.compile(r"(\d{1,15}(?:\.\d{1,9})?)\s*(s|min|h|d|)")

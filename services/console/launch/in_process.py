@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from schemas.commands import NoParameters
-from schemas.ground import MissionTrack
 from schemas.link import LinkChange, LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
 from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK
@@ -20,6 +19,7 @@ from services.runtime.event_log import EventLog, merge_event_logs
 
 if TYPE_CHECKING:
     from he3.reference import Region
+    from schemas.ground import MissionTrack
     from services.mission.scenario import Scenario
     from services.runtime.node import Node
 

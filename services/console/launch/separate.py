@@ -11,9 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from schemas.ground import GroundStatus
 from services.console.client.mission_client import MissionClient
-from services.console.client.mission_state import MissionState
 from services.console.client.run_file import RunningMission, announced
 from services.console.launch.launcher import Endpoints, Launcher, endpoints_near
 from services.console.report.mission_report import Outcome, Run, gather
@@ -26,6 +24,8 @@ from services.runtime.event_log import merge_event_logs
 
 if TYPE_CHECKING:
     from he3.reference import Region
+    from schemas.ground import GroundStatus
+    from services.console.client.mission_state import MissionState
     from services.console.launch.scenarios import Chosen
     from services.mission.scenario import Scenario
 

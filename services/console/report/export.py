@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from he3.errors import He3Error
 from he3.frames import SiteGrid
 from schemas.maps import MapLayer
-from schemas.telemetry import SampleReport
+
+if TYPE_CHECKING:
+    from schemas.telemetry import SampleReport
 
 EXPORTED: Final = (MapLayer.MEAN, MapLayer.STD, MapLayer.TRAVERSABLE)
 """The layers that a file holds."""

@@ -7,19 +7,21 @@ import contextlib
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
-from schemas.link import LinkStatus
 from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MessageCounts, MissionReport, ReportSample
-from services.mission.scenario import Scenario
+from services.mission.mission_time import SECOND
 from services.runtime.heartbeat import software_version
-from services.runtime.node import SECOND
+
+if TYPE_CHECKING:
+    from schemas.link import LinkStatus
+    from services.mission.scenario import Scenario
 
 
 class Answers(Protocol):

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -26,10 +26,12 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from he3.errors import He3Error
-from he3.reference import Region
-from schemas.ground import MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore
 from services.console.report.mission_report import array_of, remove_part
+
+if TYPE_CHECKING:
+    from he3.reference import Region
+    from schemas.ground import MissionTrack
 
 ABUNDANCE = "viridis"
 UNCERTAINTY = "magma"

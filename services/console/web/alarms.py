@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from schemas.ground import GroundStatus, MissionPhase
-from schemas.link import LinkStatus
 from schemas.telemetry import EventKind, RoverEvent, RoverMode
 from services.console.client.staleness import stale_after_s
 from services.console.client.time_format import duration
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
+
+if TYPE_CHECKING:
+    from schemas.link import LinkStatus
 
 LOW_ENERGY_SHARE = 0.25
 """Of the capacity; the rover enters safe mode at its reserve, 0.2 by default, and the alarm comes before that."""

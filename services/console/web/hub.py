@@ -11,15 +11,17 @@ import contextlib
 import json
 import threading
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
-from schemas.commands import CommandStatus
 from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EVENT, GROUND_STATUS, LINK_STATUS, STATE, Topic
-from services.console.client.mission_client import MissionClient
-from services.console.client.mission_state import Happened, MissionState
 from services.console.web.alarms import Alarms, documents
 from services.console.web.curves import Curves
+
+if TYPE_CHECKING:
+    from schemas.commands import CommandStatus
+    from services.console.client.mission_client import MissionClient
+    from services.console.client.mission_state import Happened, MissionState
 
 MAX_WAITING = 400
 """Messages that a browser may be behind; then its stream ends, it comes back by itself, and starts afresh."""

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from he3.errors import He3Error
-from services.console.client.mission_client import MissionClient
 from services.console.web.address import listening, own_names, url_of
 from services.console.web.hub import Hub
+
+if TYPE_CHECKING:
+    from services.console.client.mission_client import MissionClient
 
 
 def serve(

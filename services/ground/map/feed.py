@@ -15,17 +15,19 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
-from he3.frames import BoolArray, Float32Array
 from schemas.codec import one_line
 from schemas.maps import MAX_CELLS, FrameKind, MapFrame
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from he3.frames import BoolArray, Float32Array
+    from services.mission.mission_time import MissionTime
 
 MAGIC: Final = b"HE3F"
 _LENGTH: Final = struct.Struct("<I")

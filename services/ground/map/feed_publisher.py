@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from schemas.refusal import Refusal, RefusalCode
 from schemas.topics import MAP_FEED
 from services.ground.map.feed import FeedMap, FeedWriter
-from services.ground.map.snapshot import MapSnapshot
-from services.runtime.transport.session import IncomingQuery, Session
+
+if TYPE_CHECKING:
+    from services.ground.map.snapshot import MapSnapshot
+    from services.runtime.transport.session import IncomingQuery, Session
 
 BEAT_S: Final = 2.0  # between two beats
 END_S: Final = 0.2  # how long `end` waits for a frame that is being published

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from he3.errors import InvalidInput
-from services.ground.map.snapshot import MapSnapshot
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
+
+if TYPE_CHECKING:
+    from services.ground.map.snapshot import MapSnapshot
 
 MAX_BYTES = 256 * 1024 * 1024
 """Of the arrays held. When it is exceeded, every second revision of the older half is dropped."""

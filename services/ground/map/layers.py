@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from he3.errors import InvalidInput, OutsideRegion
-from he3.frames import FloatArray
 from schemas.maps import MAX_CELLS, RASTERS, MapBoxQuery, MapLayer, MapLayerQuery
-from services.ground.map.snapshot import MapSnapshot
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
+    from services.ground.map.snapshot import MapSnapshot
 
 UNITS = {
     MapLayer.MEAN: "ppb",

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
-from he3.posterior.grid import PosteriorMap
-from schemas.maps import MapScore
-from services.ground.belief import Belief
 from services.ground.map.snapshot import MapSnapshot
-from services.ground.refits import RefitSchedule
-from services.ground.round_log import RoundLog
-from services.ground.samples import SampleIntake
-from services.ground.scoring import Scorer
-from services.ground.terrain import GroundTerrain
-from services.runtime.node import MissionTime, PublishSnapshot
-from services.runtime.state_codec import SavedState
+from services.runtime.node import PublishSnapshot
+
+if TYPE_CHECKING:
+    from he3.posterior.grid import PosteriorMap
+    from schemas.maps import MapScore
+    from services.ground.belief import Belief
+    from services.ground.refits import RefitSchedule
+    from services.ground.round_log import RoundLog
+    from services.ground.samples import SampleIntake
+    from services.ground.scoring import Scorer
+    from services.ground.terrain import GroundTerrain
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 
 class MapPublisher:

@@ -6,23 +6,25 @@ import io
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.colour_maps import OF_LAYER, shaded
 from he3.errors import InvalidInput
-from schemas.ground import MissionTrack
 from schemas.maps import MapAbout, MapBoxQuery, MapFormat, MapLayer, MapLayerQuery
 from schemas.topics import MAP_BOX, MAP_LAYER, Topic
-from schemas.wire import Wire
 from services.ground.map import geotiff
 from services.ground.map.history import as_of
 from services.ground.map.layers import Cells, box, whole_layer
 from services.ground.map.service import track
-from services.ground.map.snapshot import MapSnapshot
 from services.runtime.queries.server import Encoded
+
+if TYPE_CHECKING:
+    from schemas.ground import MissionTrack
+    from schemas.wire import Wire
+    from services.ground.map.snapshot import MapSnapshot
 
 MEDIA_TYPES = {
     MapFormat.JSON: "application/json",

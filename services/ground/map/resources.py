@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +11,14 @@ from scipy.special import ndtri
 
 from he3.constants import REGOLITH_BULK_DENSITY_KG_M3
 from he3.errors import InvalidInput, NotReady, OutsideRegion
-from he3.frames import Place, SiteGrid
 from he3.resource import area_mean, share_above
 from schemas.maps import Interval, ResourceEstimate, ResourceQuery
 from services.ground.map.layers import exceedance
-from services.ground.map.snapshot import MapSnapshot
 from services.ground.terrain import cells_inside
+
+if TYPE_CHECKING:
+    from he3.frames import Place, SiteGrid
+    from services.ground.map.snapshot import MapSnapshot
 
 PPB = 1e-9
 DRAWS = 2000

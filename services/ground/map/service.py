@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from base64 import b64encode
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -25,11 +25,13 @@ from schemas.maps import (
     ResourceQuery,
 )
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
-from schemas.wire import Wire
 from services.ground.map.history import as_of, revisions
 from services.ground.map.layers import EDGE_CELLS, Cells, box, whole_layer
 from services.ground.map.resources import estimate
-from services.ground.map.snapshot import MapSnapshot
+
+if TYPE_CHECKING:
+    from schemas.wire import Wire
+    from services.ground.map.snapshot import MapSnapshot
 
 MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX, MAP_RESOURCE, MAP_HISTORY)
 """The topics that are answered from a snapshot alone, in any thread."""

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.frames import SiteGrid
-from he3.gp import GaussianProcess
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
-from schemas.maps import MapScore
-from schemas.plans import Waypoint
-from schemas.telemetry import SampleReport
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from he3.frames import SiteGrid
+    from he3.gp import GaussianProcess
+    from schemas.maps import MapScore
+    from schemas.plans import Waypoint
+    from schemas.telemetry import SampleReport
+    from services.mission.mission_time import MissionTime
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from functools import partial
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
-from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 from services.ground.planners.validation import checked_answer
+
+if TYPE_CHECKING:
+    from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 
 PLANNERS = {
     "rrt": "services.ground.planners.rrt",

@@ -35,13 +35,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import ceil, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
-from he3.hyperparameters import Hyperparameters
 from he3.information import information_gains
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
 from services.ground.planners.rounds import (
@@ -54,6 +54,9 @@ from services.ground.planners.rounds import (
 )
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree
+
+if TYPE_CHECKING:
+    from he3.hyperparameters import Hyperparameters
 
 DEFAULTS = {
     "iterations": 3600.0,

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid, as_points, path_length
-from he3.gp import Hyperparameters
+
+if TYPE_CHECKING:
+    from he3.gp import Hyperparameters
 
 
 @dataclass(frozen=True, slots=True)

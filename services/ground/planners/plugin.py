@@ -13,10 +13,13 @@ from contextlib import redirect_stdout
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput, NoRoute
-from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 from services.ground.planners.validation import error_text
+
+if TYPE_CHECKING:
+    from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 
 
 def load_plugin(name: str) -> Planner:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from he3.errors import NoRoute
-from he3.frames import FloatArray
 from he3.gp import GaussianProcess
 from he3.information import information_gain
 from services.ground.planners.interface import PlannedRound, PlanningRequest
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray
 
 MAX_SHARE_RATIO = 1.5
 """A round may take so many times its even share of the metres that are left: the last rounds still have some then."""

@@ -8,6 +8,7 @@ taut, over checked legs of any direction, takes most of that back.
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,9 @@ from scipy.sparse.csgraph import dijkstra
 
 from he3.errors import NoRoute
 from he3.frames import FloatArray, as_points, path_length
-from services.ground.planners.traversability import OpenGround
+
+if TYPE_CHECKING:
+    from services.ground.planners.traversability import OpenGround
 
 SHORTENING_PASSES = 4
 SHORTENING_SPACING_CELLS = 4.0

@@ -13,14 +13,16 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite, pi, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from he3.frames import FloatArray, IntArray, Place
-from services.ground.planners.traversability import OpenGround, SegmentCheck
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, IntArray, Place
+    from services.ground.planners.traversability import OpenGround, SegmentCheck
 
 _SEEDING = threading.Lock()
 _SEEDS = 2**31 - 1  # OMPL takes seeds from 1 up to what fits 32 bits

@@ -7,19 +7,22 @@ acknowledged. Each side receives the acknowledgements that the other one sends.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from schemas.codec import encode
 from schemas.link import Acknowledgement, Direction, LinkConditions
-from schemas.topics import ACK_DOWN, ACK_UP, TOPICS, Side, Topic
+from schemas.topics import ACK_DOWN, ACK_UP, TOPICS, Side, Topic, under_custody
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish
-from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState, under_custody
+from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState
 from services.runtime.custody.receiver import Arrival, CustodyReceiver, Delivery
 from services.runtime.custody.sender import CustodySender, Transmit
 from services.runtime.custody.stream import Transmission
-from services.runtime.node import Interface, Level, LogRecord, MissionTime, SetTimer
-from services.runtime.state_codec import SavedState
+from services.runtime.node import Interface, Level, LogRecord, SetTimer
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 CUSTODY_TIMER: Final = "@custody"
 """Name of the host's own timer; the names of a node's timers do not begin with '@'."""

@@ -12,8 +12,7 @@ from typing import Final
 
 from he3.errors import He3Error
 from schemas.link import Direction, DirectionConditions, LinkConditions
-from schemas.topics import Custody, Topic
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
 
 MAX_GAPS: Final = 64  # runs of missing messages that one acknowledgement may list; the limit of its schema
 MARGIN_S: Final = 2.0  # s beyond the round trip; covers the pause between acknowledgements and the timers' slack
@@ -119,11 +118,6 @@ def next_state(state: MessageState, signal: Signal) -> MessageState:
         return TRANSITIONS[state, signal]
     except KeyError:
         raise He3Error(f"custody: no transition from '{state.value}' upon '{signal.value}'") from None
-
-
-def under_custody(topic: Topic) -> bool:
-    """Whether messages of that topic are kept until they are acknowledged."""
-    return isinstance(topic.service, Custody) and topic.direction is not None
 
 
 def transmission_time(size_bytes: int, rate_bit_s: float | None) -> MissionTime:

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from schemas.link import Acknowledgement
-from schemas.topics import Topic
-from schemas.wire import Header, Wire
+from services.mission.mission_time import MissionTime, seconds
 from services.runtime.custody.protocol import MAX_GAPS, CustodyConfig
-from services.runtime.node import MissionTime, seconds
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from schemas.wire import Header, Wire
+    from services.runtime.saved_state import SavedState
 
 MAX_STREAMS: Final = 1_024
 """Streams that are remembered; the one unused for longest is forgotten first."""

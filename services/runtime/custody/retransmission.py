@@ -6,12 +6,14 @@ with each repetition of its stream that brings no answer. Times are integer nano
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
+from services.mission.mission_time import MissionTime, seconds
 from services.runtime.custody.protocol import CustodyConfig, transmission_time
-from services.runtime.custody.stream import SendStream, Transmission
-from services.runtime.node import MissionTime, seconds
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from services.runtime.custody.stream import SendStream, Transmission
+    from services.runtime.saved_state import SavedState
 
 MAX_DOUBLINGS: Final = 5
 """A wait grows 32-fold at most: what is lost here is lost to noise more often than to a queue."""

@@ -14,18 +14,21 @@ Per stream (a topic and an incarnation of its source):
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.codec import restamped
-from schemas.link import Acknowledgement
-from schemas.topics import Custody, Topic
-from schemas.wire import Header
-from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState, Signal, under_custody
+from schemas.topics import Custody, Topic, under_custody
+from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState, Signal
 from services.runtime.custody.retransmission import RetransmissionTimer
 from services.runtime.custody.stream import KeptMessage, SendStream, Transmission, below, missing
 from services.runtime.custody.window import SendWindow
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from schemas.link import Acknowledgement
+    from schemas.wire import Header
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 
 @dataclass(frozen=True, slots=True)

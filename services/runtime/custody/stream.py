@@ -5,13 +5,15 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from schemas.link import Acknowledgement
-from schemas.topics import Topic
 from services.runtime.custody.protocol import MAX_GAPS, MessageState, Signal, next_state
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState
+
+if TYPE_CHECKING:
+    from schemas.link import Acknowledgement
+    from schemas.topics import Topic
+    from services.mission.mission_time import MissionTime
+    from services.runtime.saved_state import SavedState
 
 REMEMBERED_TRANSMISSIONS: Final = 8
 """Transmissions of one message whose times are known: the first and the latest."""

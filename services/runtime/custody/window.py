@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from services.runtime.custody.protocol import CustodyConfig
-from services.runtime.custody.stream import KeptMessage, SendStream
+if TYPE_CHECKING:
+    from services.runtime.custody.protocol import CustodyConfig
+    from services.runtime.custody.stream import KeptMessage, SendStream
 
 
 class SendWindow:

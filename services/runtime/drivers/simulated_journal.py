@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from services.runtime.checkpoint_file import Mark
 from services.runtime.input_codec import decode_input
-from services.runtime.inputs import Input
 from services.runtime.journal import JournalReader, JournalWriter
-from services.runtime.node import MissionTime
-from services.runtime.state_codec import SavedState, StateCodec
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
+    from services.runtime.inputs import Input
+    from services.runtime.saved_state import SavedState
+    from services.runtime.state_codec import StateCodec
 
 
 class SimulatedJournal:

@@ -16,12 +16,13 @@ from schemas.codec import decode_reply, encode
 from schemas.link import LinkConditions
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
+from services.mission.mission_time import MissionTime, seconds
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.drivers.simulated_journal import SimulatedJournal
 from services.runtime.host import EventSink, Host
 from services.runtime.inputs import MessageArrived, ProcessStarted, QueryArrived, QueryUnanswered, ReplyArrived
-from services.runtime.node import Finish, LogRecord, MissionTime, Node, NoReply, PublishSnapshot, seconds
+from services.runtime.node import Finish, LogRecord, Node, NoReply, PublishSnapshot
 from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
 
 Tap = Callable[[Topic, Side, bytes, MissionTime], None]

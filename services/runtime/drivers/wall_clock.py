@@ -9,22 +9,24 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode
 from schemas.refusal import Refusal
-from schemas.topics import Topic
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.context import IDLE_S, ProcessContext
 from services.runtime.inputs import Input, MessageArrived, ProcessStarted
 from services.runtime.lockstep.stamp import read_stamp
-from services.runtime.node import MissionTime
 from services.runtime.process_clock import CLOCKS
 from services.runtime.queries.inputs import outcome_input, query_input
 from services.runtime.refusals import refusal_of
 from services.runtime.scheduler import Kind
 from services.runtime.transport.session import IncomingQuery, Outcome, Replied
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from services.mission.mission_time import MissionTime
 
 CLOCK_TIMEOUT_S = 2.0
 """A query for the mission's clock is repeated after this time."""

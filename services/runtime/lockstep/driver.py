@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from typing import TYPE_CHECKING
 
 from he3.errors import He3Error, PeerUnreachable
 from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.lockstep import Poke, StepBusy, StepDone
-from schemas.topics import Side, Topic
-from schemas.wire import Wire
 from services.runtime.context import IDLE_S, ProcessContext
 from services.runtime.lockstep.participant_io import ParticipantIO
 from services.runtime.lockstep.topics import BUSY, DONE, JOIN, POKE, grant_to
 from services.runtime.node import NoReply
 from services.runtime.process_clock import CLOCKS
 from services.runtime.transport.session import MEMBERS, NotReplied, Outcome
+
+if TYPE_CHECKING:
+    from schemas.topics import Side, Topic
+    from schemas.wire import Wire
 
 ASKS_AGAIN_S = 1.0
 """A process that has not been granted anything for so long asks whether it still takes part."""

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from schemas.lockstep import TimeControl
-from services.runtime.node import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime
+
+if TYPE_CHECKING:
+    from schemas.lockstep import TimeControl
 
 CATCHES_UP_S = 0.5
 """How much wall time [s] that was lost, to planning say, is made up for by going faster than the rate."""

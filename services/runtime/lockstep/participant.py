@@ -9,14 +9,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from schemas.lockstep import Grant, Join, Joined, StepDone
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.inputs import Input, ProcessStarted
 from services.runtime.lockstep.stamp import Stamp
-from services.runtime.node import Finish, MissionTime
+from services.runtime.node import Finish
 from services.runtime.scheduler import Kind, NodeScheduler
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
 
 OUTSIDE = ""
 """Who sends what carries no stamp: operators and strangers."""

@@ -6,7 +6,7 @@ import os
 import secrets
 import time
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from he3.errors import InvalidInput
 from schemas.lockstep import StepBusy, StepDone
@@ -14,13 +14,15 @@ from schemas.refusal import Refusal
 from schemas.topics import Topic, counted
 from schemas.wire import Header
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
-from services.runtime.context import ProcessContext
 from services.runtime.inputs import Input, MessageArrived
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp, read_stamp
 from services.runtime.queries.inputs import outcome_input, query_input
 from services.runtime.refusals import refusal_of
-from services.runtime.transport.session import IncomingQuery, Outcome
+
+if TYPE_CHECKING:
+    from services.runtime.context import ProcessContext
+    from services.runtime.transport.session import IncomingQuery, Outcome
 
 LACKS_LONG_S = 1.0
 """A process reports missing inputs when they have been missing for so long."""

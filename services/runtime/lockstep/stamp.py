@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from services.runtime.node import MissionTime
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
 
 
 @dataclass(frozen=True, slots=True)

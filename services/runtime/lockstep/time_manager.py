@@ -14,10 +14,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.lockstep import Grant, Join, Joined, StepDone
-from services.runtime.node import MissionTime
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
 
 
 @dataclass(slots=True)

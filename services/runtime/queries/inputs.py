@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from schemas.topics import Topic
+from typing import TYPE_CHECKING
+
 from services.runtime.inputs import CheckedQueryArrived, QueryArrived, QueryUnanswered, ReplyArrived
 from services.runtime.queries.request import Query, request_from_selector
 from services.runtime.transport.session import Outcome, Replied
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
 
 
 def query_input(topic: Topic, query: Query, token: int) -> QueryArrived | CheckedQueryArrived:

@@ -11,13 +11,15 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from schemas.topics import Side
 from services.runtime.queries.pipe import READY, read_snapshot, say
 from services.runtime.queries.server import QueryServer, QueryService
 from services.runtime.transport.opening import connect_client
-from services.runtime.transport.session import Session
+
+if TYPE_CHECKING:
+    from services.runtime.transport.session import Session
 
 SWITCH_INTERVAL_S = 0.0005
 """A thread that computes hands over after this time, so that a query waits no longer for it than for the network."""

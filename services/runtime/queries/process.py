@@ -11,12 +11,14 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from he3.errors import He3Error
-from schemas.topics import Side
 from services.runtime.child import child_environment, exit_in_words, python_command
 from services.runtime.queries.pipe import ALIVE_EVERY_S, READY, write_snapshot
+
+if TYPE_CHECKING:
+    from schemas.topics import Side
 
 SILENT_AFTER_S = 30 * ALIVE_EVERY_S
 """A query process that has not said for so long that it lives hangs: nothing waits for it any more until it does."""

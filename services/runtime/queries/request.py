@@ -7,14 +7,16 @@ selector's parameters (``?x=120;y=340``), as any stock Zenoh client sends it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, encode, one_line
-from schemas.topics import Topic
-from schemas.wire import Header, Wire
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from schemas.wire import Header, Wire
 
 
 class Query(Protocol):

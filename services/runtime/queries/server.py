@@ -11,15 +11,17 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from he3.errors import Busy, He3Error, NotReady
-from schemas.topics import Topic
 from schemas.wire import Header, Wire
-from services.runtime.node import MissionTime
 from services.runtime.queries.request import Query, encode_reply, read_request
 from services.runtime.refusals import refusal_of
 from services.runtime.transport.session import JSON, IncomingQuery, Session
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from services.mission.mission_time import MissionTime
 
 MAX_WAITING = 10_000
 """Queries that may wait; more are refused, so that a flood costs no memory."""

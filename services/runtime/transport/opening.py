@@ -7,13 +7,16 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import zenoh
 
 from he3.errors import InvalidInput, PeerUnreachable
-from schemas.topics import Side
 from services.mission.deployment import deployment
 from services.runtime.transport.session import Session
+
+if TYPE_CHECKING:
+    from schemas.topics import Side
 
 RETRY_CONNECT_S = 0.3
 LOOK_EVERY_S = 0.05

@@ -17,8 +17,8 @@ from schemas.link import LinkChange
 from schemas.telemetry import SampleReport
 from schemas.topics import SAMPLE
 from services.runtime.node import DurableNode, Event, Received
+from services.runtime.saved_state import SavedState
 from services.runtime.scheduler import InlineExecutor
-from services.runtime.state_codec import SavedState
 
 EXTENT_M = 120.0
 BATCH = 5

@@ -17,7 +17,7 @@ from schemas.codec import Refused, decode, encode
 from schemas.commands import CommandKind, CommandReport, CommandStage, Telecommand
 from schemas.link import Acknowledgement, AtEdge, Direction, DirectionConditions, LinkChange, LinkConditions
 from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import ACK_DOWN, ACK_UP, COMMAND, COMMAND_REPORT, EVENT, MEASURE, PLAN, STATE, Topic
+from schemas.topics import ACK_DOWN, ACK_UP, COMMAND, COMMAND_REPORT, EVENT, MEASURE, PLAN, STATE, Topic, under_custody
 from schemas.wire import Header, Wire
 from services.link.relay import Relay
 from services.mission.link_presets import PRESETS
@@ -29,7 +29,6 @@ from services.runtime.custody.protocol import (
     MessageState,
     Signal,
     next_state,
-    under_custody,
 )
 from services.runtime.custody.receiver import CustodyReceiver
 from services.runtime.custody.retransmission import RoundTrip

@@ -10,9 +10,10 @@ from schemas.link import LinkConditions
 from schemas.telemetry import RoverMode, RoverState
 from schemas.topics import ACK_DOWN, ACK_UP, COMMAND, STATE, Side
 from schemas.wire import Header
+from services.mission.mission_time import SECOND
 from services.runtime.actions import Publish
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint, custody_config
-from services.runtime.node import SECOND, Interface, SetTimer
+from services.runtime.node import Interface, SetTimer
 
 LINK = LinkConditions()
 EARTH = Interface("ground", (Side.EARTH,))

@@ -7,8 +7,8 @@ from math import inf
 import pytest
 
 from services.ground.budget import Budget, Committed
+from services.mission.mission_time import SECOND
 from services.mission.scenario import Scenario
-from services.runtime.node import SECOND
 
 NOTHING = Committed(0.0, 0, 0)
 

@@ -16,9 +16,9 @@ from services.ground.node import build_node as build_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest
 from services.link.node import build_node as build_link
 from services.mission.in_process import InProcessMission
+from services.mission.mission_time import SECOND
 from services.mission.scenario import checked_scenario
 from services.rover.node import build_node as build_rover
-from services.runtime.node import SECOND
 
 WIDE = 80
 

@@ -10,7 +10,7 @@ from schemas.commands import CommandKind, CommandReport, CommandStage, Telecomma
 from schemas.link import Direction, DirectionCounts, InFlight, LinkConditions, LinkStatus
 from schemas.topics import COMMAND, PLAN
 from services.ground.command_history import LOOK_AGAIN_S, MAX_LISTED, MAX_UNDER_WAY, CommandHistory
-from services.runtime.node import SECOND
+from services.mission.mission_time import SECOND
 
 NOW = 1_000 * SECOND
 

@@ -41,21 +41,10 @@ from services.ground.map.snapshot import MapSnapshot
 from services.ground.node import GroundNode, build_node
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 from services.ground.planners.traversability import OpenGround
+from services.mission.mission_time import SECOND, seconds
 from services.mission.scenario import Scenario
 from services.runtime.drivers.simulation import Simulation
-from services.runtime.node import (
-    SECOND,
-    Effect,
-    Event,
-    Finish,
-    Interface,
-    Level,
-    Received,
-    Send,
-    SetTimer,
-    TimerFired,
-    seconds,
-)
+from services.runtime.node import Effect, Event, Finish, Interface, Level, Received, Send, SetTimer, TimerFired
 
 GRID = SiteGrid(60, 60)
 START = (5.0, 5.0)

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.link.kept_clock import MachineTime, keep, kept_clock, this_machine
+from services.mission.mission_time import SECOND
 from services.runtime.clock import mission_time, newer, started
-from services.runtime.node import SECOND
 
 START = 1_893_456_000 * SECOND
 WALL = 1_700_000_000 * SECOND

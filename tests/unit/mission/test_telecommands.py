@@ -25,10 +25,10 @@ from services.ground.node import build_node as build_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest
 from services.link.node import build_node as build_link
 from services.mission.in_process import InProcessMission
+from services.mission.mission_time import SECOND
 from services.mission.scenario import Scenario, checked_scenario
 from services.rover.node import build_node as build_rover
 from services.runtime.journal import identity_of
-from services.runtime.node import SECOND
 
 LIGHT_TIME_S = 1.282
 WIDE = 80

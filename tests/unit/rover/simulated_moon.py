@@ -17,6 +17,7 @@ from schemas.telemetry import RoverEvent, RoverState, SampleReport
 from schemas.topics import COMMAND, COMMAND_REPORT, EVENT, PLAN, SAMPLE, STATE, Topic
 from schemas.wire import Header
 from services.field.node import FieldNode
+from services.mission.mission_time import seconds
 from services.mission.scenario import FieldConfig, RoverConfig
 from services.rover.node import RoverNode
 from services.runtime.node import (
@@ -35,7 +36,6 @@ from services.runtime.node import (
     SetTimer,
     Started,
     TimerFired,
-    seconds,
 )
 
 GRID = SiteGrid(60, 60)

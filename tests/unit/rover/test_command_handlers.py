@@ -10,10 +10,8 @@ import pytest
 
 from schemas.telemetry import RoverMode
 from schemas.topics import MEASURE
-from services.runtime.node import (
-    NoReply,
-    seconds,
-)
+from services.mission.mission_time import seconds
+from services.runtime.node import NoReply
 from tests.unit.rover.simulated_moon import (
     ANALYSIS_S,
     BITE_S,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from schemas.commands import CommandStage
 from schemas.telemetry import RoverMode
-from services.runtime.node import (
-    seconds,
-)
+from services.mission.mission_time import seconds
 from tests.unit.rover.simulated_moon import PIT, STAGED, Moon, moon_with_plan
 
 

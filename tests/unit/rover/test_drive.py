@@ -8,10 +8,10 @@ import pytest
 
 from he3.frames import SiteGrid
 from schemas.measurement import TerrainReply
+from services.mission.mission_time import seconds
 from services.mission.scenario import RoverConfig
 from services.rover.drive import drive_over, heading_deg
 from services.rover.path_scan import scan_planner
-from services.runtime.node import seconds
 
 SITE = SiteGrid(100, 100)
 

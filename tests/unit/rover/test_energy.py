@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.mission.mission_time import SECOND, seconds
 from services.mission.scenario import RoverConfig
 from services.rover.energy import Battery, full_battery
-from services.runtime.node import SECOND, seconds
 
 
 def battery(**changes: float) -> Battery:

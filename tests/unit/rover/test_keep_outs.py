@@ -5,9 +5,7 @@ from __future__ import annotations
 import pytest
 
 from schemas.telemetry import RoverMode
-from services.runtime.node import (
-    seconds,
-)
+from services.mission.mission_time import seconds
 from tests.unit.rover.simulated_moon import PIT, STAGED, Moon, east, plan_of, round_plan
 
 

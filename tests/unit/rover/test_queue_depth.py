@@ -9,11 +9,10 @@ from schemas.codec import decode, encode
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import Acknowledgement
 from schemas.telemetry import RoverState
-from schemas.topics import ACK_UP, COMMAND, STATE, Side, Topic
+from schemas.topics import ACK_UP, COMMAND, STATE, Side, Topic, under_custody
 from schemas.wire import Header, Wire
 from services.mission.scenario import RoverConfig
 from services.rover.node import RoverNode
-from services.runtime.custody.protocol import under_custody
 from services.runtime.drivers.simulation import Simulation
 
 PERIOD_S = 60.0

@@ -9,15 +9,9 @@ import pytest
 from he3.measurement import sample_noise
 from schemas.telemetry import RoverMode
 from schemas.topics import MEASURE, TERRAIN
+from services.mission.mission_time import SECOND, seconds
 from services.rover.node import RoverNode
-from services.runtime.node import (
-    SECOND,
-    Effect,
-    Event,
-    QueueDepthChanged,
-    Started,
-    seconds,
-)
+from services.runtime.node import Effect, Event, QueueDepthChanged, Started
 from tests.unit.rover.simulated_moon import ANALYSIS_S, DAY_S, GRID, SAMPLE_S, START, Moon, east, plan_of, round_plan
 from tests.waiting import expect_within
 

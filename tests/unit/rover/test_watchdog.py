@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from schemas.telemetry import EventKind
-from services.runtime.node import (
-    seconds,
-)
+from services.mission.mission_time import seconds
 from tests.unit.rover.simulated_moon import SAMPLE_S, Moon, east, plan_of
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from schemas.link import ClockState
 from services.runtime.clock import FollowedClock, at_rate, mission_time, newer, started
-from services.runtime.node import SECOND
+from services.mission.mission_time import SECOND
 
 START = 1_893_456_000 * SECOND
 WALL = 1_700_000_000 * SECOND

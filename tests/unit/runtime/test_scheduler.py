@@ -23,8 +23,8 @@ from services.runtime.node import (
     Started,
     TimerFired,
 )
+from services.runtime.saved_state import SavedState
 from services.runtime.scheduler import InlineExecutor, Kind, NodeScheduler
-from services.runtime.state_codec import SavedState
 
 
 class Scripted:

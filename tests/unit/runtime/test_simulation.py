@@ -9,9 +9,9 @@ from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, MEASURE, STATE, Side
 from schemas.wire import Header
+from services.mission.mission_time import SECOND
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.node import (
-    SECOND,
     Compute,
     Computed,
     Effect,

@@ -13,15 +13,19 @@ or more where the budget binds. The price that makes a step just short enough fo
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from he3.frames import FloatArray, path_length
-from he3.i_optimal_design import AverageVariance
 from he3.tsp import short_tour
 from services.ground.planners.rounds import places_along
-from services.ground.planners.tour.site import Site
+
+if TYPE_CHECKING:
+    from he3.i_optimal_design import AverageVariance
+    from services.ground.planners.tour.site import Site
 
 LLOYD_ITERATIONS = 12
 REORDER_EVERY = 6

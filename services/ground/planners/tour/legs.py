@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from he3.frames import FloatArray
-from services.ground.planners.traversability import OpenGround
+
+if TYPE_CHECKING:
+    from services.ground.planners.traversability import OpenGround
 
 NEIGHBOURS = 10
 """Places to which each place's legs are looked at; a short tour seldom goes to a farther one."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from he3.tsp import short_tour
 from services.ground.planners.rounds import arc_lengths, path_prefix
 from services.ground.planners.tour.legs import joined_path, leg_path
 from services.ground.planners.tour.paths import shortest_path
-from services.ground.planners.tour.site import Site
+
+if TYPE_CHECKING:
+    from services.ground.planners.tour.site import Site
 
 MAX_REORDERINGS = 4
 """How often legs whose way had to be found change the order of the tour."""

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import NoRoute
-from he3.frames import FloatArray, SiteGrid
-from he3.i_optimal_design import FieldNodes
 from services.ground.planners.routes import RouteFinder
 from services.ground.planners.tour.legs import LegTable, leg_table
 from services.ground.planners.traversability import OpenGround
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, SiteGrid
+    from he3.i_optimal_design import FieldNodes
 
 LANDMARKS = 3
 """Places from which the distance to everywhere is found, to tell legs that walls make long."""

@@ -6,7 +6,7 @@ from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
 from services.console.web.alarms import AlarmKind, Alarms
-from services.runtime.node import SECOND
+from services.mission.mission_time import SECOND
 
 START = 1_893_456_000 * SECOND
 

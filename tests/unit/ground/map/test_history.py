@@ -23,7 +23,7 @@ from services.ground.map.layers import box, exceedance, information_nats
 from services.ground.map.rendering import Renderer
 from services.ground.map.service import answer
 from services.ground.map.snapshot import MapSnapshot
-from services.runtime.node import SECOND
+from services.mission.mission_time import SECOND
 
 GRID = SiteGrid(30, 40, 2.0)
 START = 1_893_456_000 * SECOND  # 2030-01-01T00:00:00Z

@@ -73,7 +73,7 @@ def sources(kernel: Kernel, dtype: np.dtype, screening: float | None = None) -> 
     if isinstance(kernel, SmoothPlusRough):
         smooth = SeparableRows(SITE, kernel.smooth, dtype)
         rough = StoredRows(SITE, kernel.rough, dtype, screening=screening)
-        found.append(SplitRows(kernel, Hyperparameters(kernel, NOISE), smooth, rough))
+        found.append(SplitRows(kernel, smooth, rough, GaussianProcess(Hyperparameters(kernel.rough, NOISE))))
     return found
 
 

@@ -1,0 +1,13 @@
+"""Mission time: integer nanoseconds, the only time that nodes know."""
+
+from __future__ import annotations
+
+MissionTime = int
+"""Nanoseconds of mission time (UTC) since 1970-01-01T00:00:00Z."""
+
+SECOND: MissionTime = 1_000_000_000
+
+
+def seconds(value: float) -> MissionTime:
+    """A duration [ns] from seconds, to the nearest nanosecond."""
+    return round(value * SECOND)
