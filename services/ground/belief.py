@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from he3.frames import FloatArray, SiteGrid
     from he3.trend import OrbitalTrend
     from services.ground.observation import Observation
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 # The map before the first sample: the site means of six landing sites lie at 1.4 to 15.1 ppb [assumed].
 PRIOR_MEAN_PPB = 7.5

@@ -11,7 +11,7 @@ from services.mission.mission_time import SECOND, MissionTime
 
 if TYPE_CHECKING:
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 TOUR_CONSTANT = 0.7124
 """Length of the shortest tour through n random places in an area A is about this times sqrt(n A)

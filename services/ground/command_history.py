@@ -17,7 +17,7 @@ from services.mission.mission_time import SECOND, MissionTime, seconds
 if TYPE_CHECKING:
     from he3.frames import SiteGrid
     from schemas.link import LinkStatus
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 MAX_UNDER_WAY = 200  # commands that have not ended; more than an operator can follow
 MAX_LISTED = 300  # commands in a list, the newest; with the largest polygons they still fit into a reply

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from services.ground.round_plans import PlanningTask
     from services.ground.round_record import RoundRecord
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState, Stateful
+    from services.runtime.node import SavedState, Stateful
 
 MAX_FRUITLESS = 40  # rounds in a row from which no sample came
 MAX_ROUNDS = 9_000  # in all; a plan can number 10,000

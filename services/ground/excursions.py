@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class Excursions:

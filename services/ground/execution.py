@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from services.ground.round_record import RoundRecord
     from services.ground.terrain import GroundTerrain
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 _UNOCCUPIED = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 

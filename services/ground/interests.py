@@ -14,7 +14,7 @@ from services.ground.terrain import interest_area_objection, interest_objection,
 
 if TYPE_CHECKING:
     from services.mission.scenario import InterestRegion
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 MAX_AREAS = 100
 

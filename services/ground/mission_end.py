@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from services.runtime.node import Finish
 
 if TYPE_CHECKING:
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class MissionEnd:

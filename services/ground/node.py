@@ -76,7 +76,7 @@ if TYPE_CHECKING:
     from services.ground.map.snapshot import MapSnapshot
     from services.ground.planners.interface import Planner
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState, Stateful
+    from services.runtime.node import SavedState, Stateful
 
 NAME = "ground"
 STATUS_TIMER = "status"

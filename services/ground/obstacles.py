@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from he3.frames import Place
     from schemas.telemetry import RoverEvent
     from services.ground.terrain import GroundTerrain
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 MARGIN_M = 1.5  # radius of the disc that is closed at an obstacle: the rover sees it from one side only
 SAME_OBSTACLE_M = 8.0  # obstacles met within this distance of each other are taken for one

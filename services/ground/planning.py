@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from services.ground.round_record import RoundRecord
     from services.ground.terrain import GroundTerrain
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 MAX_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
 MAX_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came

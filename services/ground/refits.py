@@ -11,7 +11,7 @@ from services.runtime.node import Compute, Effect, Level, LogRecord
 if TYPE_CHECKING:
     from services.ground.belief import Belief
     from services.ground.round_log import RoundLog
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 _SEED = 1  # tells the seeds of fits from those of plans
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from services.mission.mission_time import MissionTime, seconds
 
 if TYPE_CHECKING:
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 30.0, 3600.0  # from the second rejection in a row until the next planning
 MAX_REJECTIONS = 10  # plans in a row that the rover may reject

@@ -15,7 +15,7 @@ from services.ground.round_record import RoundRecord
 if TYPE_CHECKING:
     from he3.frames import Place
     from schemas.plans import PlannedSample, RoundPlan, Waypoint
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class RoundLog:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from he3.frames import FloatArray, Place
     from schemas.plans import PlannedSample, RoundPlan, Waypoint
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 @dataclass(slots=True, eq=False)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from services.ground.belief import Belief
     from services.ground.round_log import RoundLog
     from services.ground.round_record import RoundRecord
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from services.mission.mission_time import SECOND, MissionTime, seconds
 from services.runtime.node import Level, LogRecord
 
 if TYPE_CHECKING:
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class SilenceWatch:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from services.ground.silence import SilenceWatch
     from services.ground.stall_watch import StallWatch
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 STALL_QUERY = "link-of-a-stalled-mission"
 

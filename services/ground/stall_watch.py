@@ -21,7 +21,7 @@ from services.mission.mission_time import SECOND, MissionTime, seconds
 if TYPE_CHECKING:
     from schemas.link import DirectionConditions, LinkStatus
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 CONTACT_PERIODS = 3  # that must pass without progress
 ROUND_TRIPS = 10  # that must pass: a plan goes up, its first sample comes down, each repeated a few times

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from services.ground.silence import SilenceWatch
     from services.mission.mission_time import MissionTime
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class StatusReporter:

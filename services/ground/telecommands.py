@@ -20,7 +20,7 @@ from services.runtime.node import Effect, RefuseQuery, Send, SendQuery, SendRepl
 if TYPE_CHECKING:
     from services.ground.director import Director
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 LOOK_QUERY, LOOK_TIMER = "commands-on-the-link", "look"
 LOST_TIMER = "lost:"

@@ -15,7 +15,7 @@ from he3.errors import InvalidInput
 
 if TYPE_CHECKING:
     from he3.frames import BoolArray, FloatArray, Place, SiteGrid
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 _BOUNDARY_STEP_CELLS = 0.25  # step along a polygon's edge; it can miss only the corner of a cell
 BESIDE_TRACK_M = 2.5  # distance from the end of its known track within which the rover is taken to stand on it

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from he3.frames import Place
     from schemas.commands import Telecommand
     from schemas.plans import PlannedSample, RoundPlan
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 SAMPLE_TOLERANCE_M: Final = 0.5  # m; how far a sample may lie beside its path. The rover drives to the sample itself.
 _SAME_PLACE_M: Final = 1e-6

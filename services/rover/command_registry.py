@@ -11,7 +11,7 @@ from schemas.commands import CommandKind, CommandReport, CommandStage, Telecomma
 if TYPE_CHECKING:
     from schemas.wire import Header
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 MAX_WAITING: Final = 32
 MAX_REMEMBERED: Final = 10_000  # commands whose ids are kept; a mission sends hundreds

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from schemas.plans import PlannedSample
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 _ROUNDING_M: Final = 1e-9  # m; a last bite shallower than this is rounding, not drilling
 

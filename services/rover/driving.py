@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from services.rover.reporter import Reporter
     from services.rover.schedule import Schedule
     from services.rover.vehicle import Vehicle
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.mission.scenario import RoverConfig
     from services.rover.activities import Activity
-    from services.runtime.saved_state import SavedState, Stateful
+    from services.runtime.node import SavedState, Stateful
 
 STEP: Final = "step"
 """Timer: the drive, the bite or the analysis under way is done."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from schemas.topics import Topic
     from schemas.wire import Wire
     from services.rover.reporter import Reporter
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 RETRY: Final = "retry"
 """Timer: ask the silent instrument again."""

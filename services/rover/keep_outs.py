@@ -10,7 +10,7 @@ from services.rover.geometry import Area
 
 if TYPE_CHECKING:
     from he3.frames import Place
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class KeepOuts:

@@ -32,7 +32,7 @@ from services.runtime.node import (
 if TYPE_CHECKING:
     from schemas.telemetry import RoverMode
     from services.mission.scenario import RoverConfig, Scenario
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 REPORT_STATE: Final = "state"
 """Timer: report the state again."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.rover.reporter import Reporter
     from services.rover.vehicle import Vehicle
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 CHARGED: Final = "charged"
 """Timer: the battery holds enough energy to continue."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from he3.frames import Place, SiteGrid
     from schemas.plans import MissionPlan
     from services.rover.keep_outs import KeepOuts
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 BEFORE_THE_FIRST: Final = 0  # the plan revision and the round before the first
 

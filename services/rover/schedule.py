@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from services.rover.plan_queue import PlanQueue
     from services.rover.reporter import Reporter
     from services.rover.vehicle import Vehicle
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class Schedule:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.rover.drive import Drive
     from services.rover.energy import Battery
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class Vehicle:

@@ -60,7 +60,7 @@ from services.runtime.state_codec import StateCodec
 
 if TYPE_CHECKING:
     from services.runtime.custody.protocol import CustodyConfig
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 def origin(topic: Topic) -> Side:

@@ -42,7 +42,7 @@ from services.runtime.inputs import Input, ProcessStarted
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.mission.scenario import Scenario
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
     from services.runtime.state_codec import StateCodec
 
 PROFILE: Final = "he3-journal"

@@ -13,7 +13,6 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from schemas.refusal import RefusalCode
-from services.runtime.saved_state import Stateful
 
 if TYPE_CHECKING:
     from schemas.topics import Side, Topic
@@ -238,6 +237,20 @@ class Node(Protocol):
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         """Effects of the event, in order. Never blocks, and never raises for what came from outside."""
+
+
+SavedState = dict[str, Any]
+"""What an object keeps of itself: named parts, each of which the codec can encode."""
+
+
+class Stateful(Protocol):
+    """An object that names what it keeps."""
+
+    def checkpoint(self) -> SavedState:
+        """All that a new object of the same making needs to become this one."""
+
+    def restore(self, state: SavedState) -> None:
+        """Become the object that had this state."""
 
 
 @runtime_checkable

@@ -21,7 +21,7 @@ from services.runtime.node import Compute, Finish, PublishSnapshot, SetTimer
 if TYPE_CHECKING:
     from services.runtime.actions import Action, PutQuery
     from services.runtime.host import Host
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 CHECKPOINT_EVERY: Final = 300
 """Inputs between two checkpoints, at most: so many are handled again after a restart."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from services.ground.scoring import Scorer
     from services.ground.terrain import GroundTerrain
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 class MapPublisher:

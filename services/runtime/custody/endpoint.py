@@ -22,7 +22,7 @@ from services.runtime.node import Interface, Level, LogRecord, SetTimer
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 CUSTODY_TIMER: Final = "@custody"
 """Name of the host's own timer; the names of a node's timers do not begin with '@'."""

@@ -19,7 +19,7 @@ from services.runtime.custody.protocol import MAX_GAPS, CustodyConfig
 if TYPE_CHECKING:
     from schemas.topics import Topic
     from schemas.wire import Header, Wire
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 MAX_STREAMS: Final = 1_024
 """Streams that are remembered; the one unused for longest is forgotten first."""

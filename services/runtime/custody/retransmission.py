@@ -13,7 +13,7 @@ from services.runtime.custody.protocol import CustodyConfig, transmission_time
 
 if TYPE_CHECKING:
     from services.runtime.custody.stream import SendStream, Transmission
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 MAX_DOUBLINGS: Final = 5
 """A wait grows 32-fold at most: what is lost here is lost to noise more often than to a queue."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from schemas.link import Acknowledgement
     from schemas.wire import Header
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from schemas.link import Acknowledgement
     from schemas.topics import Topic
     from services.mission.mission_time import MissionTime
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
 
 REMEMBERED_TRANSMISSIONS: Final = 8
 """Transmissions of one message whose times are known: the first and the latest."""

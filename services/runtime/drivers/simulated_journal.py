@@ -13,7 +13,7 @@ from services.runtime.journal import JournalReader, JournalWriter
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.runtime.inputs import Input
-    from services.runtime.saved_state import SavedState
+    from services.runtime.node import SavedState
     from services.runtime.state_codec import StateCodec
 
 

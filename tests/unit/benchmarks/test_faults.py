@@ -16,8 +16,7 @@ from schemas.commands import CommandKind
 from schemas.link import LinkChange
 from schemas.telemetry import SampleReport
 from schemas.topics import SAMPLE
-from services.runtime.node import DurableNode, Event, Received
-from services.runtime.saved_state import SavedState
+from services.runtime.node import DurableNode, Event, Received, SavedState
 from services.runtime.scheduler import InlineExecutor
 
 EXTENT_M = 120.0

@@ -19,11 +19,11 @@ from services.runtime.node import (
     Event,
     Interface,
     Received,
+    SavedState,
     SetTimer,
     Started,
     TimerFired,
 )
-from services.runtime.saved_state import SavedState
 from services.runtime.scheduler import InlineExecutor, Kind, NodeScheduler
 
 
