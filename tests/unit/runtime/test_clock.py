@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.link import ClockState
-from services.runtime.clock import FollowedClock, at_rate, mission_time, newer, started
 from services.mission.mission_time import SECOND
+from services.runtime.clock import FollowedClock, at_rate, mission_time, newer, started
 
 START = 1_893_456_000 * SECOND
 WALL = 1_700_000_000 * SECOND
