@@ -25,6 +25,8 @@ class ProcessSpec:
     """Processes without which it can do nothing but wait; they may be started in any order all the same."""
     vital: bool = True
     """Whether a mission fails without it. One that is not vital only subscribes: it may be left out, or end early."""
+    completes_file: bool = False
+    """Whether it completes a file when it is told to end, and is given the time for it on a slow machine."""
 
     @property
     def module(self) -> str:
@@ -61,6 +63,7 @@ RECORDER = ProcessSpec(
     "writes everything that reached Earth into one MCAP file",
     needs=("link",),
     vital=False,
+    completes_file=True,
 )
 CONSOLE = ProcessSpec(
     "console",

@@ -29,7 +29,7 @@ def main() -> int:
             sinks.append(stack.enter_context(RecordingSink(file, options.scenario.name, MIN_FLUSH_S)))
             return build_node(options.scenario, sinks[-1])
 
-        code = serve(Service("recorder", build, onlooker=True))
+        code = serve(Service("recorder", build, onlooker=True, completes_file=True))
     problems = [sink.problem for sink in sinks if sink.problem is not None]
     for problem in problems:
         sys.stderr.write(f"he3 recorder: {problem}\n")

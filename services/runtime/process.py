@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 ENDS_WITHIN_S = 1.4
 """From the signal on: a call that hangs in the network then no longer keeps the process alive."""
+COMPLETES_WITHIN_S = 20.0
+"""The same for a process that completes a file."""
 SWITCH_INTERVAL_S = 0.0005
 """A thread that computes hands over after this time, so that a query waits no longer for it than for the network."""
 
@@ -68,7 +70,7 @@ def serve(
     inbox = Inbox()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, inbox.stop)
-    _end_in_time()
+    _end_in_time(COMPLETES_WITHIN_S if service.completes_file else ENDS_WITHIN_S)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         options = parse_options(service.name, sys.argv[1:] if arguments is None else arguments)
@@ -206,7 +208,7 @@ class _WakingExecutor:
         return future
 
 
-def _end_in_time() -> None:
+def _end_in_time(within_s: float) -> None:
     """See to it that a process that was told to end does, even where it hangs in a call that no signal interrupts."""
     told, tell = socket.socketpair()
     tell.setblocking(False)
@@ -214,7 +216,7 @@ def _end_in_time() -> None:
 
     def wait(_tell: socket.socket = tell) -> None:
         told.recv(1)
-        time.sleep(ENDS_WITHIN_S)
+        time.sleep(within_s)
         os._exit(0)
 
     threading.Thread(target=wait, name="ending", daemon=True).start()

@@ -43,3 +43,5 @@ class Service:
     """Whether it goes on from a journal after a restart; a service without one has nothing to remember."""
     onlooker: bool = False
     """It only subscribes: in lockstep, virtual time never waits for it."""
+    completes_file: bool = False
+    """It completes a file when it is told to stop; on a slow machine that takes its time."""

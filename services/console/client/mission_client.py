@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from schemas.ground import GroundStatus
     from services.mission.mission_time import MissionTime
 
-REPORT_AFTER_S = 5.0
+REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 

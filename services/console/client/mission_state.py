@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from schemas.wire import Header
     from services.runtime.transport.client import Client
 
+ANSWER_WITHIN_S = 10.0
+"""Wall time for the answer of a process that is there; one that is gone is known at once."""
 MAX_EVENTS = 300
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
 """Topics whose last message can be asked for."""
@@ -113,7 +115,7 @@ class MissionState:
         self._commands: dict[str, CommandStatus] = {}
         self._presence: dict[str, tuple[float, Presence]] = {}
 
-    def follow(self, timeout_s: float = 2.0) -> None:
+    def follow(self, timeout_s: float = ANSWER_WITHIN_S) -> None:
         """Listen from now on, and ask for what was said before; a process that does not answer is left out.
 
         timeout_s: wall time for each question.
@@ -124,7 +126,7 @@ class MissionState:
             self._session.subscribe(topic, self._keeper(topic))
         self.catch_up(timeout_s)
 
-    def catch_up(self, timeout_s: float = 2.0) -> None:
+    def catch_up(self, timeout_s: float = ANSWER_WITHIN_S) -> None:
         """Ask for the newest facts that can be asked for."""
         for topic in KEPT:
             with suppress(He3Error):

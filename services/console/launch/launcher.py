@@ -23,6 +23,8 @@ from services.runtime.child import child_environment, exit_in_words, python_comm
 
 STOP_WITHIN_S = 1.5
 """How long a service may take to end before it is killed."""
+COMPLETE_WITHIN_S = 20.0
+"""The same for a service that completes a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,10 +200,10 @@ class Launcher:
 
     def _stop(self) -> None:
         self.tell_to_end()
-        deadline = time.monotonic() + STOP_WITHIN_S
-        for process in self._processes.values():
+        began = time.monotonic()
+        for name, process in sorted(self._processes.items(), key=lambda item: _stops_within_s(item[0])):
             try:
-                process.wait(max(0.0, deadline - time.monotonic()))
+                process.wait(max(0.0, began + _stops_within_s(name) - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
         for process in self._processes.values():
@@ -216,6 +218,11 @@ class Launcher:
             return ""
         telling = [line for line in lines if _TELLING.match(line)] or lines
         return f": {telling[-1]}" if telling else ""
+
+
+def _stops_within_s(name: str) -> float:
+    completes_file = any(each.completes_file for each in PROCESSES if each.name == name)
+    return COMPLETE_WITHIN_S if completes_file else STOP_WITHIN_S
 
 
 _TELLING = re.compile(r"he3 \w+: |[\w.]+(Error|Exception)\b")

@@ -20,7 +20,8 @@ from services.runtime.refusals import error_of
 from services.runtime.transport.opening import WhileWaiting, open_client
 from services.runtime.transport.session import NotReplied, Outcome, Replied, Session
 
-QUERY_TIMEOUT_S = 10.0
+QUERY_TIMEOUT_S = 30.0
+"""A process that is gone ends its queries at once: only one that is slow, or that hangs, is waited for."""
 
 
 class Client:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
-from benchmarks import fault_schedules, kills
+from benchmarks import fault_schedules, journalled_mission
 from schemas.topics import Side
 from services.mission.deployment import find_scenario
 from services.mission.in_process import build_nodes
@@ -54,7 +54,7 @@ def test_the_link_waits_for_all_that_are_started_but_itself():
 
 
 def test_benchmarks_that_choose_a_victim_choose_among_the_vital_processes():
-    assert set(kills.VICTIMS) == set(fault_schedules.SERVICES) == set(VITAL)
+    assert set(journalled_mission.SERVICES) == set(fault_schedules.SERVICES) == set(VITAL)
 
 
 def test_the_page_on_architecture_shows_the_table_as_it_is():
