@@ -10,15 +10,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
+from schemas.link import ClockState  # of a model's field: pydantic reads it
 from schemas.wire import Text, Wire
 from services.runtime.clock import mission_time
-
-if TYPE_CHECKING:
-    from schemas.link import ClockState
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from he3.errors import InvalidInput
 from schemas.codec import one_line
+from schemas.commands import CommandKind  # of a model's field: pydantic reads it
 from schemas.wire import Identifier, PositionM
-
-if TYPE_CHECKING:
-    from schemas.commands import CommandKind
 
 MAX_EXPIRY_S = 1e9
 
