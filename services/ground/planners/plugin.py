@@ -12,6 +12,7 @@ import traceback
 from contextlib import redirect_stdout
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,10 +31,9 @@ def load_plugin(name: str) -> Planner:
     module, _, function = name.partition(":")
     if not (module and function):
         raise InvalidInput(f"expected a planner as module:function, got {name!r}")
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)
     try:
         with redirect_stdout(sys.stderr):
+            _look_in_working_directory(module)
             found = import_module(module)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - importing a plug-in may raise anything
         raise InvalidInput(f"planner {name}: expected a module to import from the working directory or Python's path, "
@@ -43,6 +43,16 @@ def load_plugin(name: str) -> Planner:
         came = "none" if planner is None else type(planner).__name__
         raise InvalidInput(f"planner {name}: expected a function {function} in {module}, got {came}")
     return partial(_guarded, name, planner)
+
+
+def _look_in_working_directory(module: str) -> None:
+    """Let a module that is not on Python's path be found in the working directory, and with it what it imports there.
+
+    The directory is the last place: no module of ours, of Python's or of an installed package is taken from there.
+    """
+    here = str(Path.cwd())
+    if here not in sys.path and find_spec(module.partition(".")[0]) is None:
+        sys.path.append(here)
 
 
 def _guarded(name: str, planner: Planner, request: PlanningRequest) -> PlannedRound:

@@ -113,6 +113,23 @@ def test_a_planner_in_the_working_directory_is_found_by_its_name(here, request_m
     assert planned.length_m == pytest.approx(30.0)
 
 
+def test_a_planner_on_the_path_leaves_the_working_directory_off_it(here, request_m, tmp_path_factory, monkeypatch):
+    installed = tmp_path_factory.mktemp("installed")
+    (installed / "somebody.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(installed)
+    assert planner_named("somebody:good")(request_m).length_m == pytest.approx(30.0)
+    assert str(here) not in sys.path
+
+
+def test_a_planner_in_the_working_directory_takes_the_place_of_no_other_module(here, request_m, monkeypatch):
+    (here / "random.py").write_text("raise SystemExit('my own script, not for import')\n")
+    (here / "helping.py").write_text("GOOD = 'somebody beside it'\n")
+    (here / "somebody.py").write_text(MODULE + "\nimport random, helping\nrandom.random\n")
+    monkeypatch.delitem(sys.modules, "random")
+    assert planner_named("somebody:good")(request_m).length_m == pytest.approx(30.0)
+    assert sys.modules.pop("helping").GOOD == "somebody beside it"
+
+
 def test_it_also_plans_in_the_process_that_plans_for_a_service(here, request_m):
     with PlannerProcess(parallel=1) as planners:
         assert planners.plan("somebody:good", request_m).result().length_m == pytest.approx(30.0)
