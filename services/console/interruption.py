@@ -56,34 +56,43 @@ _said = threading.Event()
 
 
 def end_is_said() -> None:
-    """The last line is written: `end_in_time` ends the process without another."""
+    """The last line is written: `ending_in_time` ends the process without another."""
     _said.set()
 
 
-def end_in_time() -> None:
-    """See to it that this process ends within `ENDS_WITHIN_S` of a signal, whatever it is doing then.
+@contextmanager
+def ending_in_time() -> Iterator[None]:
+    """Within, and after a signal came within, this process ends at most `ENDS_WITHIN_S` after a signal.
 
     For a process that computes: Python's own handling waits for the end of a call into foreign code, and for threads.
     The signal's number reaches another thread at once, through the file descriptor of `signal.set_wakeup_fd`.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set the descriptor
+        yield
         return
     told, tell = socket.socketpair()
     tell.setblocking(False)
-    signal.set_wakeup_fd(tell.fileno(), warn_on_full_buffer=False)
+    before = signal.set_wakeup_fd(tell.fileno(), warn_on_full_buffer=False)
+    threading.Thread(target=_end_after, args=(told,), name="ending", daemon=True).start()
+    try:
+        yield
+    finally:
+        if told_to_end() is None:  # else the thread ends the process
+            signal.set_wakeup_fd(before)
+            tell.close()
 
-    def wait(_tell: socket.socket = tell) -> None:
-        number = 0
-        while number not in EXIT_CODES:
-            number = told.recv(1)[0]
-        time.sleep(ENDS_WITHIN_S)
-        code, line = EXIT_CODES[signal.Signals(number)]
-        if not _said.is_set():
-            sys.stderr.write(f"he3: {line}\n")
-            sys.stderr.flush()
-        os._exit(code)
 
-    threading.Thread(target=wait, name="ending", daemon=True).start()
+def _end_after(told: socket.socket) -> None:
+    """End the process some time after a signal's number arrives; return when the other end is closed."""
+    with told:
+        while number := told.recv(1):
+            if number[0] in EXIT_CODES:
+                time.sleep(ENDS_WITHIN_S)
+                code, line = EXIT_CODES[signal.Signals(number[0])]
+                if not _said.is_set():
+                    sys.stderr.write(f"he3: {line}\n")
+                    sys.stderr.flush()
+                os._exit(code)
 
 
 @contextmanager

@@ -35,10 +35,10 @@ class Benchmarks(TyperGroup):
             formatter.write_dl(list(described().items()))
 
     def invoke(self, ctx: Any) -> Any:
-        from services.console.interruption import end_in_time
+        from services.console.interruption import ending_in_time
 
-        end_in_time()
-        return super().invoke(ctx)
+        with ending_in_time():
+            return super().invoke(ctx)
 
 
 app = typer.Typer(cls=Benchmarks, invoke_without_command=True, rich_markup_mode=None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 
@@ -13,7 +14,7 @@ import pytest
 from he3.errors import He3Error
 from services.console import __main__ as entry
 from services.console.cli import app
-from services.console.interruption import ENDS_WITHIN_S, Terminated, told_to_end
+from services.console.interruption import ENDS_WITHIN_S, Terminated, ending_in_time, ending_on_signals, told_to_end
 from tests.waiting import expect_within
 
 ENDS = [(signal.SIGINT, 130, "he3: interrupted\n"), (signal.SIGTERM, 143, "he3: terminated\n")]
@@ -59,11 +60,10 @@ def test_a_signal_that_arrives_as_some_other_error_still_ends_the_command_as_tol
 
 IN_FOREIGN_CODE = """
 import ctypes, sys
-from services.console.interruption import Terminated, end_in_time, ending_on_signals
+from services.console.interruption import Terminated, ending_in_time, ending_on_signals
 c, lock = ctypes.CDLL(None), ctypes.create_string_buffer(128)
 c.pthread_mutex_lock(lock)
-with ending_on_signals():
-    end_in_time()
+with ending_on_signals(), ending_in_time():
     try:
         print("ready", flush=True)
         c.pthread_mutex_lock(lock)
@@ -74,9 +74,8 @@ with ending_on_signals():
 
 A_THREAD_THAT_WORKS_ON = """
 import sys, threading, time
-from services.console.interruption import Terminated, end_in_time, ending_on_signals
-with ending_on_signals():
-    end_in_time()
+from services.console.interruption import Terminated, ending_in_time, ending_on_signals
+with ending_on_signals(), ending_in_time():
     threading.Thread(target=time.sleep, args=(60,)).start()
     try:
         print("ready", flush=True)
@@ -102,6 +101,20 @@ def test_a_process_that_computes_ends_in_time_and_has_time_to_keep_its_results(
         expect_within(ENDS_WITHIN_S + 0.5, time.monotonic() - began, "the end of a process that computes")
         exit_code, line = next((code, line) for each, code, line in ENDS if each is number)
         assert (process.returncode, said, error) == (exit_code, kept, line)
+
+
+def test_a_command_that_is_over_leaves_signals_as_they_were() -> None:
+    before = signal.set_wakeup_fd(-1)
+    signal.set_wakeup_fd(before)
+    with ending_on_signals(), ending_in_time():
+        pass
+    assert signal.set_wakeup_fd(before) == before
+    assert [thread.name for thread in threading.enumerate() if thread.name == "ending" and not gone(thread)] == []
+
+
+def gone(thread: threading.Thread) -> bool:
+    thread.join(10.0)
+    return not thread.is_alive()
 
 
 def test_an_error_without_a_signal_is_a_defect_and_a_signal_of_an_earlier_command_is_forgotten(
