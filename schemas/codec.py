@@ -57,6 +57,14 @@ def _sealed(header: Header, body: bytes) -> bytes:
     return b'%b%b,"checksum":%d},"body":%b}' % (_OPENING, head[:-1], checksum, body)
 
 
+def body_of(payload: bytes) -> bytes:
+    """The body, as JSON, of a message of `encode`; raises Refused for anything else."""
+    seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
+    if seal is None or not payload.startswith(_OPENING):
+        raise Refused("expected a message that was sealed with a checksum, got one without")
+    return payload[seal.end() : -1]
+
+
 def _check_seal(payload: bytes, where: str) -> bool:
     """Whether the message has a seal where `encode` puts it; raises Damaged when that is broken."""
     seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)

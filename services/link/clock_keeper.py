@@ -17,7 +17,7 @@ from schemas.wire import Header
 from services.link.kept_clock import keep, kept_clock, this_machine
 from services.runtime.clock import at_rate, started
 from services.runtime.process_clock import CLOCKS
-from services.runtime.queries.request import read_request
+from services.runtime.queries.request import encode_reply, read_request
 from services.runtime.refusals import refusal_of
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class ClockKeeper:
         self._clock.follow(state)
         inbox = context.inbox
         for side, session in context.sessions.items():
-            session.serve(CLOCKS[side], lambda query: query.reply(self._message()))
+            session.serve(CLOCKS[side], lambda query: query.reply(encode(*self._message())))
             if self._missing:
                 session.watch_alive(side, lambda name, alive: inbox.put(partial(self._process_seen, name, alive)))
         context.sessions[Side.EARTH].serve(CLOCK_SET, lambda query: inbox.put(partial(self._set_rate, query)))
@@ -86,7 +86,7 @@ class ClockKeeper:
             return
         self._missing.clear()
         self._change_rate(change.rate)
-        query.reply(self._message())
+        query.reply(encode_reply(query, *self._message()))
 
     def _change_rate(self, rate: float) -> None:
         now = self._clock.anchored_now()
@@ -97,9 +97,9 @@ class ClockKeeper:
         self._announced_at_s = time.monotonic()
         self._remember()
         for side, session in self._context.sessions.items():
-            session.publish(CLOCKS[side], self._message())
+            session.publish(CLOCKS[side], encode(*self._message()))
 
-    def _message(self) -> bytes:
+    def _message(self) -> tuple[Header, ClockState]:
         state = self._clock.anchored_now()
         self._sequence += 1
         header = Header(
@@ -109,7 +109,7 @@ class ClockKeeper:
             sequence=self._sequence,
             made_at=state.anchor_mission_ns,
         )
-        return encode(header, state)
+        return header, state
 
     # --- what survives a restart --------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
+from schemas.codec import body_of
 from services.runtime.node import Finish, LogRecord, PublishSnapshot
 
 if TYPE_CHECKING:
@@ -68,10 +69,13 @@ class OpenQueries:
         self._queries[token] = query
 
     def reply(self, token: int, payload: bytes, attachment: bytes | None = None) -> None:
-        """Reply to that query; nothing for a token of an earlier start of this process, whose client is gone."""
+        """Reply to that query with a message, or with its body if the query carried none.
+
+        Nothing is done for a token of an earlier start of this process, whose client is gone.
+        """
         query = self._queries.pop(token, None)
         if query is not None:
-            query.reply(payload, attachment)
+            query.reply(body_of(payload) if query.payload is None else payload, attachment)
 
     def refuse(self, token: int, refusal: Refusal) -> None:
         """Refuse that query; nothing for a token of an earlier start of this process."""

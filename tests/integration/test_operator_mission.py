@@ -77,6 +77,13 @@ def test_a_stock_zenoh_client_asks_with_a_selector_and_gets_json_arrays_and_pict
             box = "x_min=100;y_min=100;x_max=120;y_max=110"
             _, payload, _ = get(f"earth/map/box?layer=mean;{box};format={form}")
             assert payload.startswith(magic)
+        # A process that answers in its main loop replies in the same form.
+        for selector, key in (
+            ("earth/link/set?direction=down", "conditions"),
+            ("earth/ground/commands", "commands"),
+            (f"earth/clock/set?rate={json.loads(get('earth/clock')[1])['body']['rate']}", "rate"),
+        ):
+            assert key in json.loads(get(selector)[1])
         for wrong, why in (
             ("point?x=120;y=900", "expected a place within 0..500 m"),
             ("layer?layer=gold", "input should be"),
@@ -86,7 +93,9 @@ def test_a_stock_zenoh_client_asks_with_a_selector_and_gets_json_arrays_and_pict
             ("resource?polygon=1,1,2,2", "3 to 256 corners"),
         ):
             (reply,) = list(session.get(f"he3/{MISSION}/earth/map/{wrong}", timeout=PATIENCE_S))
-            assert why in json.loads(reply.err.payload.to_bytes())["error"]
+            refusal = json.loads(reply.err.payload.to_bytes())
+            assert why in refusal["error"]
+            assert refusal["code"] in ("invalid_input", "outside_region")
     finally:
         session.close()
 
