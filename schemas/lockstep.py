@@ -1,4 +1,4 @@
-"""What the time keeper and the processes say to each other when mission time is virtual and exact."""
+"""The messages between the time manager and the processes when mission time is virtual and exact."""
 
 from __future__ import annotations
 
@@ -11,35 +11,34 @@ from schemas.wire import Identifier, MissionTimeNs, Text, Wire
 Count = Annotated[int, Field(ge=0)]
 
 ProcessId = Identifier
-"""Tells one start of a service from every other: what a process that is gone was owed, its successor does not wait
-for."""
+"""Identifies one start of a service: its successor does not wait for what was sent to it."""
 
 
 class Join(Wire):
-    """A process takes part, or asks whether it still does: what it hears and serves, so that every message counts."""
+    """A process asks to take part, or whether it still does, and says what it receives and serves."""
 
     term: Text
-    """Which grants it obeys: one time keeper's, until that one gives it up. Empty at first."""
+    """The term whose grants it obeys: a time manager's, until that one gives the process up. Empty at first."""
     name: Identifier
     process: ProcessId
     hears: tuple[tuple[Text, Text], ...]
     """(topic, side) of every message that reaches it."""
     serves: tuple[tuple[Text, Text], ...]
-    """(topic, side) of the questions that it answers."""
+    """(topic, side) of the queries that it serves."""
     next_wake: MissionTimeNs | None
-    """When it wants to act first; None: when something reaches it."""
+    """When it wants to act first; None: when an input reaches it."""
     now: MissionTimeNs = 0
-    """Where it stands, from its journal or from a time keeper that is gone; time goes on from no earlier."""
+    """Its time, from its journal or from a time manager that is gone; time does not go on from earlier."""
     step: Count = 0
-    """The last step that it has heard of; steps are numbered on from there, so that no two are confused."""
+    """The last step that it was granted; later steps have higher numbers."""
 
 
 class Joined(Wire):
-    """What the time keeper says to a process that wants to take part."""
+    """The time manager's answer to a process that asks to take part."""
 
     term: Text
     admitted: bool
-    """Whether it takes part now; else it is to obey the grants of this term first, and none before, and ask again."""
+    """Whether it takes part now. If not, it has to obey this term from now on, and ask again."""
     now: MissionTimeNs
     step: Count
     starts: Count
@@ -47,15 +46,15 @@ class Joined(Wire):
 
 
 class Grant(Wire):
-    """It is `at`: the one whom this is for acts once all that was sent to it in the step before has reached it."""
+    """It is `at`: the process acts as soon as it has received all that was sent to it in the step before."""
 
     term: Text
     step: Annotated[int, Field(ge=1)]
     at: MissionTimeNs
     process: ProcessId
-    """Who acts; an earlier process of the same name must not."""
+    """The process that acts; an earlier process of the same name must not."""
     expects: dict[str, Count]
-    """How many messages, questions and answers, by sender; one's own name for questions that nobody answers."""
+    """How many messages, queries and replies, by sender; under its own name its queries that no process serves."""
 
 
 class StepDone(Wire):
@@ -68,34 +67,34 @@ class StepDone(Wire):
     published: tuple[tuple[Text, Text, Count], ...] = ()
     """(topic, side, how many)."""
     asked: tuple[tuple[Text, Text], ...] = ()
-    """(topic, side) of each question put."""
+    """(topic, side) of each query that it sent."""
     answered: tuple[tuple[ProcessId, Count], ...] = ()
-    """Who asked, and in which step, for each question answered."""
+    """Sender and step of each query that it replied to."""
     finished: Text | None = None
-    """Why the process has nothing left to do, once it says so."""
+    """Why the process has nothing left to do; None while it has."""
 
 
 class StepBusy(Wire):
-    """A process cannot act yet, and why."""
+    """Why a process cannot act yet."""
 
     name: Identifier
     process: ProcessId
     step: Count
     computing: tuple[Text, ...] = ()
-    """Computations whose end has come and that are still at work."""
+    """Computations that are due and have not ended."""
     lacks: Annotated[dict[str, Count], Field(default_factory=dict)]
-    """How many inputs have not come, by sender."""
+    """How many inputs have not arrived, by sender."""
 
 
 class Poke(Wire):
-    """Somebody from outside, an operator say, has put something to a process: let it act now."""
+    """A process has an input from outside the mission, from an operator for example: it asks for a step now."""
 
     name: Identifier
     process: ProcessId
 
 
 class TimeControl(Wire):
-    """How virtual time goes on; what is not named stays."""
+    """A change of how virtual time goes on; what it does not name stays."""
 
     paused: bool | None = None
     steps: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
@@ -105,26 +104,26 @@ class TimeControl(Wire):
     rate: Annotated[float, Field(gt=0, le=1e9)] | None = None
     """No faster than this many mission seconds a wall second."""
     unlimited: bool = False
-    """As fast as the machine allows again."""
+    """As fast as the machine allows."""
 
 
 class TimeStatus(Wire):
-    """Where virtual time stands, and who or what it waits for."""
+    """Where virtual time stands, and what it waits for."""
 
     now: MissionTimeNs
     start_ns: MissionTimeNs
     step: Count
     next_at: MissionTimeNs | None
-    """The next instant at which something happens; None while that is not known, or when nothing ever will."""
+    """The next instant at which something happens; None while that is not known, or if there is none."""
     paused: bool
     rate: float | None
     until: MissionTimeNs | None
     steps_left: Count | None
     members: tuple[Text, ...]
     waits_for: tuple[Text, ...]
-    """Who is missing, or else who has not finished the present step."""
+    """The required processes that are missing, or else those that have not finished the present step."""
     finished: dict[str, str]
     computing_s: Annotated[float, Field(ge=0)]
-    """Wall time [s] for which time has stood because somebody was computing."""
+    """Wall time [s] for which time has stood while a process computed."""
     detail: Text = ""
     """What is wrong, in one line; empty while nothing is."""

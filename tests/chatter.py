@@ -110,7 +110,7 @@ class Chatter:
 
 
 def interfaces(seed: int) -> list[Interface]:
-    """Who there is, hears what and serves what: at random, each question served by one or by nobody."""
+    """Which nodes there are, and what each receives and serves, at random: a query is served by one node or by none."""
     dice = Random(f"interfaces/{seed}")
     sides = {name: (dice.choice(tuple(Side)),) for name in NAMES}
     sides["link"] = tuple(Side)

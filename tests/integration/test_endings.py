@@ -18,7 +18,7 @@ RATE = "2000"
 
 
 @pytest.mark.parametrize(("number", "seed"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
-def test_services_that_only_begin_end_at_once(missions, number, seed):
+def test_services_that_are_still_starting_end_at_once(missions, number, seed):
     """Every service gets the signal at a random moment between its first line of code and its being ready."""
     moments = random.Random(seed)
     mission = missions("short", "--rate", RATE)

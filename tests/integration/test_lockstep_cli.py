@@ -67,7 +67,7 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
     mission.end()
 
 
-def test_it_begins_at_the_pace_that_was_asked_for_and_can_be_paused_and_stepped(up: Up) -> None:
+def test_a_mission_begins_at_the_pace_of_its_rate_and_can_be_paused_and_stepped(up: Up) -> None:
     assert up.time("show")["rate"] == 20.0
     paused = up.time("pause")
     assert paused["paused"]
@@ -79,7 +79,7 @@ def test_it_begins_at_the_pace_that_was_asked_for_and_can_be_paused_and_stepped(
     assert up.time("show")["now"] == stepped["now"]
 
 
-def test_it_runs_until_a_time_that_a_person_can_write(up: Up) -> None:
+def test_a_mission_runs_until_a_time_as_a_person_writes_it(up: Up) -> None:
     up.time("pause")
     up.time("unlimited")
     up.time("until", "30min")
@@ -88,7 +88,7 @@ def test_it_runs_until_a_time_that_a_person_can_write(up: Up) -> None:
     assert up.until(lambda status: status["paused"])["now"] == START + 2700 * SECOND
 
 
-def test_what_it_says_is_for_people_too(up: Up) -> None:
+def test_the_commands_also_print_text_for_people(up: Up) -> None:
     up.time("pause")
     up.time("unlimited")
     said = up.he3("time", "show").stdout
@@ -108,7 +108,7 @@ def test_what_it_says_is_for_people_too(up: Up) -> None:
         (("rate", "1e12"), "he3: Invalid value for 'R': expected above 0 up to 1000000000, got 1e+12"),
     ],
 )
-def test_a_wish_that_makes_no_sense_costs_one_line(up: Up, words: tuple[str, ...], line: str) -> None:
+def test_a_bad_value_is_refused_in_one_line(up: Up, words: tuple[str, ...], line: str) -> None:
     done = up.he3("time", *words)
     assert done.returncode == 2
     assert done.stderr.startswith(line)

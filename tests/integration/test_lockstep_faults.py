@@ -129,13 +129,13 @@ def test_a_paused_mission_answers_and_takes_changes_in_at_the_time_at_which_it_s
     assert mission.client.latest(GROUND_STATUS)[0].made_at <= stands.now
 
 
-def test_a_bad_wish_is_refused_in_one_line_and_changes_nothing(lockstep: Callable[..., Lockstep]) -> None:
+def test_a_bad_time_control_is_refused_in_one_line_and_changes_nothing(lockstep: Callable[..., Lockstep]) -> None:
     mission = lockstep()
     before = mission.standing(paused=True)
     header = b'{"version":1,"mission":"short","source":"x","incarnation":0,"sequence":0,"made_at":0}'
-    wish = b'{"header":%b,"body":{"rate":-1.0}}' % header
+    control = b'{"header":%b,"body":{"rate":-1.0}}' % header
     with pytest.raises(He3Error, match=r"body.rate: input should be greater than 0, got -1.0"):
-        mission.client._reply(TIME_CONTROL, wish, 5.0)
+        mission.client._reply(TIME_CONTROL, control, 5.0)
     assert mission.control() == before
 
 
@@ -143,7 +143,7 @@ def test_a_bad_wish_is_refused_in_one_line_and_changes_nothing(lockstep: Callabl
 
 
 @pytest.mark.parametrize("name", ["field", "rover", "ground"])
-def test_who_is_killed_is_named_at_once_time_stands_and_goes_on_when_it_is_back(
+def test_a_killed_process_is_named_at_once_and_time_stands_until_it_is_back(
     name: str, lockstep: Callable[..., Lockstep]
 ) -> None:
     mission = lockstep()
@@ -166,7 +166,7 @@ def test_who_is_killed_is_named_at_once_time_stands_and_goes_on_when_it_is_back(
     mission.until(lambda status: "ground" in status.finished)
 
 
-def test_who_hangs_is_named_within_a_bound_time_stands_and_goes_on_when_it_does(
+def test_a_process_that_hangs_is_named_and_time_stands_until_it_goes_on(
     lockstep: Callable[..., Lockstep],
 ) -> None:
     mission = lockstep(journal=False)
@@ -216,7 +216,7 @@ def test_when_the_link_is_killed_the_others_wait_and_go_on_with_its_successor(
     assert mission.control().now > stood.now, "time never ran backwards"
 
 
-def test_a_server_that_dies_with_a_question_on_its_desk_is_asked_again_when_it_is_back(
+def test_a_query_to_a_server_that_dies_is_sent_again_when_it_is_back(
     lockstep: Callable[..., Lockstep],
 ) -> None:
     mission = lockstep()
@@ -233,7 +233,9 @@ def test_a_server_that_dies_with_a_question_on_its_desk_is_asked_again_when_it_i
     mission.until(lambda status: "ground" in status.finished)
 
 
-def test_a_time_keeper_that_hangs_is_reported_by_those_who_wait_for_it(lockstep: Callable[..., Lockstep]) -> None:
+def test_a_time_manager_that_hangs_is_reported_by_all_that_wait_for_it(
+    lockstep: Callable[..., Lockstep],
+) -> None:
     mission = lockstep(journal=False)
     mission.standing(until=START + 1800 * SECOND)
     link = mission.mission["link"]
@@ -280,7 +282,7 @@ def test_clients_that_subscribe_to_everything_and_hang_hold_nothing_up(lockstep:
             process.communicate()
 
 
-def test_a_stranger_s_question_is_answered_and_what_he_publishes_is_not_counted(
+def test_a_query_without_a_stamp_is_answered_and_a_message_without_one_is_not_counted(
     lockstep: Callable[..., Lockstep],
 ) -> None:
     mission = lockstep(journal=False)

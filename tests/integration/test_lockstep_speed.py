@@ -10,7 +10,7 @@ import pytest
 from benchmarks.lockstep_speed import run
 
 
-def test_both_drivers_have_a_row_and_the_same_events(tmp_path: Path) -> None:
+def test_the_benchmark_has_a_row_for_each_driver_and_their_events_are_the_same(tmp_path: Path) -> None:
     said: list[str] = []
     rows = run(scenario="short", json=tmp_path / "speed.json", say=said.append)
     assert json.loads((tmp_path / "speed.json").read_text()) == {"rows": rows}

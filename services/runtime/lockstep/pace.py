@@ -1,4 +1,4 @@
-"""How virtual time may go on: paused, by single steps, until a time, no faster than a rate. Without a clock."""
+"""How virtual time may go on: paused, by single steps, until a time, no faster than a rate. It reads no clock."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from schemas.lockstep import TimeControl
 
 CATCHES_UP_S = 0.5
-"""How much wall time [s] that was lost, to planning say, is made up for by going faster than the rate."""
+"""Wall time [s], lost to planning for example, that is made up for by going faster than the rate."""
 
 
 @dataclass(slots=True)
@@ -29,7 +29,7 @@ class Pace:
     _from_ns: MissionTime = 0
 
     def control(self, change: TimeControl, now: MissionTime, wall_s: float) -> None:
-        """Go on as asked, from that moment on; what is not named stays."""
+        """Change how time goes on, from that moment; what the change does not name stays."""
         if change.paused is not None:
             self.paused = change.paused
             self.steps_left = self.until = None
@@ -44,13 +44,13 @@ class Pace:
         self._from_s, self._from_ns = wall_s, now
 
     def pause(self) -> None:
-        """Let time stand from now on."""
+        """Stop time from now on."""
         self.paused, self.steps_left, self.until = True, None, None
 
     def latest(self, instant: MissionTime, now: MissionTime, wall_s: float) -> MissionTime:
-        """Up to when time may pass, on the way from `now` to the next instant at which something happens.
+        """How far time may go from `now` towards the next instant at which something happens.
 
-        Pauses where the operator wanted it to.
+        Pauses where the operator asked for it.
         """
         if self.steps_left == 0 and instant > now:
             self.pause()
@@ -63,7 +63,7 @@ class Pace:
         return max(now, allowed)
 
     def stepped(self) -> None:
-        """Time has moved to a further instant."""
+        """Count a further instant."""
         if self.steps_left is not None:
             self.steps_left -= 1
 

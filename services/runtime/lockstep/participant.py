@@ -1,7 +1,8 @@
-"""One node's part in lockstep, without I/O: what has reached it, what it still has to wait for, what it did.
+"""One node's part in lockstep, without I/O: its inputs, the inputs that are still missing, and what it did in a step.
 
-What reaches a node in one step is handled in the next, in the order that the simulation driver has; so a mission in
-separate processes is, event for event, the mission in one. A transport (Zenoh, or a test's) carries what goes out.
+An input that reaches a node in one step is handled in the next, in the order of the simulation driver. So a mission in
+separate processes is, event for event, the mission in one process. A transport (Zenoh, or a test's) carries out what
+the node sends.
 """
 
 from __future__ import annotations
@@ -22,24 +23,24 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
 
 OUTSIDE = ""
-"""Who sends what carries no stamp: operators and strangers."""
+"""The sender of inputs without a stamp, which come from operators and from other programs."""
 
 
 class Transport(Protocol):
-    """Carries out what a participant's node wants done."""
+    """Carries out the actions of a participant's node."""
 
     def publish(self, action: Publish, stamp: Stamp) -> None: ...
 
-    def ask(self, action: PutQuery, stamp: Stamp) -> None: ...
+    def query(self, action: PutQuery, stamp: Stamp) -> None: ...
 
-    def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None: ...
+    def reply(self, action: Reply | ReplyError, stamp: Stamp) -> None: ...
 
     def perform(self, action: Action) -> None:
-        """Do what concerns nobody else: snapshots, notes, the end."""
+        """Carry out an action that concerns no other process: a snapshot, a log line, the end."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Taken:
+class _Waiting:
     """An input that waits for its step."""
 
     step: int
@@ -49,31 +50,31 @@ class _Taken:
 
 
 class Participant:
-    """A seat whose clock is granted, step by step."""
+    """A scheduler whose clock is granted, step by step."""
 
     def __init__(self, scheduler: NodeScheduler, process: str, resume: Iterable[Action] = ()) -> None:
-        """process: tells this start of the service from every other. resume: what a replayed journal left to do."""
+        """process: identifies this start of the service. resume: the actions that a replayed journal left to do."""
         self.scheduler = scheduler
         self.process = process
         self.now: MissionTime = 0
         self.step = 0
         self.joined_at = -1
-        """The step after which it first took part: who asked it something up to then was told that nobody serves."""
+        """The step after which it first took part. Queries that were sent to it up to then ended without a reply."""
         self._term = ""
         self._admitted = False
-        self._heard_of = 0
+        self._last_granted = 0
         self._uncounted_until = -1
-        """What was sent up to this step, the time keeper has not counted."""
+        """Inputs that were sent up to this step are not counted by the time manager."""
         self.granted: Grant | None = None
-        """What it may act upon as soon as `ready`."""
+        """The step that it may act in as soon as it is `ready`."""
         self.finished: Finish | None = None
         self._resume = tuple(resume)
-        self._taken: list[_Taken] = []
+        self._waiting: list[_Waiting] = []
         self._from_outside = 0
-        self._askers: dict[int, Stamp] = {}
+        self._senders: dict[int, Stamp] = {}
         self._published: Counter[tuple[str, str]] = Counter()
-        self._asked: list[tuple[str, str]] = []
-        self._answered: list[tuple[str, int]] = []
+        self._queried: list[tuple[str, str]] = []
+        self._replied: list[tuple[str, int]] = []
 
     @property
     def name(self) -> str:
@@ -82,7 +83,7 @@ class Participant:
     # --- taking part --------------------------------------------------------------------------------------------
 
     def join(self) -> Join:
-        """What the time keeper has to know of it."""
+        """The request to take part."""
         host = self.scheduler.host
         return Join(
             term=self._term,
@@ -92,18 +93,18 @@ class Participant:
             serves=tuple((topic.name, side.value) for topic, side in host.served_topics()),
             next_wake=self._next_wake(),
             now=self.now,
-            step=self._heard_of,
+            step=self._last_granted,
         )
 
     def obey(self, term: str) -> None:
-        """Act upon the grants of that term from now on; what was granted before is void."""
+        """Obey the grants of that term from now on; an earlier grant is void."""
         if term != self._term:
             self._term = term
             self._admitted = False
             self.granted = None
 
     def joined(self, answer: Joined) -> None:
-        """The time keeper has taken it in. Time may be ahead of it, never behind; nothing sent before was counted."""
+        """The time manager has admitted it, at its own time or a later one. What was sent before is not counted."""
         if answer.term != self._term or self._admitted:
             return
         self._admitted = True
@@ -113,84 +114,84 @@ class Participant:
             self.joined_at = answer.step
 
     def start(self, incarnation: int) -> None:
-        """Let the node begin, in the first step that is granted."""
+        """Start the node in the first step that is granted."""
         self.scheduler.put((Kind.MESSAGE, OUTSIDE, 0), ProcessStarted(incarnation))
 
-    # --- what reaches it ----------------------------------------------------------------------------------------
+    # --- inputs -------------------------------------------------------------------------------------------------
 
     def take_message(self, given: Input, stamp: Stamp | None) -> bool:
-        """Keep a message for its step. Whether the time keeper has to be poked, as it cannot know of it."""
+        """Keep a message for its step; returns whether to poke the time manager, which does not know of it."""
         if stamp is not None and stamp.process == self.process:
-            return False  # nobody hears himself
-        return self._take(Kind.MESSAGE, given, stamp)
+            return False  # its own
+        return self._keep(Kind.MESSAGE, given, stamp)
 
-    def take_question(self, given: Input, token: int, stamp: Stamp | None) -> bool:
-        """Keep a question for its step. Whether the time keeper has to be poked."""
+    def take_query(self, given: Input, token: int, stamp: Stamp | None) -> bool:
+        """Keep a query for its step; returns whether to poke the time manager."""
         if stamp is not None:
-            self._askers[token] = stamp
-        return self._take(Kind.QUERY, given, stamp)
+            self._senders[token] = stamp
+        return self._keep(Kind.QUERY, given, stamp)
 
-    def take_answer(self, given: Input, asked: Stamp, answered: Stamp | None) -> bool:
-        """Keep what came of a question that was put with the stamp `asked`. Whether the time keeper has to be poked.
+    def take_outcome(self, given: Input, sent: Stamp, replied: Stamp | None) -> bool:
+        """Keep the end of its own query for its step; returns whether to poke the time manager.
 
-        One without a stamp came from nowhere: nobody serves, or the one who does died before answering, and then the
-        time keeper does not know that the answer will never come.
+        sent: the query's stamp. replied: the reply's; None if there is no reply, because no process serves the query or
+        its server has died. The time manager does not know then that no reply will come.
         """
-        if answered is not None:
-            order = (Kind.REPLY, answered.sender, asked.number)
-            self._taken.append(_Taken(answered.step, answered.sender, order, given))
-            return answered.step <= self._uncounted_until
-        self._taken.append(_Taken(asked.step, self.name, (Kind.REPLY, OUTSIDE, asked.number), given))
+        if replied is not None:
+            order = (Kind.REPLY, replied.sender, sent.number)
+            self._waiting.append(_Waiting(replied.step, replied.sender, order, given))
+            return replied.step <= self._uncounted_until
+        self._waiting.append(_Waiting(sent.step, self.name, (Kind.REPLY, OUTSIDE, sent.number), given))
         return True
 
-    def _take(self, kind: Kind, given: Input, stamp: Stamp | None) -> bool:
+    def _keep(self, kind: Kind, given: Input, stamp: Stamp | None) -> bool:
         if stamp is not None:
-            self._taken.append(_Taken(stamp.step, stamp.sender, (kind, stamp.sender, stamp.number), given))
+            self._waiting.append(_Waiting(stamp.step, stamp.sender, (kind, stamp.sender, stamp.number), given))
             return stamp.step <= self._uncounted_until
         self._from_outside += 1
-        self._taken.append(_Taken(0, OUTSIDE, (kind, OUTSIDE, self._from_outside), given))
+        self._waiting.append(_Waiting(0, OUTSIDE, (kind, OUTSIDE, self._from_outside), given))
         return True
 
     # --- acting -------------------------------------------------------------------------------------------------
 
     def grant(self, grant: Grant) -> None:
-        """It may act, once everything is there."""
-        if grant.term == self._term and grant.process == self.process and grant.step > self._heard_of:
+        """Take in a grant; one of another term, of another process or of an earlier step is ignored."""
+        if grant.term == self._term and grant.process == self.process and grant.step > self._last_granted:
             self.granted = grant
-            self._heard_of = grant.step
+            self._last_granted = grant.step
 
     def lacks(self) -> dict[str, int]:
-        """How many of the inputs that are promised for the step have not come, by sender."""
+        """How many of the inputs that the grant promises have not arrived, by sender."""
         if self.granted is None or not self.granted.expects:
             return {}
         before = self.granted.step - 1
-        here = Counter(taken.sender for taken in self._taken if taken.step == before)
-        return {who: count - here[who] for who, count in self.granted.expects.items() if here[who] < count}
+        here = Counter(each.sender for each in self._waiting if each.step == before)
+        return {sender: count - here[sender] for sender, count in self.granted.expects.items() if here[sender] < count}
 
     def computing(self) -> tuple[str, ...]:
-        """The computations that must end before it can act."""
+        """Names of the computations under way, if one that is due has not ended."""
         if self.granted is None:
             return ()
         due = self.scheduler.due_computations(self.granted.at)
         return () if all(future.done() for future in due) else tuple(self.scheduler.computations())
 
     def ready(self) -> bool:
-        """Whether it has been granted a step and has everything that it needs for it."""
+        """Whether it is granted a step and has everything for it."""
         return self.granted is not None and not self.lacks() and not self.computing()
 
     def act(self, transport: Transport) -> StepDone:
-        """Handle what was sent in earlier steps and what is due, and let all that follows happen; `ready` must hold."""
+        """Handle the inputs of earlier steps and what is due, and carry out the actions; it must be `ready`."""
         grant = self.granted
         assert grant is not None, "a participant acts only when it is granted a step"
         self.granted = None
         self.step, self.now = grant.step, max(self.now, grant.at)
-        waiting = []
-        for taken in self._taken:
-            if taken.step < grant.step:
-                self.scheduler.put(taken.order, taken.given)
+        later = []
+        for each in self._waiting:
+            if each.step < grant.step:
+                self.scheduler.put(each.order, each.given)
             else:
-                waiting.append(taken)
-        self._taken = waiting
+                later.append(each)
+        self._waiting = later
         resume, self._resume = self._resume, ()
         for action in (*resume, *self.scheduler.run(self.now)):
             self._perform(action, transport)
@@ -207,13 +208,13 @@ class Participant:
             step=self.step,
             next_wake=self._next_wake(),
             published=tuple((topic, side, count) for (topic, side), count in self._published.items()),
-            asked=tuple(self._asked),
-            answered=tuple(self._answered),
+            asked=tuple(self._queried),
+            answered=tuple(self._replied),
             finished=None if self.finished is None else self.finished.why,
         )
         self._published.clear()
-        self._asked.clear()
-        self._answered.clear()
+        self._queried.clear()
+        self._replied.clear()
         return done
 
     def _perform(self, action: Action, transport: Transport) -> None:
@@ -222,13 +223,13 @@ class Participant:
                 self._published[topic.name, side.value] += 1
                 transport.publish(action, self._stamped())
             case PutQuery(topic, side):
-                self._asked.append((topic.name, side.value))
-                transport.ask(action, self._stamped())
+                self._queried.append((topic.name, side.value))
+                transport.query(action, self._stamped())
             case Reply(token) | ReplyError(token):
-                asked = self._askers.pop(token, None)
-                if asked is not None:
-                    self._answered.append((asked.process, asked.step))
-                transport.answer(action, self._stamped())
+                sent = self._senders.pop(token, None)
+                if sent is not None:
+                    self._replied.append((sent.process, sent.step))
+                transport.reply(action, self._stamped())
             case Finish():
                 self.finished = action
                 transport.perform(action)

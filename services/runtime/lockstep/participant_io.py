@@ -108,12 +108,12 @@ class ParticipantIO:
         session.publish(self.received_as(action.topic), action.payload, attachment)
         session.publish_best_effort(action.topic, action.payload, attachment)
 
-    def ask(self, action: PutQuery, stamp: Stamp) -> None:
+    def query(self, action: PutQuery, stamp: Stamp) -> None:
         on_end = partial(self._on_outcome, action.query, stamp)
         session = self._context.sessions[action.side]
         session.query(action.topic, action.payload, NO_TIMEOUT_S, on_end, stamp.encode())
 
-    def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
+    def reply(self, action: Reply | ReplyError, stamp: Stamp) -> None:
         match action:
             case Reply(token, _, payload):
                 self._context.open_queries.reply(token, payload, stamp.encode())
@@ -145,7 +145,7 @@ class ParticipantIO:
         self._poke_if(self.participant.take_message(given, read_stamp(attachment)))
 
     def _take_outcome(self, given: Input, asked: Stamp, attachment: bytes) -> None:
-        self._poke_if(self.participant.take_answer(given, asked, read_stamp(attachment)))
+        self._poke_if(self.participant.take_outcome(given, asked, read_stamp(attachment)))
 
     def _take_query(self, topic: Topic, query: IncomingQuery) -> None:
         stamp = read_stamp(query.attachment)
@@ -162,7 +162,7 @@ class ParticipantIO:
             query.refuse(refusal_of(error))
             return
         self._context.open_queries.add(token, query)
-        self._poke_if(self.participant.take_question(given, token, stamp))
+        self._poke_if(self.participant.take_query(given, token, stamp))
 
     def _poke_if(self, needed: bool) -> None:
         if needed and self.joined:

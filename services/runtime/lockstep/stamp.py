@@ -1,4 +1,4 @@
-"""The stamp that travels beside each message in virtual time, as an attachment: payloads stay as they are."""
+"""The stamp of a message in virtual time, its Zenoh attachment. Payloads are the same as on the wall clock."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What travels beside a message in virtual time: who sent it as its how-manieth, in which step, at what time."""
+    """Sender, number, step and time of a message."""
 
     sender: str
     process: str
-    """Which start of the sender."""
+    """Identifies the start of the sender."""
     number: int
+    """Counts what the sender has sent."""
     step: int
     at: MissionTime
 
@@ -25,7 +26,7 @@ class Stamp:
 
 
 def read_stamp(attachment: bytes) -> Stamp | None:
-    """The stamp, or None for a message from outside, whatever it carries."""
+    """The stamp; None for any other attachment, which a message from outside the mission may have."""
     if not attachment or len(attachment) > _MAX_BYTES:
         return None
     try:

@@ -1,13 +1,13 @@
-"""The time keeper's core: conservative synchronisation by counting messages, without I/O.
+"""The time manager, without I/O: conservative synchronisation by counting messages.
 
-Virtual time goes in steps. A step is one instant and those who act at it; each of them is granted it together with the
-number of inputs, by sender, that it must have taken in first. They report what they sent, and from that follows who
-acts in the next step. Time moves only when every process is idle and every message has been received, and then to the
-earliest instant at which anybody wants to act. So no grant is ever early, and nothing that a process could still
-receive lies before the time it is granted.
+Virtual time goes in steps. A step is an instant and the processes that act at it. The time manager grants the step to
+each of them, together with the number of inputs, by sender, that the process must have received first. They report
+what they sent, and from that follows which processes act in the next step. Time moves only when every process is idle
+and every message has been received, and then to the earliest instant at which a process wants to act. So no grant is
+early: a process never receives anything from before the time that it was granted.
 
-Every input is handled in the step after the one in which it was sent. So what is counted never outlives a step, and
-what a process that is gone has left behind is never mistaken for what its successor sends.
+An input is handled in the step after the one in which it was sent. So a count is never kept for longer than a step, and
+what a process that is gone has sent is not mistaken for what its successor sends.
 """
 
 from __future__ import annotations
@@ -36,41 +36,41 @@ class Member:
     next_wake: MissionTime | None
     poked: bool = True
     inputs: Counter[str] = field(default_factory=Counter)
-    """What it has been sent in the last step, by sender."""
+    """How many inputs were sent to it in the last step, by sender."""
     finished: str | None = None
 
     @property
     def wants_now(self) -> bool:
-        """Whether it has to act in the very next step."""
+        """Whether it has to act in the next step."""
         return self.poked or bool(self.inputs)
 
 
 class TimeManager:
-    """Who takes part, where each stands, and what the next step is."""
+    """The processes that take part, and the steps that they are granted."""
 
-    def __init__(self, now: MissionTime, required: frozenset[str], identity: str = "keeper") -> None:
-        """required: time does not move while one of these does not take part. identity: of this start of it."""
+    def __init__(self, now: MissionTime, required: frozenset[str], identity: str = "manager") -> None:
+        """required: time stands while one of these does not take part. identity: of this start of the time manager."""
         self._identity = identity
         self.now = now
         self.step = 0
         self.required = required
         self.members: dict[str, Member] = {}
         self.outstanding: set[str] = set()
-        """Who has been granted the present step and has not finished it."""
+        """The processes that were granted the present step and have not finished it."""
         self._candidates: dict[str, Join] = {}
         self._starts: dict[str, list[str]] = {}
         self._given_up: Counter[str] = Counter()
 
-    # --- who takes part -----------------------------------------------------------------------------------------
+    # --- members ------------------------------------------------------------------------------------------------
 
     def join(self, joining: Join) -> bool:
-        """A process wants to take part, or asks whether it still does; `admit` takes it in between two steps.
+        """A process asks to take part, or whether it still does; `admit` admits it between two steps.
 
-        False if it obeys grants of another term, of a time keeper that is gone or from before it was given up: it may
-        still act upon those, and what it says of itself be out of date before it is taken in.
+        False if it obeys another term: that of a time manager that is gone, or from before it was given up. It may
+        still act on a grant of that term, so what it says of itself may be out of date before it is admitted.
 
-        An earlier process of that name is given up. Raises InvalidInput for that earlier process, should it wake up
-        and ask, and when somebody else serves what it serves: nobody could say then whom a question reaches.
+        An earlier process of that name is given up. Raises InvalidInput for that earlier process, if it asks later, and
+        for a process that serves a query which another one serves: a query must have one server.
         """
         latest = self._starts.get(joining.name, [joining.process])[-1]
         if joining.process != latest and joining.process in self._starts[joining.name]:
@@ -80,7 +80,7 @@ class TimeManager:
             if other.name != joining.name and both:
                 topic, side = min(both)
                 raise InvalidInput(
-                    f"{joining.name}: expected to serve what nobody serves, got {topic} on {side}, "
+                    f"{joining.name}: expected to serve what no other process serves, got {topic} on {side}, "
                     f"which {other.name} serves"
                 )
         member = self.members.get(joining.name)
@@ -92,9 +92,9 @@ class TimeManager:
         return True
 
     def admit(self) -> list[Join]:
-        """Take in everybody who wants to take part, unless a step is under way; returns whom to tell so.
+        """Admit the processes that have asked, unless a step is under way; returns their requests.
 
-        Only between two steps is it certain which messages reach a newcomer: all of those sent from now on.
+        Only between two steps is it certain which messages reach a new member: all that are sent from now on.
         """
         if self.outstanding:
             return []
@@ -122,11 +122,11 @@ class TimeManager:
         return admitted
 
     def term(self, process: str) -> str:
-        """Which grants that process has to obey."""
+        """The term whose grants that process has to obey."""
         return f"{self._identity}/{self._given_up[process]}"
 
     def answer(self, joining: Join, admitted: bool) -> Joined:
-        """What to tell a process that was taken in, or that obeys another term."""
+        """The answer to a process that was admitted, or that obeys another term."""
         return Joined(
             term=self.term(joining.process),
             admitted=admitted,
@@ -136,10 +136,10 @@ class TimeManager:
         )
 
     def leave(self, process: str) -> str | None:
-        """That process is gone: nobody waits for it any more. Its name, or None if it did not take part.
+        """That process is gone, and is not waited for; returns its name, or None if it did not take part.
 
-        What it sent in a step that it did not finish nobody has counted. It is there before whatever comes next, so
-        everybody acts in the next step, and handles it then.
+        What it sent in a step that it did not finish is not counted. It arrives before anything that is sent later, so
+        every process acts in the next step and handles it then.
         """
         for joining in [each for each in self._candidates.values() if each.process == process]:
             del self._candidates[joining.name]
@@ -154,25 +154,25 @@ class TimeManager:
         return member.name
 
     def excuse(self, name: str) -> None:
-        """That one only looks on: time need not wait for it."""
+        """That process is an onlooker: time does not wait for it."""
         self.required -= {name}
 
     def missing(self) -> list[str]:
-        """Who is required and does not take part."""
+        """Names of the required processes that do not take part."""
         return sorted(self.required - self.members.keys())
 
     # --- steps --------------------------------------------------------------------------------------------------
 
     def poke(self, name: str, process: str) -> None:
-        """Something that nobody has counted waits for that process."""
+        """An input that is not counted waits for that process: let it act in the next step."""
         member = self.members.get(name)
         if member is not None and member.process == process:
             member.poked = True
 
     def done(self, report: StepDone) -> bool:
-        """Take in what a process did in the present step. Whether that was expected of it.
+        """Take in the report of a process on the present step; returns whether it was expected.
 
-        If not, it was given up before; everybody acts once more, so that what it sent all the same does not lie about.
+        If not, the process was given up before. Every process acts once more then, to handle what it sent all the same.
         """
         member = self.members.get(report.name)
         expected = report.step == self.step and report.name in self.outstanding
@@ -191,14 +191,16 @@ class TimeManager:
             self._server_of(query, member).inputs[report.name] += 1
         for process, step in report.answered:
             for asker in self.members.values():
-                # A question does not outlive the connection of either; then its answer goes nowhere.
+                # A query ends with the connection of its sender or of its server; then its reply goes nowhere.
                 if asker.process == process and step > max(asker.since, member.since):
                     asker.inputs[report.name] += 1
         return True
 
     def next_instant(self) -> MissionTime | None:
-        """When the next step can be: now, later, or None while a step is under way, somebody is missing, or no one
-        wants to act ever again."""
+        """When the next step can be, now or later.
+
+        None while a step is under way, while a required process is missing, or when no process wants to act again.
+        """
         if self.outstanding or self.missing():
             return None
         if any(member.wants_now for member in self.members.values()):
@@ -207,13 +209,13 @@ class TimeManager:
         return max(self.now, min(wakes)) if wakes else None
 
     def advance(self, to: MissionTime) -> None:
-        """Let time pass in which nothing happens, up to the next instant at most."""
+        """Let time pass up to the next instant at most, without a step."""
         instant = self.next_instant()
         if not self.outstanding:
             self.now = max(self.now, to if instant is None else min(to, instant))
 
     def grant(self, at: MissionTime) -> dict[str, Grant]:
-        """Begin the next step at that instant, which `next_instant` named: what to tell whom."""
+        """Begin the next step at that instant, which `next_instant` returned; returns the grants by name."""
         self.now = at
         self.step += 1
         grants = {}
@@ -232,5 +234,5 @@ class TimeManager:
         return grants
 
     def _server_of(self, query: tuple[str, str], asker: Member) -> Member:
-        """Who has to take the question in; the asker himself, to whom silence comes, if nobody serves it."""
+        """The process that gets an input from that query: its server, or without one its sender."""
         return next((other for other in self.members.values() if query in other.serves), asker)

@@ -49,8 +49,8 @@ class Network:
 
     def __init__(self, nodes: list[Node], mission: str, start: int, trace: EventSink, dice: Random) -> None:
         self._required = frozenset(node.interface.name for node in nodes)
-        self._keepers = count(1)
-        self.keeper = self._new_keeper(start)
+        self._managers = count(1)
+        self.manager = self._new_manager(start)
         self.parts: dict[str, Participant] = {}
         self.queries: dict[int, tuple[Participant, str, PutQuery, Stamp]] = {}
         self.steps = 0
@@ -64,26 +64,26 @@ class Network:
         for node in dice.sample(nodes, len(nodes)):
             self.begin(node)
 
-    def _new_keeper(self, start: int) -> TimeManager:
-        return TimeManager(start, self._required, f"keeper.{next(self._keepers)}")
+    def _new_manager(self, start: int) -> TimeManager:
+        return TimeManager(start, self._required, f"manager.{next(self._managers)}")
 
-    def lose_keeper(self) -> None:
-        """End the time keeper, and the router with it: all that was under way is lost; a new one is asked to join."""
+    def lose_time_manager(self) -> None:
+        """End the time manager, and the router with it: what is under way is lost; all processes ask a new one."""
         self._under_way = [task for task in self._under_way if task in self._computations]
-        self.keeper = self._new_keeper(1000)
+        self.manager = self._new_manager(1000)
         for token in list(self.queries):
             asker, _, query, asked = self.queries.pop(token)
-            self.silence(asker, query, asked)
+            self.end_without_reply(asker, query, asked)
         for part in self.parts.values():
             self._ask_to_join(part)
 
     def _ask_to_join(self, part: Participant) -> None:
-        """The keeper answers at once that it is another whom this process has to obey, or later that it takes part."""
+        """The time manager answers at once that the process has to obey another term, or later that it takes part."""
         joining = part.join()
 
         def arrive() -> None:
-            if self.parts.get(part.name) is part and not self.keeper.join(joining):
-                answer = self.keeper.answer(joining, admitted=False)
+            if self.parts.get(part.name) is part and not self.manager.join(joining):
+                answer = self.manager.answer(joining, admitted=False)
                 self.later(lambda: self._obey(part, answer))
 
         self.later(arrive)
@@ -103,22 +103,22 @@ class Network:
         self._ask_to_join(part)
 
     def kill(self, name: str) -> None:
-        """End a process: what it sent is under way, what is sent to it is lost, who asked it hears nothing."""
+        """End a process: what it sent is under way, what is sent to it is lost, queries to it end without a reply."""
         part = self.parts.pop(name)
-        self.later(lambda: self.keeper.leave(part.process) and None)
+        self.later(lambda: self.manager.leave(part.process) and None)
         for token in [token for token, (_, server, _, _) in self.queries.items() if server == part.process]:
             asker, _, query, asked = self.queries.pop(token)
-            self.silence(asker, query, asked)
+            self.end_without_reply(asker, query, asked)
 
     def cut_off(self, name: str) -> None:
-        """Lose the connection of a process that lives on: what is under way to it, what it asked, what it was asked."""
+        """Lose the connection of a process that lives on: all that is under way to it, and its queries both ways."""
         part = self.parts[name]
         self._connections[part.process] += 1
         for token, (asker, server, query, asked) in list(self.queries.items()):
             if server == part.process or asker is part:
                 del self.queries[token]
-                self.silence(asker, query, asked)
-        self.keeper.leave(part.process)  # the router notices before anything comes over a new connection
+                self.end_without_reply(asker, query, asked)
+        self.manager.leave(part.process)  # the router notices before anything comes over a new connection
         self._ask_to_join(part)
 
     def later(self, happen: Callable[[], None]) -> None:
@@ -129,23 +129,23 @@ class Network:
         self.later(end)
 
     def to(self, part: Participant, take: Callable[[], bool]) -> None:
-        """Let something reach a process, if it still runs then; poke the time keeper if the process says so."""
+        """Let something reach a process, if it still runs then; poke the time manager if the process says so."""
 
         connection = self._connections[part.process]
 
         def arrive() -> None:
             connected = self.parts.get(part.name) is part and self._connections[part.process] == connection
             if connected and take():
-                self.later(lambda: self.keeper.poke(part.name, part.process))
+                self.later(lambda: self.manager.poke(part.name, part.process))
 
         self.later(arrive)
 
-    def silence(self, asker: Participant, query: PutQuery, asked: Stamp) -> None:
+    def end_without_reply(self, asker: Participant, query: PutQuery, asked: Stamp) -> None:
         given = QueryUnanswered(query.query, NoReply.NO_ROUTE, "")
-        self.to(asker, lambda: asker.take_answer(given, asked, None))
+        self.to(asker, lambda: asker.take_outcome(given, asked, None))
 
     def run(self, fault: Callable[[], None] = lambda: None) -> None:
-        """Until nothing is under way and nobody wants to act ever again; `fault` may do harm before each move."""
+        """Run until nothing is under way and no process wants to act again; `fault` may do harm before each move."""
         for _ in range(200_000):
             fault()
             if self._under_way:
@@ -158,17 +158,17 @@ class Network:
         raise AssertionError("it never ends")
 
     def _step(self) -> bool:
-        before = self.keeper.now
-        for joining in self.keeper.admit():
-            self._welcome(self.parts.get(joining.name), self.keeper.answer(joining, admitted=True))
-        instant = self.keeper.next_instant()
+        before = self.manager.now
+        for joining in self.manager.admit():
+            self._welcome(self.parts.get(joining.name), self.manager.answer(joining, admitted=True))
+        instant = self.manager.next_instant()
         if instant is None:
             waits = {name: part.lacks() for name, part in self.parts.items() if part.granted is not None}
-            assert not self.keeper.outstanding, f"somebody waits for what never comes: {waits}"
+            assert not self.manager.outstanding, f"a process waits for what never comes: {waits}"
             return False
         assert instant >= before
         self.steps += 1
-        for name, grant in self.keeper.grant(instant).items():
+        for name, grant in self.manager.grant(instant).items():
             part = self.parts.get(name)
             if part is not None:
                 self._grant(part, Grant.model_validate_json(grant.model_dump_json()))
@@ -183,7 +183,7 @@ class Network:
 
     def _report(self, done: StepDone) -> None:
         told = StepDone.model_validate_json(done.model_dump_json())
-        self.later(lambda: self.keeper.done(told) and None)
+        self.later(lambda: self.manager.done(told) and None)
 
 
 class Carrier:
@@ -200,20 +200,20 @@ class Carrier:
             if part.scheduler.host.receives(action.topic, action.side):  # the sender too: some transports echo
                 self._network.to(part, lambda part=part: part.take_message(given, came))
 
-    def ask(self, action: PutQuery, stamp: Stamp) -> None:
+    def query(self, action: PutQuery, stamp: Stamp) -> None:
         network = self._network
         wanted = (action.topic, action.side)
-        taking_part = [part for name, part in network.parts.items() if name in network.keeper.members]
+        taking_part = [part for name, part in network.parts.items() if name in network.manager.members]
         server = next((part for part in taking_part if wanted in part.scheduler.host.served_topics()), None)
         if server is None:
-            network.silence(self._sender, action, stamp)
+            network.end_without_reply(self._sender, action, stamp)
             return
         token = next(_TOKENS)
         network.queries[token] = (self._sender, server.process, action, stamp)
         given = QueryArrived(action.topic, action.payload, token)
-        network.to(server, lambda: server.take_question(given, token, stamp))
+        network.to(server, lambda: server.take_query(given, token, stamp))
 
-    def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
+    def reply(self, action: Reply | ReplyError, stamp: Stamp) -> None:
         if action.token not in self._network.queries:
             return  # asked through a router that is gone
         asker, _, query, asked = self._network.queries.pop(action.token)
@@ -221,7 +221,7 @@ class Carrier:
             given = ReplyArrived(query.query, action.payload)
         else:
             given = QueryUnanswered(query.query, NoReply.REFUSED, action.why)
-        self._network.to(asker, lambda: asker.take_answer(given, asked, stamp))
+        self._network.to(asker, lambda: asker.take_outcome(given, asked, stamp))
 
     def perform(self, action: Action) -> None:
         pass
@@ -261,7 +261,7 @@ def test_random_nodes_do_enough_for_the_comparison_to_mean_something() -> None:
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
 @settings(max_examples=200)
-def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_never_longer(seed: int, order: int) -> None:
+def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_no_longer(seed: int, order: int) -> None:
     dice = Random(order)
     trace: EventSink = []
     network = Network(chatter.chatters(seed), "m", 1000, trace, dice)
@@ -287,16 +287,16 @@ def test_processes_that_die_at_any_moment_stop_time_until_they_are_back_and_neve
 
     network.run(fault)
     for name in gone:
-        assert name in network.keeper.missing(), "time went on without somebody"
+        assert name in network.manager.missing(), "time went on without a required process"
         back(name, 0)
     network.run()
-    assert not network.keeper.missing()
+    assert not network.manager.missing()
     assert all(now <= later for (now, _, _), (later, _, _) in pairwise(trace)), "time ran backwards"
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
 @settings(max_examples=200)
-def test_a_time_keeper_that_dies_at_any_moment_is_succeeded_and_time_goes_on_from_where_it_stood(
+def test_a_time_manager_that_dies_at_any_moment_is_replaced_and_time_goes_on_from_where_it_stood(
     seed: int, order: int
 ) -> None:
     dice = Random(order)
@@ -304,8 +304,8 @@ def test_a_time_keeper_that_dies_at_any_moment_is_succeeded_and_time_goes_on_fro
     network = Network(chatter.chatters(seed), "m", 1000, trace, dice)
     deaths = {dice.randrange(400) for _ in range(4)}
     moves = count()
-    network.run(lambda: network.lose_keeper() if next(moves) in deaths else None)
-    assert not network.keeper.missing()
+    network.run(lambda: network.lose_time_manager() if next(moves) in deaths else None)
+    assert not network.manager.missing()
     for name in network.parts:
         times = [now for now, who, _ in trace if who == name]
         assert times == sorted(times), "time ran backwards"

@@ -62,10 +62,10 @@ class Carrier:
     def publish(self, action: Publish, stamp: Stamp) -> None:
         self.sent.append((action, stamp))
 
-    def ask(self, action: PutQuery, stamp: Stamp) -> None:
+    def query(self, action: PutQuery, stamp: Stamp) -> None:
         self.sent.append((action, stamp))
 
-    def answer(self, action: Reply | ReplyError, stamp: Stamp) -> None:
+    def reply(self, action: Reply | ReplyError, stamp: Stamp) -> None:
         self.sent.append((action, stamp))
 
     def perform(self, action: Action) -> None:
@@ -155,7 +155,7 @@ def test_a_grant_of_an_earlier_term_is_void_and_an_input_that_it_counted_needs_a
     part.obey("another")
     assert part.granted is None
     granted(part, 6, 100)
-    assert part.granted is None, "nobody of this term has said so"
+    assert part.granted is None, "no grant of this term has come"
     assert part.join().step == 5
     part.joined(Joined(term="another", admitted=True, now=100, step=7, starts=1))
     assert part.take_message(message(1), stamp("field", 1, step=4))
@@ -177,7 +177,7 @@ def test_a_query_without_a_reply_counts_in_the_step_in_which_it_was_sent() -> No
     asked = Stamp("rover", "rover.1", 9, 4, 100)
     granted(part, 5, 100, rover=1)
     assert not part.ready()
-    assert part.take_answer(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
+    assert part.take_outcome(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
     assert part.ready()
 
 
@@ -234,6 +234,6 @@ def test_a_query_without_a_reply_reaches_the_node_once() -> None:
     asked = carrier.sent[0][1]
     assert asked is not None
     for _ in range(2):
-        part.take_answer(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
+        part.take_outcome(QueryUnanswered("q", NoReply.NO_ROUTE, ""), asked, None)
     granted(part, 2, 100, rover=1).act(carrier)
     assert [type(event) for _, event in node.seen] == [Started, QueryFailed]

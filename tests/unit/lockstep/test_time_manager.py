@@ -1,4 +1,4 @@
-"""The time keeper: who acts when, what is counted, who takes part, and how an operator lets time go on."""
+"""The time manager: which process acts when, what is counted, which takes part, and how an operator controls time."""
 
 from __future__ import annotations
 
@@ -17,290 +17,290 @@ MEASURE = ("moon/measure", "moon")
 
 def joining(name: str, start: int = 1, next_wake: int | None = None, **more: object) -> Join:
     about = {"name": name, "process": f"{name}.{start}", "hears": (), "serves": (), "next_wake": next_wake}
-    return Join(**{"term": "keeper/0", **about, **more})
+    return Join(**{"term": "manager/0", **about, **more})
 
 
-def done(keeper: TimeManager, name: str, start: int = 1, next_wake: int | None = None, **more: object) -> bool:
-    report = {"name": name, "process": f"{name}.{start}", "step": keeper.step, "next_wake": next_wake, **more}
-    return keeper.done(StepDone(**report))
+def done(manager: TimeManager, name: str, start: int = 1, next_wake: int | None = None, **more: object) -> bool:
+    report = {"name": name, "process": f"{name}.{start}", "step": manager.step, "next_wake": next_wake, **more}
+    return manager.done(StepDone(**report))
 
 
-def keeper_of(*joins: Join, required: tuple[str, ...] = ()) -> TimeManager:
-    """A time keeper whose members have all acted once, at time 0, and asked for what their joins say."""
-    keeper = TimeManager(0, frozenset(required or (join.name for join in joins)))
+def manager_of(*joins: Join, required: tuple[str, ...] = ()) -> TimeManager:
+    """A time manager whose members have all acted once, at time 0, and next act when their requests say."""
+    manager = TimeManager(0, frozenset(required or (join.name for join in joins)))
     for join in joins:
-        keeper.join(join)
-    keeper.admit()
-    keeper.grant(0)
+        manager.join(join)
+    manager.admit()
+    manager.grant(0)
     for join in joins:
-        assert done(keeper, join.name, next_wake=join.next_wake)
-    return keeper
+        assert done(manager, join.name, next_wake=join.next_wake)
+    return manager
 
 
 # --- grants -----------------------------------------------------------------------------------------------------
 
 
 def test_time_jumps_to_the_earliest_next_event_of_all_and_only_its_owner_acts() -> None:
-    keeper = keeper_of(joining("rover", next_wake=70), joining("ground", next_wake=50))
-    assert keeper.next_instant() == 50
-    grants = keeper.grant(50)
+    manager = manager_of(joining("rover", next_wake=70), joining("ground", next_wake=50))
+    assert manager.next_instant() == 50
+    grants = manager.grant(50)
     assert list(grants) == ["ground"]
     assert (grants["ground"].at, grants["ground"].process, grants["ground"].expects) == (50, "ground.1", {})
 
 
-def test_time_stands_while_anybody_has_not_finished_a_step() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("ground", next_wake=50))
-    keeper.grant(50)
-    done(keeper, "rover")
-    assert keeper.next_instant() is None
-    done(keeper, "ground")
-    assert keeper.next_instant() is None
-    assert not keeper.outstanding, "nobody wants anything any more"
+def test_time_stands_while_a_process_has_not_finished_a_step() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("ground", next_wake=50))
+    manager.grant(50)
+    done(manager, "rover")
+    assert manager.next_instant() is None
+    done(manager, "ground")
+    assert manager.next_instant() is None
+    assert not manager.outstanding, "no process wants to act again"
 
 
-def test_a_grant_is_never_before_one_that_was_given_even_if_somebody_asks_for_the_past() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.grant(50)
-    done(keeper, "rover", next_wake=7)
-    assert keeper.next_instant() == 50
+def test_a_grant_is_never_before_an_earlier_one_even_if_a_process_asks_for_the_past() -> None:
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.grant(50)
+    done(manager, "rover", next_wake=7)
+    assert manager.next_instant() == 50
 
 
-def test_what_was_sent_is_expected_by_those_who_hear_it_in_the_next_step_at_the_same_time() -> None:
-    keeper = keeper_of(
+def test_a_message_is_expected_by_its_receivers_in_the_next_step_at_the_same_time() -> None:
+    manager = manager_of(
         joining("rover", next_wake=50),
         joining("field", hears=(NEWS,)),
         joining("link", hears=(NEWS,)),
         joining("ground"),
     )
-    keeper.grant(50)
-    done(keeper, "rover", published=((*NEWS, 3),))
-    assert keeper.next_instant() == 50
-    grants = keeper.grant(50)
+    manager.grant(50)
+    done(manager, "rover", published=((*NEWS, 3),))
+    assert manager.next_instant() == 50
+    grants = manager.grant(50)
     assert {name: grant.expects for name, grant in grants.items()} == {"field": {"rover": 3}, "link": {"rover": 3}}
 
 
-def test_nobody_expects_his_own_messages() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50, hears=(NEWS,)))
-    keeper.grant(50)
-    done(keeper, "rover", published=((*NEWS, 1),))
-    assert keeper.next_instant() is None
+def test_a_process_does_not_expect_its_own_messages() -> None:
+    manager = manager_of(joining("rover", next_wake=50, hears=(NEWS,)))
+    manager.grant(50)
+    done(manager, "rover", published=((*NEWS, 1),))
+    assert manager.next_instant() is None
 
 
-def test_a_message_on_the_other_side_is_not_heard() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("ground", hears=(("moon/news", "earth"),)))
-    keeper.grant(50)
-    done(keeper, "rover", published=((*NEWS, 1),))
-    assert keeper.next_instant() is None
+def test_a_message_on_the_other_side_is_not_expected() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("ground", hears=(("moon/news", "earth"),)))
+    manager.grant(50)
+    done(manager, "rover", published=((*NEWS, 1),))
+    assert manager.next_instant() is None
 
 
-def test_a_question_is_expected_by_who_serves_it_and_its_answer_by_who_asked() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,)))
-    keeper.grant(50)
-    done(keeper, "rover", asked=(MEASURE, MEASURE))
-    assert keeper.grant(50)["field"].expects == {"rover": 2}
-    done(keeper, "field", answered=(("rover.1", keeper.step - 1),) * 2)
-    assert keeper.grant(50)["rover"].expects == {"field": 2}
+def test_a_query_is_expected_by_its_server_and_its_reply_by_its_sender() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,)))
+    manager.grant(50)
+    done(manager, "rover", asked=(MEASURE, MEASURE))
+    assert manager.grant(50)["field"].expects == {"rover": 2}
+    done(manager, "field", answered=(("rover.1", manager.step - 1),) * 2)
+    assert manager.grant(50)["rover"].expects == {"field": 2}
 
 
-def test_a_question_that_nobody_serves_comes_back_to_its_asker() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.grant(50)
-    done(keeper, "rover", asked=(MEASURE,))
-    assert keeper.grant(50)["rover"].expects == {"rover": 1}
+def test_a_query_without_a_server_is_expected_by_its_own_sender() -> None:
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.grant(50)
+    done(manager, "rover", asked=(MEASURE,))
+    assert manager.grant(50)["rover"].expects == {"rover": 1}
 
 
-def test_whom_an_operator_has_written_to_acts_now() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("ground"))
-    keeper.poke("ground", "ground.1")
-    assert keeper.next_instant() == 0
-    assert list(keeper.grant(0)) == ["ground"]
+def test_a_process_that_an_operator_has_sent_something_acts_now() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("ground"))
+    manager.poke("ground", "ground.1")
+    assert manager.next_instant() == 0
+    assert list(manager.grant(0)) == ["ground"]
 
 
 def test_a_poke_during_a_step_is_not_lost() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.grant(50)
-    keeper.poke("rover", "rover.1")
-    done(keeper, "rover", next_wake=90)
-    assert keeper.next_instant() == 50
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.grant(50)
+    manager.poke("rover", "rover.1")
+    done(manager, "rover", next_wake=90)
+    assert manager.next_instant() == 50
 
 
 def test_time_may_pass_between_two_instants_but_not_beyond_the_next() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.advance(20)
-    assert (keeper.now, keeper.next_instant()) == (20, 50)
-    keeper.advance(60)
-    assert (keeper.now, keeper.next_instant()) == (50, 50)
-    keeper.advance(10)
-    assert keeper.now == 50
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.advance(20)
+    assert (manager.now, manager.next_instant()) == (20, 50)
+    manager.advance(60)
+    assert (manager.now, manager.next_instant()) == (50, 50)
+    manager.advance(10)
+    assert manager.now == 50
 
 
 # --- who takes part ---------------------------------------------------------------------------------------------
 
 
-def test_time_does_not_begin_before_all_who_are_required_take_part() -> None:
-    keeper = TimeManager(0, frozenset({"rover", "ground"}))
-    keeper.join(joining("rover", next_wake=5))
-    keeper.admit()
-    assert (keeper.next_instant(), keeper.missing()) == (None, ["ground"])
-    keeper.join(joining("ground"))
-    keeper.admit()
-    assert keeper.next_instant() == 0
-    assert set(keeper.grant(0)) == {"rover", "ground"}, "everybody begins"
+def test_time_does_not_begin_before_all_required_processes_take_part() -> None:
+    manager = TimeManager(0, frozenset({"rover", "ground"}))
+    manager.join(joining("rover", next_wake=5))
+    manager.admit()
+    assert (manager.next_instant(), manager.missing()) == (None, ["ground"])
+    manager.join(joining("ground"))
+    manager.admit()
+    assert manager.next_instant() == 0
+    assert set(manager.grant(0)) == {"rover", "ground"}, "everybody begins"
 
 
-def test_an_onlooker_that_was_to_be_waited_for_is_not_once_it_is_known_as_one() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), required=("rover", "recorder"))
-    assert keeper.next_instant() is None
-    keeper.excuse("recorder")
-    assert keeper.next_instant() == 50
+def test_a_required_process_that_proves_to_be_an_onlooker_is_not_waited_for() -> None:
+    manager = manager_of(joining("rover", next_wake=50), required=("rover", "recorder"))
+    assert manager.next_instant() is None
+    manager.excuse("recorder")
+    assert manager.next_instant() == 50
 
 
-def test_who_comes_during_a_step_takes_part_from_the_next_and_is_owed_nothing_of_this_one() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.grant(50)
-    keeper.join(joining("field", hears=(NEWS,)))
-    assert keeper.admit() == []
-    done(keeper, "rover", published=((*NEWS, 1),))
-    assert [join.name for join in keeper.admit()] == ["field"]
-    assert keeper.grant(50)["field"].expects == {}
+def test_a_process_that_joins_during_a_step_takes_part_from_the_next_and_expects_nothing_of_this_one() -> None:
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.grant(50)
+    manager.join(joining("field", hears=(NEWS,)))
+    assert manager.admit() == []
+    done(manager, "rover", published=((*NEWS, 1),))
+    assert [join.name for join in manager.admit()] == ["field"]
+    assert manager.grant(50)["field"].expects == {}
 
 
-def test_who_asks_again_whether_it_takes_part_is_told_so_and_nothing_changes() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.join(joining("rover", next_wake=60))
-    assert [join.name for join in keeper.admit()] == ["rover"]
-    assert (keeper.next_instant(), keeper.answer(joining("rover"), True).starts) == (50, 1)
+def test_a_member_that_asks_again_whether_it_takes_part_is_told_so_and_nothing_changes() -> None:
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.join(joining("rover", next_wake=60))
+    assert [join.name for join in manager.admit()] == ["rover"]
+    assert (manager.next_instant(), manager.answer(joining("rover"), True).starts) == (50, 1)
 
 
 def test_time_stands_when_a_required_process_dies_and_goes_on_when_it_is_back() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("ground", next_wake=60))
-    keeper.grant(50)
-    assert keeper.leave("rover.1") == "rover"
-    assert (keeper.next_instant(), keeper.missing(), keeper.outstanding) == (None, ["rover"], set())
-    keeper.join(joining("rover", start=2))
-    keeper.admit()
-    assert keeper.next_instant() == 50
-    assert set(keeper.grant(50)) == {"rover", "ground"}, "what the dead one sent in its last step is handled at once"
-    assert keeper.answer(joining("rover"), True).starts == 2
+    manager = manager_of(joining("rover", next_wake=50), joining("ground", next_wake=60))
+    manager.grant(50)
+    assert manager.leave("rover.1") == "rover"
+    assert (manager.next_instant(), manager.missing(), manager.outstanding) == (None, ["rover"], set())
+    manager.join(joining("rover", start=2))
+    manager.admit()
+    assert manager.next_instant() == 50
+    assert set(manager.grant(50)) == {"rover", "ground"}, "what the dead one sent in its last step is handled at once"
+    assert manager.answer(joining("rover"), True).starts == 2
 
 
 def test_time_goes_on_without_a_process_that_is_not_required() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("guest"), required=("rover",))
-    keeper.leave("guest.1")
-    done(keeper, "rover", next_wake=50)
-    assert keeper.next_instant() == 0
-    assert keeper.missing() == []
+    manager = manager_of(joining("rover", next_wake=50), joining("guest"), required=("rover",))
+    manager.leave("guest.1")
+    done(manager, "rover", next_wake=50)
+    assert manager.next_instant() == 0
+    assert manager.missing() == []
 
 
-def test_a_new_process_takes_the_place_of_a_hung_one_whose_reports_count_no_more() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("field", hears=(NEWS,)))
-    keeper.grant(50)
-    keeper.join(joining("rover", start=2))
-    keeper.admit()
-    assert not done(keeper, "rover", start=1, published=((*NEWS, 1),))
-    grants = keeper.grant(50)
+def test_a_new_process_replaces_one_that_hangs_and_the_reports_of_that_one_do_not_count() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("field", hears=(NEWS,)))
+    manager.grant(50)
+    manager.join(joining("rover", start=2))
+    manager.admit()
+    assert not done(manager, "rover", start=1, published=((*NEWS, 1),))
+    grants = manager.grant(50)
     assert grants["rover"].process == "rover.2"
     assert grants["field"].expects == {}
 
 
 def test_a_process_that_was_replaced_is_refused_when_it_asks_again() -> None:
-    keeper = keeper_of(joining("rover"))
-    keeper.join(joining("rover", start=2))
-    keeper.admit()
+    manager = manager_of(joining("rover"))
+    manager.join(joining("rover", start=2))
+    manager.admit()
     with pytest.raises(InvalidInput, match=r"another process has taken part as rover since: rover\.2"):
-        keeper.join(joining("rover", start=1))
-    assert keeper.members["rover"].process == "rover.2"
+        manager.join(joining("rover", start=1))
+    assert manager.members["rover"].process == "rover.2"
 
 
-def test_a_process_that_was_thought_gone_takes_part_again() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.leave("rover.1")
-    assert not keeper.join(joining("rover", next_wake=50)), "it may still act upon what it was granted before"
-    assert keeper.answer(joining("rover"), admitted=False).term == "keeper/1"
-    assert keeper.join(joining("rover", next_wake=50, term="keeper/1"))
-    keeper.admit()
-    assert (keeper.missing(), keeper.answer(joining("rover"), True).starts) == ([], 1)
+def test_a_process_that_was_given_up_takes_part_again() -> None:
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.leave("rover.1")
+    assert not manager.join(joining("rover", next_wake=50)), "it may still act upon what it was granted before"
+    assert manager.answer(joining("rover"), admitted=False).term == "manager/1"
+    assert manager.join(joining("rover", next_wake=50, term="manager/1"))
+    manager.admit()
+    assert (manager.missing(), manager.answer(joining("rover"), True).starts) == ([], 1)
 
 
 def test_the_late_news_that_an_earlier_process_is_gone_does_not_concern_its_successor() -> None:
-    keeper = keeper_of(joining("rover"))
-    keeper.join(joining("rover", start=2))
-    keeper.admit()
-    assert keeper.leave("rover.1") is None
-    assert keeper.missing() == []
+    manager = manager_of(joining("rover"))
+    manager.join(joining("rover", start=2))
+    manager.admit()
+    assert manager.leave("rover.1") is None
+    assert manager.missing() == []
 
 
-def test_an_answer_to_an_earlier_process_is_not_owed_to_its_successor() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
-    keeper.grant(50)
-    done(keeper, "rover", asked=(MEASURE,))
-    keeper.grant(50)
-    keeper.leave("rover.1")
-    done(keeper, "field", next_wake=70)
-    keeper.join(joining("rover", start=2))
-    keeper.admit()
-    keeper.grant(50)
-    done(keeper, "rover", start=2)
-    done(keeper, "field", answered=(("rover.1", 2),))
-    assert keeper.next_instant() is None
+def test_a_reply_to_an_earlier_process_is_not_expected_by_its_successor() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
+    manager.grant(50)
+    done(manager, "rover", asked=(MEASURE,))
+    manager.grant(50)
+    manager.leave("rover.1")
+    done(manager, "field", next_wake=70)
+    manager.join(joining("rover", start=2))
+    manager.admit()
+    manager.grant(50)
+    done(manager, "rover", start=2)
+    done(manager, "field", answered=(("rover.1", 2),))
+    assert manager.next_instant() is None
 
 
-def test_a_process_that_has_been_further_than_a_new_time_keeper_takes_it_along() -> None:
-    keeper = TimeManager(0, frozenset({"rover"}))
-    keeper.join(joining("rover", next_wake=70, now=60, step=12))
-    keeper.admit()
-    assert keeper.next_instant() == 60
-    assert keeper.grant(60)["rover"].step == 13
+def test_a_process_that_is_ahead_of_a_new_time_manager_sets_its_time_and_step() -> None:
+    manager = TimeManager(0, frozenset({"rover"}))
+    manager.join(joining("rover", next_wake=70, now=60, step=12))
+    manager.admit()
+    assert manager.next_instant() == 60
+    assert manager.grant(60)["rover"].step == 13
 
 
-def test_an_answer_to_a_question_from_before_its_asker_was_given_up_is_not_owed() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
-    keeper.grant(50)
-    asked_in = keeper.step
-    done(keeper, "rover", asked=(MEASURE,))
-    keeper.grant(50)
-    keeper.leave("rover.1")
-    keeper.join(joining("rover", term="keeper/1"))
-    done(keeper, "field", answered=(("rover.1", asked_in),))
-    keeper.admit()
-    assert keeper.grant(50)["rover"].expects == {}
-    done(keeper, "rover")
-    done(keeper, "field", answered=(("rover.1", asked_in),))
-    assert keeper.next_instant() is None
+def test_a_reply_to_a_query_from_before_its_sender_was_given_up_is_not_expected() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
+    manager.grant(50)
+    asked_in = manager.step
+    done(manager, "rover", asked=(MEASURE,))
+    manager.grant(50)
+    manager.leave("rover.1")
+    manager.join(joining("rover", term="manager/1"))
+    done(manager, "field", answered=(("rover.1", asked_in),))
+    manager.admit()
+    assert manager.grant(50)["rover"].expects == {}
+    done(manager, "rover")
+    done(manager, "field", answered=(("rover.1", asked_in),))
+    assert manager.next_instant() is None
 
 
-def test_an_answer_of_somebody_who_was_given_up_since_he_was_asked_is_not_owed() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
-    keeper.grant(50)
-    asked_in = keeper.step
-    done(keeper, "rover", asked=(MEASURE,))
-    keeper.leave("field.1")
-    keeper.join(joining("field", serves=(MEASURE,), term="keeper/1"))
-    keeper.admit()
-    keeper.grant(50)
-    done(keeper, "rover")
-    done(keeper, "field", answered=(("rover.1", asked_in),))
-    assert keeper.next_instant() is None
+def test_a_reply_of_a_server_that_was_given_up_since_the_query_is_not_expected() -> None:
+    manager = manager_of(joining("rover", next_wake=50), joining("field", serves=(MEASURE,), next_wake=70))
+    manager.grant(50)
+    asked_in = manager.step
+    done(manager, "rover", asked=(MEASURE,))
+    manager.leave("field.1")
+    manager.join(joining("field", serves=(MEASURE,), term="manager/1"))
+    manager.admit()
+    manager.grant(50)
+    done(manager, "rover")
+    done(manager, "field", answered=(("rover.1", asked_in),))
+    assert manager.next_instant() is None
 
 
-def test_who_obeys_another_time_keeper_is_not_taken_in() -> None:
-    keeper = TimeManager(0, frozenset({"rover"}))
-    assert not keeper.join(joining("rover", term="another/0"))
-    assert keeper.admit() == []
-    assert keeper.missing() == ["rover"]
+def test_a_process_that_obeys_another_time_manager_is_not_admitted() -> None:
+    manager = TimeManager(0, frozenset({"rover"}))
+    assert not manager.join(joining("rover", term="another/0"))
+    assert manager.admit() == []
+    assert manager.missing() == ["rover"]
 
 
-def test_two_processes_that_serve_the_same_are_refused_in_one_line() -> None:
-    keeper = keeper_of(joining("field", serves=(MEASURE,)))
+def test_a_second_server_of_a_query_is_refused_in_one_line() -> None:
+    manager = manager_of(joining("field", serves=(MEASURE,)))
     with pytest.raises(InvalidInput, match=r"mock: expected .* got moon/measure on moon, which field serves"):
-        keeper.join(joining("mock", serves=(MEASURE,)))
+        manager.join(joining("mock", serves=(MEASURE,)))
 
 
-def test_a_report_of_another_step_is_passed_over() -> None:
-    keeper = keeper_of(joining("rover", next_wake=50))
-    keeper.grant(50)
-    assert not keeper.done(StepDone(name="rover", process="rover.1", step=keeper.step - 1, next_wake=None))
-    assert keeper.outstanding == {"rover"}
+def test_a_report_on_another_step_is_ignored() -> None:
+    manager = manager_of(joining("rover", next_wake=50))
+    manager.grant(50)
+    assert not manager.done(StepDone(name="rover", process="rover.1", step=manager.step - 1, next_wake=None))
+    assert manager.outstanding == {"rover"}
 
 
 # --- pace -------------------------------------------------------------------------------------------------------
@@ -376,5 +376,5 @@ def test_a_stamp_comes_back_as_it_was() -> None:
         "rover\tp\t²\t2\t3".encode(),
     ],
 )
-def test_whatever_else_is_attached_marks_a_message_from_outside(attachment: bytes) -> None:
+def test_any_other_attachment_marks_a_message_from_outside(attachment: bytes) -> None:
     assert read_stamp(attachment) is None
