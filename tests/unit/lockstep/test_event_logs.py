@@ -315,11 +315,11 @@ def test_a_time_manager_that_dies_at_any_moment_is_replaced_and_time_goes_on_fro
 def test_a_driver_that_mixes_up_two_inputs_of_one_instant_would_be_found(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    genuine = Participant._take
+    genuine = Participant._keep
 
     def mixed_up(self: Participant, kind: object, given: Input, stamp: Stamp | None) -> bool:
         swapped = stamp and Stamp(stamp.sender, stamp.process, -stamp.number, stamp.step, stamp.at)
         return genuine(self, kind, given, swapped)
 
-    monkeypatch.setattr(Participant, "_take", mixed_up)
+    monkeypatch.setattr(Participant, "_keep", mixed_up)
     assert any(in_lockstep(each, Random(0)) != in_process(each) for each in range(seed * 10, seed * 10 + 10))
