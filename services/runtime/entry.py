@@ -104,7 +104,7 @@ def _watch(parent: int) -> None:
 
 
 def _exists(pid: int) -> bool:
-    """Whether that process runs; one that has ended and that nobody has waited for does not."""
+    """Whether that process runs; one that has ended and that its parent has not waited for does not."""
     try:
         os.kill(pid, 0)
         with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as stat:  # noqa: PTH123
@@ -118,11 +118,11 @@ def _exists(pid: int) -> bool:
 def leave(code: int) -> NoReturn:
     """End this process now, with that exit code, once everything is closed.
 
-    Taking the interpreter and Zenoh's threads apart takes a second or more on a busy machine, and helps nobody.
+    Taking the interpreter and Zenoh's threads apart takes a second or more on a busy machine, to no purpose.
     """
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
-        except (OSError, ValueError):  # nobody reads it, or the disk with its file is full
+        except (OSError, ValueError):  # no process reads it, or the disk with its file is full
             continue
     os._exit(code)

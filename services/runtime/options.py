@@ -22,28 +22,28 @@ EXAMPLES = """examples:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What a service was started with."""
+    """The options of a service's process."""
 
     scenario: Scenario
     level: Level
     log_json: bool
     wait_for: tuple[str, ...]
-    """The link starts mission time when these are alive; empty: at once."""
+    """The link holds mission time until these processes take part; empty: it starts at once."""
     out: Path | None
     """Where the recorder writes."""
     journal: Path | None
     """Folder of the journals; None: nothing survives a restart."""
     lockstep: bool
     stop_when: str | None
-    """The link in lockstep: once this service has nothing left to do, mission time stands."""
+    """The link in lockstep: mission time is paused when this process has nothing left to do."""
     pace: float | None
-    """The link in lockstep: mission seconds a wall second at most, until an operator says otherwise; None: no limit."""
+    """The link in lockstep: mission seconds a wall second at most, until an operator changes it; None: no limit."""
     events: Path | None
     """File that gets a line for each event handled."""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, without the usage text."""
+    """Reports an error in one line, without the usage text."""
 
     def error(self, message: str) -> NoReturn:
         raise InvalidInput(f"{self.prog}: {message} (see --help)")
@@ -59,7 +59,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, or the name of a shipped one")
     parser.add_argument("--seed", type=int, help="instead of the scenario's")
-    parser.add_argument("--rate", type=float, help="mission seconds a wall second; the link's word counts")
+    parser.add_argument("--rate", type=float, help="mission seconds a wall second; the link's value counts")
     parser.add_argument("--moon", metavar="ENDPOINT", help="the Moon router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--earth", metavar="ENDPOINT", help="the Earth router, e.g. tcp/127.0.0.1:7448")
     parser.add_argument(
@@ -67,12 +67,20 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     )
     parser.add_argument("--log-level", choices=[level.value for level in Level], default="info")
     parser.add_argument("--log-json", action="store_true", help="log lines as JSON")
-    parser.add_argument("--wait-for", metavar="NAMES", default="", help="link: start time when these are alive")
+    parser.add_argument(
+        "--wait-for", metavar="NAMES", default="", help="link: hold mission time until these processes take part"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="recorder: file to write (default: mission.mcap)")
-    parser.add_argument("--journal", type=Path, metavar="FOLDER", help="keep a journal there, and go on from it")
-    parser.add_argument("--lockstep", action="store_true", help="virtual time, granted by the link")
-    parser.add_argument("--stop-when", metavar="NAME", help="link in lockstep: stop time when this one is finished")
-    parser.add_argument("--pace", type=float, metavar="R", help="link in lockstep: no faster, until told otherwise")
+    parser.add_argument(
+        "--journal", type=Path, metavar="FOLDER", help="keep a journal in this folder, and continue from it"
+    )
+    parser.add_argument("--lockstep", action="store_true", help="virtual time, which the link grants")
+    parser.add_argument(
+        "--stop-when", metavar="NAME", help="link in lockstep: pause time when this process is finished"
+    )
+    parser.add_argument(
+        "--pace", type=float, metavar="R", help="link in lockstep: mission seconds a wall second at most"
+    )
     parser.add_argument("--events", type=Path, metavar="FILE", help="write a line for each event handled")
     given = parser.parse_args(arguments)
     if given.pace is not None and not 0 < given.pace <= 1e9:

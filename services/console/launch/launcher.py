@@ -1,4 +1,4 @@
-"""Starts a mission's services as processes of their own, watches them, and ends them all, whatever happens."""
+"""The launcher: starts a mission's services as processes, watches them, and ends them all, whatever happens."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Endpoints:
 
 
 def free_endpoints() -> Endpoints:
-    """Two endpoints on loopback that nobody listened on a moment ago."""
+    """Two endpoints on loopback where no program listened a moment ago."""
     with socket.socket() as moon, socket.socket() as earth:
         for each in (moon, earth):
             each.bind(("127.0.0.1", 0))
@@ -100,7 +100,7 @@ class Launcher:
 
     @property
     def own_pid(self) -> int:
-        """Process id of whoever started the services."""
+        """Id of the process that started the services."""
         return os.getpid()
 
     @property
@@ -194,7 +194,7 @@ class Launcher:
                 process.terminate()
 
     def stop(self) -> None:
-        """End all services: politely, then not."""
+        """End all services: by SIGTERM, and by SIGKILL those that do not end in time."""
         with uninterrupted():
             self._stop()
 
