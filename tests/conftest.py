@@ -1,6 +1,11 @@
 """Settings of the whole suite: one BLAS thread, as in production, and one profile of hypothesis."""
 
 import os
+import signal
+
+# A shell starts a command in the background with SIGINT ignored, and every process below inherits that. Tests of
+# Ctrl-C start processes of their own.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Set before numpy is imported; `services.runtime.entry` says why.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
