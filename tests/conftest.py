@@ -3,10 +3,6 @@
 import os
 import signal
 
-# A shell starts a command in the background with SIGINT ignored, and every process below inherits that. Tests of
-# Ctrl-C start processes of their own.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
 # Set before numpy is imported; `services.runtime.entry` says why.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -21,6 +17,10 @@ settings.register_profile(
 )
 settings.register_profile("search", settings.get_profile("gate"), derandomize=False)
 settings.load_profile("gate")
+
+# A shell starts a command in the background with SIGINT ignored, and all its children inherit that. Tests of Ctrl-C
+# start processes that must not.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

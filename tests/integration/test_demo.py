@@ -45,11 +45,11 @@ def test_the_demo_ends_with_a_line_that_compares_it_with_the_published_protocol_
     tmp_path: Path, environment: dict[str, str]
 ) -> None:
     out = tmp_path / "demo"
-    shorter = ("--set", "rounds=2", "--set", "samples_per_round=3")
+    shorter = ("--set", "rounds=1", "--set", "samples_per_round=3")
     ended = run(he3("demo", *shorter, "--seed", "5", "--out", str(out)), env=environment)
     assert ended.returncode == 0, ended.stderr
     report = MissionReport.model_validate_json((out / "report.json").read_text())
-    assert (report.scenario, report.planner, report.seed, report.samples) == ("t1", "tour", 5, 6)
+    assert (report.scenario, report.planner, report.seed, report.samples) == ("t1", "tour", 5, 3)
     figures = r"\d+\.\d\d ppb after \d+\.\d km"
     line = ended.stdout.splitlines()[-1]
     assert re.fullmatch(rf"tour: {figures}; published protocol \(t1-paper, same seed\): {figures}", line), line

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import resource
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from schemas.report import MissionReport
 from services.recorder.reader import Recording
+from tests.processes import he3, run
 
 LARGEST_FILE_BYTES = 20_000
 """The system takes no byte beyond that in any file: enough for the report, too little for recording and pictures."""
@@ -23,14 +22,8 @@ def limit_files() -> None:
 @pytest.mark.parametrize("driver", ["--in-process", "--lockstep"])
 def test_a_mission_whose_recording_and_pictures_cannot_be_written_has_its_report(driver: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "services.console", "run", "short", driver, "-q", "--out", str(out)]
-    done = subprocess.run(
-        [*command, "--set", "rover.state_period_s=5"],
-        preexec_fn=limit_files,
-        capture_output=True,
-        text=True,
-        timeout=100,
-    )
+    short = ("--set", "rounds=1", "--set", "samples_per_round=2", "--set", "rover.state_period_s=20")
+    done = run(he3("run", "short", driver, "-q", "--out", str(out), *short), preexec_fn=limit_files)
     said = done.stderr.splitlines()
     assert done.returncode == 0, done.stderr
     report = MissionReport.model_validate_json((out / "report.json").read_bytes())
@@ -49,12 +42,13 @@ def test_a_report_that_cannot_be_written_is_one_line_and_exit_code_1_and_the_mis
     tmp_path: Path,
 ) -> None:
     report = tmp_path / "full" / "report.json"
-    command = [sys.executable, "-m", "services.console", "run", "short", "--in-process", "-q", "--report", str(report)]
+    short = ("--set", "rounds=1", "--set", "samples_per_round=2")
+    command = he3("run", "short", "--in-process", "-q", "--report", str(report), *short)
 
     def no_files() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 
-    done = subprocess.run(command, preexec_fn=no_files, capture_output=True, text=True, timeout=100)
+    done = run(command, preexec_fn=no_files)
     assert done.returncode == 1
     assert done.stderr == f"he3: {report}: cannot write the report: File too large\n"
     assert "samples" in done.stdout

@@ -9,7 +9,7 @@ from tests.waiting import PATIENCE_S
 def test_each_service_is_killed_in_turn_and_every_sample_is_in_the_map_exactly_once(tmp_path):
     said: list[str] = []
     row = kills.run(
-        kills=1, rounds=4, rate=2000.0, seed=3, within=PATIENCE_S, settings=["ground.pipeline=1"],
+        kills=1, rounds=2, rate=2000.0, seed=3, within=PATIENCE_S, settings=["ground.pipeline=1"],
         json=tmp_path / "kills.json", say=said.append,
     )  # fmt: skip
 

@@ -25,11 +25,16 @@ RATES = {"tm": 4000, "tc": 2000}
 BURN = "while True: sum(range(10_000))"
 
 
+busy_or_not = pytest.mark.parametrize(
+    "busy", [False, pytest.param(True, marks=pytest.mark.exhaustive)], ids=["idle", "all-cores-busy"]
+)
+
+
 @contextmanager
-def both_cores_busy() -> Iterator[None]:
-    """As many processes that only compute as there are cores, for as long as this lasts."""
+def cores_busy(busy: bool) -> Iterator[None]:
+    """Within, as many processes that only compute as there are cores, if `busy`."""
     with ExitStack() as stack:
-        for _ in range(os.cpu_count() or 1):
+        for _ in range((os.cpu_count() or 1) if busy else 0):
             burner = stack.enter_context(start([sys.executable, "-c", BURN]))
             stack.callback(burner.kill)
         yield
@@ -98,8 +103,9 @@ def test_lockstep_and_in_process_runs_have_the_same_events_to_the_byte_with_loss
     assert {name: apart.report[name] for name in same} == {name: alone.report[name] for name in same}
 
 
-def test_with_both_cores_busy_every_delivery_takes_exactly_its_light_time(tmp_path: Path) -> None:
-    with both_cores_busy():
+@busy_or_not
+def test_every_delivery_takes_exactly_its_light_time(busy: bool, tmp_path: Path) -> None:
+    with cores_busy(busy):
         loaded = ran(tmp_path / "lockstep", "--lockstep", "--out", str(tmp_path / "recorded"))
     crossed = deliveries(loaded.events, {})
     assert {each.topic for each in crossed} >= {"tm/sample", "tm/state", "tm/event", "tc/plan"}
@@ -108,8 +114,9 @@ def test_with_both_cores_busy_every_delivery_takes_exactly_its_light_time(tmp_pa
     assert loaded.events == ran(tmp_path / "in-process", "--in-process").events
 
 
-def test_with_both_cores_busy_every_delivery_takes_its_transmission_time_too_and_never_less(tmp_path: Path) -> None:
-    with both_cores_busy():
+@busy_or_not
+def test_every_delivery_takes_its_transmission_time_too_and_never_less(busy: bool, tmp_path: Path) -> None:
+    with cores_busy(busy):
         loaded = ran(tmp_path / "lockstep", "--lockstep", settings=THIN)
     crossed = deliveries(loaded.events, RATES)
     at_least = [LIGHT + transmission(each.size, RATES[each.topic[:2]]) for each in crossed]

@@ -26,6 +26,8 @@ from tests.waiting import expect_within, until
 
 WAIT_FOR = ("--wait-for", ",".join(waited_for(VITAL)), "--stop-when", "ground")
 START = 1893456000 * SECOND
+SHORTER = ("--set", "rounds=1", "--set", "samples_per_round=2")
+"""A mission of three hours."""
 
 
 class Lockstep:
@@ -71,7 +73,7 @@ def lockstep(missions: Callable[..., object], tmp_path: Path) -> Callable[..., L
     def begin(*settings: str, journal: bool = True) -> Lockstep:
         flags = [word for setting in settings for word in ("--set", setting)]
         flags += ["--journal", str(tmp_path / "journal")] if journal else []
-        mission = missions("short", "--lockstep", *flags)
+        mission = missions("short", "--lockstep", *SHORTER, *flags)
         mission.start("link", flags=WAIT_FOR)
         mission.start("field", "rover", "ground")
         mission.ready()

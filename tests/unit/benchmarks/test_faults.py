@@ -20,8 +20,8 @@ from services.runtime.node import DurableNode, Event, Received, SavedState
 from services.runtime.scheduler import InlineExecutor
 
 EXTENT_M = 120.0
-BATCH = 5
-IN_THE_GATE = 20
+BATCH = 4
+IN_THE_GATE = 12
 """Of the hundred missions, those that the gate flies."""
 
 

@@ -14,7 +14,7 @@ from services.mission.scenario import checked_scenario
 KM = 1000.0
 
 
-@pytest.mark.parametrize("planner", ["tour", "rrtstar", "informative"])
+@pytest.mark.parametrize("planner", ["tour", pytest.param("rrtstar", marks=pytest.mark.exhaustive), "informative"])
 def test_a_mission_over_cells_of_a_kilometre_takes_all_its_samples(planner: str) -> None:
     grid = SiteGrid(60, 99, KM)
     x, y = np.meshgrid(grid.x_m, grid.y_m)
