@@ -22,7 +22,7 @@ def limit_files() -> None:
 @pytest.mark.parametrize("driver", ["--in-process", "--lockstep"])
 def test_a_mission_whose_recording_and_pictures_cannot_be_written_has_its_report(driver: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    short = ("--set", "rounds=1", "--set", "samples_per_round=2", "--set", "rover.state_period_s=20")
+    short = ("--set", "rounds=1", "--set", "samples_per_round=2", "--set", "rover.state_period_s=60")
     done = run(he3("run", "short", driver, "-q", "--out", str(out), *short), preexec_fn=limit_files)
     said = done.stderr.splitlines()
     assert done.returncode == 0, done.stderr

@@ -22,7 +22,7 @@ from services.mission.mission_time import SECOND
 from services.mission.processes import VITAL, waited_for
 from services.runtime.transport.client import Client
 from tests.processes import start
-from tests.waiting import expect_within, until
+from tests.waiting import PATIENCE_S, expect_within, until
 
 WAIT_FOR = ("--wait-for", ",".join(waited_for(VITAL)), "--stop-when", "ground")
 START = 1893456000 * SECOND
@@ -137,7 +137,7 @@ def test_a_bad_time_control_is_refused_in_one_line_and_changes_nothing(lockstep:
     header = b'{"version":1,"mission":"short","source":"x","incarnation":0,"sequence":0,"made_at":0}'
     control = b'{"header":%b,"body":{"rate":-1.0}}' % header
     with pytest.raises(He3Error, match=r"body.rate: input should be greater than 0, got -1.0"):
-        mission.client._reply(TIME_CONTROL, control, 5.0)
+        mission.client._reply(TIME_CONTROL, control, PATIENCE_S)
     assert mission.control() == before
 
 
