@@ -1,7 +1,7 @@
-"""The colours of maps, the same in every picture: 17 stops each, straight lines between them.
+"""The colour maps of all pictures: a few stops each, interpolated linearly.
 
-viridis and magma are Smith and van der Walt's, made for the eye and dedicated to the public domain (CC0). They are even
-in lightness, so that they read the same in grey and to the colour-blind.
+viridis and magma are by Smith and van der Walt, dedicated to the public domain (CC0). They are perceptually uniform, so
+that they read the same in grey and to the colour-blind.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ _STOPS: Final = MappingProxyType(
 OF_LAYER: Final = MappingProxyType(
     {"mean": "viridis", "std": "magma", "information": "magma", "exceedance": "viridis", "traversable": "open"}
 )
-"""Which colours a layer is shown in."""
+"""Name of the colour map of each layer."""
 
 
 def stops(name: str) -> list[str]:
-    """The colours of a map from lowest to highest as '#rrggbb'."""
+    """The stops of a colour map, lowest first, as '#rrggbb'."""
     packed = _STOPS[name]
     return ["#" + packed[start : start + 6] for start in range(0, len(packed), 6)]
 
 
 @cache
 def table(name: str) -> NDArray[np.uint8]:
-    """256 colours (256, 3) from lowest to highest."""
+    """The colour map as 256 colours (256, 3), lowest first."""
     fixed = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops(name)], dtype=np.float64)
     places = np.linspace(0, len(fixed) - 1, 256)
     colours = np.stack([np.interp(places, np.arange(len(fixed)), fixed[:, channel]) for channel in range(3)], axis=1)
@@ -46,7 +46,7 @@ def table(name: str) -> NDArray[np.uint8]:
 
 
 def shaded(values: NDArray[np.floating], low: float, high: float, name: str) -> NDArray[np.uint8]:
-    """The values (rows, columns) as colours (rows, columns, 3): `low` and less the first, `high` and more the last."""
+    """Colours (rows, columns, 3) of the values (rows, columns): up to `low` the first, from `high` on the last."""
     span = high - low if high > low else 1.0
     shades = np.clip((values - low) * (255.0 / span), 0, 255).astype(np.uint8)
     coloured: NDArray[np.uint8] = table(name)[shades]

@@ -1,28 +1,28 @@
-"""The exception tree of the whole system: one root, so that each process can catch once, at its edge."""
+"""The exceptions of the whole system: one root, which each process catches once, at its edge."""
 
 
 class He3Error(Exception):
-    """Something went wrong that one clear line explains; the text says what was expected and what came."""
+    """Root of all errors that are reported in one line; the text says what was expected and what came."""
 
 
 class InvalidInput(He3Error, ValueError):
-    """What was handed in (a file, a flag, a value, an array) is not what was asked for; nothing was changed."""
+    """An input (a file, a flag, a value, an array) is not as required; nothing was changed."""
 
 
 class NumericalFailure(He3Error, ArithmeticError):
-    """A computation that should have succeeded did not, with the numbers that tell why."""
+    """A computation failed that should have succeeded; the text has the numbers that show why."""
 
 
 class OutsideRegion(InvalidInput):
-    """A place lies outside the site's region."""
+    """A place lies outside the region."""
 
 
 class NoRoute(He3Error):
-    """No traversable way leads from one place to another within the given limits."""
+    """No traversable path leads from one place to another within the given limits."""
 
 
 class PeerUnreachable(He3Error):
-    """The other side of a conversation is not there, or did not answer in time."""
+    """A peer process is not running, or did not reply in time."""
 
 
 class NotFound(He3Error):

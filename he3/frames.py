@@ -18,7 +18,7 @@ Float32Array = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 Place = tuple[float, float]
-"""Metres east and north of the region's south-west corner."""
+"""(x, y): metres east and north of the region's south-west corner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class SiteGrid:
         return np.column_stack((x.ravel(), y.ravel()))
 
     def contains(self, points_m: FloatArray) -> NDArray[np.bool_]:
-        """Whether each of the (N, 2) places [m] lies in the region, its edge included."""
+        """Whether each of the places (N, 2) [m] lies in the region, edge included, (N,)."""
         xy = as_points(points_m)
         inside: NDArray[np.bool_] = (
             (xy[:, 0] >= 0) & (xy[:, 0] <= self.width_m) & (xy[:, 1] >= 0) & (xy[:, 1] <= self.height_m)
@@ -74,9 +74,9 @@ class SiteGrid:
         return inside
 
     def cells_of(self, points_m: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Rows and columns, each (N,), of the cells that hold the (N, 2) places [m].
+        """Rows and columns, each (N,), of the cells that contain the places (N, 2) [m].
 
-        Raises OutsideRegion for the first place that the region does not contain.
+        Raises OutsideRegion for the first place outside the region.
         """
         xy = as_points(points_m)
         inside = self.contains(xy)
@@ -102,6 +102,6 @@ def as_points(points_m: FloatArray) -> FloatArray:
 
 
 def path_length(points_m: FloatArray) -> float:
-    """Length [m] of the polyline through the (N, 2) places; 0 for fewer than two."""
+    """Length [m] of the polyline through the places (N, 2) [m]; 0 for fewer than two."""
     steps = np.diff(as_points(points_m), axis=0)
     return float(np.hypot(steps[:, 0], steps[:, 1]).sum())

@@ -1,14 +1,14 @@
-"""Covariance functions of the belief: frozen values that know their formula and its derivatives.
+"""Covariance functions of the belief, as frozen values, with their derivatives.
 
 All are stationary and isotropic, so each is a function of the squared distance r^2 [m^2] alone. Variances are in the
-squared units of the field (in this project: standardised, see ``he3.gp``); length scales are in metres.
+squared unit of the field (here: standardised, see ``he3.gp``); length scales are in metres.
 With a = sqrt(2 nu) r / l (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eqs. 4.9, 4.14-4.17):
 
     se         s^2 exp(-r^2 / (2 l^2))
     matern12   s^2 exp(-a)
     matern32   s^2 (1 + a) exp(-a)
     matern52   s^2 (1 + a + a^2 / 3) exp(-a)
-    smooth+rough   se with a long length scale, plus matern12 with a short one: a trend with a perturbation on it
+    smooth+rough   se with a long length scale plus matern12 with a short one: a trend with a perturbation
 
 Derivatives are with respect to the logarithms of the parameters, in the order of ``parameters``.
 """
@@ -34,7 +34,7 @@ class Kernel(Protocol):
 
     @property
     def prior_variance(self) -> float:
-        """Variance of the field at one place before any sample."""
+        """Variance of the field at any place before the first sample."""
 
     def parameters(self) -> dict[str, float]:
         """The parameters by name, all positive, in the order of the derivatives."""
@@ -46,10 +46,10 @@ class Kernel(Protocol):
         """Covariance at the squared distances [m^2], same shape."""
 
     def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        """Covariance at the squared distances [m^2], and its derivative to the logarithm of each parameter."""
+        """Covariance at the squared distances [m^2], and its derivatives by the logarithm of each parameter."""
 
     def fill(self, r2: Float32Array, out: Float32Array) -> None:
-        """Write the covariance at the squared distances [m^2] into ``out``; r2 is used up. The fast float32 form."""
+        """Write the covariance at the squared distances [m^2] into ``out``, in float32; r2 is overwritten."""
 
 
 def squared_distances(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
@@ -63,7 +63,7 @@ def squared_distances(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
 
 
 class _Stationary:
-    """What every kernel of the squared distance shares: checked places in, named parameters out."""
+    """The part that all kernels share: parameters by name, covariance between places."""
 
     __slots__ = ()
     name: ClassVar[str]
@@ -85,7 +85,7 @@ class _Stationary:
 
 @dataclass(frozen=True, slots=True)
 class SquaredExponential(_Stationary):
-    """Infinitely smooth; the kernel the paper names."""
+    """Infinitely differentiable; the kernel that the paper names."""
 
     variance: float = 1.0
     length_scale_m: float = 60.0
@@ -116,7 +116,7 @@ class SquaredExponential(_Stationary):
 
 @dataclass(frozen=True, slots=True)
 class Matern12(_Stationary):
-    """Continuous but nowhere smooth: the exponential covariance of the reference field's perturbation."""
+    """Continuous, nowhere differentiable: the exponential covariance of the reference field's perturbation."""
 
     variance: float = 1.0
     length_scale_m: float = 60.0
@@ -234,7 +234,7 @@ class Matern52(_Stationary):
 
 @dataclass(frozen=True, slots=True)
 class SmoothPlusRough(_Stationary):
-    """A squared-exponential trend with an exponential perturbation on it: the matched model of the reference field."""
+    """A squared-exponential trend plus an exponential perturbation: the model that matches the reference field."""
 
     smooth_variance: float = 0.7
     smooth_length_scale_m: float = 120.0
@@ -274,13 +274,13 @@ class SmoothPlusRough(_Stationary):
 KERNELS: dict[str, type[Kernel]] = {
     kind.name: kind for kind in (SquaredExponential, Matern12, Matern32, Matern52, SmoothPlusRough)
 }
-AUTO = "auto"  # not a kernel: let the evidence choose among KERNELS
+AUTO = "auto"  # not a kernel: the evidence chooses among KERNELS
 
 
 def kernel_from(name: str, parameters: Mapping[str, float] | None = None) -> Kernel:
-    """The kernel of that wire name with those parameters, or with its defaults if there are none.
+    """The kernel with that name and those parameters, or with its default ones.
 
-    Raises InvalidInput for a name or a set of parameters that no kernel has.
+    Raises InvalidInput for an unknown name or a set of parameters that the kernel does not have.
     """
     if name not in KERNELS:
         raise InvalidInput(f"expected a kernel among {', '.join(KERNELS)}, got {name!r}")
@@ -294,6 +294,6 @@ def kernel_from(name: str, parameters: Mapping[str, float] | None = None) -> Ker
 
 
 def with_log_parameters(kernel: Kernel, log_parameters: FloatArray) -> Kernel:
-    """The same kind of kernel with the given logarithms of its parameters, in the order of ``parameters``."""
+    """A kernel of the same kind with the given logarithms of its parameters (p,), in the order of ``parameters``."""
     values = np.exp(log_parameters)
     return type(kernel)(**{key: float(value) for key, value in zip(kernel.parameters(), values, strict=True)})

@@ -1,8 +1,8 @@
-"""Rasters from outside are measured in every cell: missing values are refused, not computed with.
+"""Refusal of rasters with missing values, before anything is computed from them.
 
 Rasters mark a missing value by NaN, or by a number that cannot be measured: -9999, -32768, -3.4e38, 65535 and others.
-A computation takes such a number for a value: one cell of -9999 m makes the standard deviation of relief so large that
-hollows are open ground. Each refusal is one line with the number of cells and the place of the first.
+A computation would take it for a value: one cell of -9999 m makes the standard deviation of relief so large that
+hollows become open ground. Each refusal is one line with the number of cells and the place of the first.
 """
 
 from __future__ import annotations

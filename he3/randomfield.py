@@ -1,9 +1,10 @@
-"""Unit Gaussian random fields with exponential covariance, several of them jointly correlated if wanted.
+"""Unit Gaussian random fields with exponential covariance, independent or jointly correlated.
 
 Circulant embedding (Dietrich and Newsam 1997; Wood and Chan 1994): the covariance of a field on a regular grid is
 embedded in that of a torus at least twice as large, which the Fourier transform diagonalises. The samples have exactly
-the wanted covariance as long as no eigenvalue of the torus is negative, which holds for a region of 500 m and a length
-of 25 m. Otherwise the torus is grown until the negative ones, set to zero, hold less than a millionth of the variance.
+the covariance asked for if no eigenvalue of the torus is negative, which holds for a region of 500 m and a length of
+25 m. Otherwise the torus is doubled until the negative eigenvalues, set to zero, hold less than a millionth of the
+variance.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from he3.errors import InvalidInput, NumericalFailure
 if TYPE_CHECKING:
     from he3.frames import FloatArray
 
-_MAX_GROWTHS = 8  # doublings of the torus before giving up
-_MAX_TORUS_CELLS = 2**24  # a quarter of a gigabyte of complex numbers
-_NEGLIGIBLE = 1e-6  # share of the torus's total variance that clipped eigenvalues may hold
+_MAX_DOUBLINGS = 8  # 1, of the torus, before giving up
+_MAX_TORUS_CELLS = 2**24  # cells: 256 MB of complex numbers
+_MAX_CLIPPED_VARIANCE = 1e-6  # 1, share of the torus's total variance that clipped eigenvalues may hold
 
 
 def exponential_covariance(distance_m: FloatArray, length_m: float) -> FloatArray:
@@ -34,8 +35,9 @@ def unit_fields(
 ) -> FloatArray:
     """Independent zero-mean, unit-variance Gaussian fields with exponential covariance, (count, rows, columns).
 
-    spacing_m: distance between neighbouring rows and between neighbouring columns [m]. Raises NumericalFailure if no
-    torus of bearable size embeds the covariance (a correlation length far longer than the grid).
+    spacing_m: distance between neighbouring rows and between neighbouring columns [m]. Raises InvalidInput for sizes
+    that are not positive, and NumericalFailure if no torus of at most 2^24 cells embeds the covariance (a correlation
+    length far longer than the grid).
     """
     rows, columns = shape
     if count < 1 or rows < 1 or columns < 1:
@@ -54,10 +56,10 @@ def unit_fields(
 
 
 def correlated(fields: FloatArray, correlation: FloatArray) -> FloatArray:
-    """Unit fields (k, rows, columns) with the given (k, k) correlation between them, from independent ones.
+    """Unit fields (k, rows, columns) with the given correlation (k, k) between them, from independent ones.
 
-    g = L z at every cell, L the lower Cholesky factor of the correlation. Raises NumericalFailure if that is not
-    positive definite.
+    g = L z at every cell, with L the lower Cholesky factor of the correlation. Raises InvalidInput for shapes that do
+    not fit, and NumericalFailure if the correlation is not positive definite.
     """
     k = fields.shape[0]
     if fields.ndim != 3 or correlation.shape != (k, k):
@@ -75,7 +77,7 @@ def correlated(fields: FloatArray, correlation: FloatArray) -> FloatArray:
 
 
 def layer_correlation(layers: FloatArray) -> FloatArray:
-    """Pearson correlation (k, k) between layers (k, rows, columns); a layer that is constant correlates with none."""
+    """Pearson correlation (k, k) between layers (k, rows, columns); a constant layer has correlation 0 with others."""
     flat = layers.reshape(layers.shape[0], -1)
     centred = flat - flat.mean(axis=1, keepdims=True)
     norms = np.linalg.norm(centred, axis=1)
@@ -87,9 +89,9 @@ def layer_correlation(layers: FloatArray) -> FloatArray:
 
 
 def _torus_amplitude(shape: tuple[int, int], spacing_m: tuple[float, float], length_m: float) -> FloatArray:
-    """Square root of the torus's eigenvalues over its size: the spectrum that white noise is multiplied with."""
+    """Square root of the torus's eigenvalues over its size: the amplitudes that shape white noise."""
     clipped = np.inf
-    for growth in range(_MAX_GROWTHS + 1):
+    for growth in range(_MAX_DOUBLINGS + 1):
         sizes = [int(fft.next_fast_len(max(2 * n - 1, 1) * 2**growth)) for n in shape]
         if growth and sizes[0] * sizes[1] > _MAX_TORUS_CELLS:
             break
@@ -97,7 +99,7 @@ def _torus_amplitude(shape: tuple[int, int], spacing_m: tuple[float, float], len
         covariance = exponential_covariance(np.hypot(lags[0][:, None], lags[1][None, :]), length_m)
         eigenvalues = fft.fft2(covariance).real
         clipped = float(-eigenvalues[eigenvalues < 0].sum() / eigenvalues.size)
-        if clipped <= _NEGLIGIBLE:
+        if clipped <= _MAX_CLIPPED_VARIANCE:
             amplitude: FloatArray = np.sqrt(np.maximum(eigenvalues, 0.0) / eigenvalues.size)
             return amplitude
     raise NumericalFailure(

@@ -1,9 +1,10 @@
-"""The reference field: from orbital rasters to a finished region, in the paper's five steps.
+"""The reference field: a finished region from orbital rasters, in the paper's five steps.
 
-  1. a window of coarse FeO, OMAT and elevation (about 59 m a pixel), larger than the region so that no edge is invented
+  1. a window of coarse FeO, OMAT and elevation (about 59 m a pixel), larger than the region, so that no values beyond
+     the data are invented at its edge
   2. georeferenced bicubic resampling onto the region's cells (500 x 500 of 1 m)
-  3. perturbation of what was measured, X' = X (1 + 0.05 g), g unit Gaussian fields of 25 m correlation length that
-     share the layers' own correlation
+  3. perturbation of the measured layers, X' = X (1 + 0.05 g), with unit Gaussian fields g of 25 m correlation length
+     that have the layers' own correlation
   4. TiO2' from FeO'
   5. helium-3 from TiO2', OMAT' and the solar wind
 
@@ -27,8 +28,8 @@ from he3.regolith import RegolithModel
 from he3.terrain import relief_m, slope_deg, traversable
 
 METRES_PER_DEGREE = math.radians(1.0) * constants.MOON_RADIUS_M  # m per degree of latitude on the reference sphere
-_SURROUND_PIXELS = 2  # pixels that bicubic resampling wants beyond the outermost cell
-_ORBITAL_FOOTPRINT_M = METRES_PER_DEGREE / constants.ORBITAL_PIXELS_PER_DEGREE
+_SURROUND_PIXELS = 2  # pixels that bicubic resampling needs beyond the outermost cell
+_ORBITAL_FOOTPRINT_M = METRES_PER_DEGREE / constants.ORBITAL_PIXELS_PER_DEGREE  # m, side of an orbital pixel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,8 +37,8 @@ class OrbitalWindow:
     """A georeferenced window of orbital rasters around a region, in degrees, row 0 in the south.
 
     iron_wt, maturity, elevation_m: FeO [wt %], OMAT and height [m], each (rows, columns). south_deg and west_deg are
-    the outer corner of pixel (0, 0); origin is the region's south-west corner. ``seed`` is the one that the region's
-    published figures belong to.
+    the outer corner of pixel (0, 0); origin is the region's south-west corner. ``seed`` is the one for which the
+    region's published figures hold. Raises InvalidInput for shapes that do not fit and for missing values.
     """
 
     name: str
@@ -72,10 +73,10 @@ class OrbitalWindow:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Region:
-    """A finished region: the truth about a site. All maps are (rows, columns) over ``grid``, read-only.
+    """A finished region: the ground truth of a site. All maps are (rows, columns) over ``grid``, read-only.
 
-    he3_ppb is the reference field, orbital_ppb what an orbiter knows of it: the coarse map, resampled, without the
-    variation within its pixels. seed is None, and the origin too, for a region that was given as finished arrays.
+    he3_ppb is the reference field; orbital_ppb is what an orbiter measures of it: the coarse map, resampled, without
+    the variation within its pixels. seed and origin are None for a region given as finished arrays.
     """
 
     name: str
@@ -111,10 +112,11 @@ def reference(
     length_m: float = constants.CORRELATION_LENGTH_M,
     slope_limit_deg: float = constants.ROVER_SLOPE_NOMINAL_DEG,
 ) -> Region:
-    """The finished region that a window of orbital rasters and a seed make; the same for the same seed.
+    """The finished region of a window of orbital rasters and a seed; equal seeds give equal regions.
 
-    Without a seed, the window's own. grid is 500 x 500 cells of 1 m by default. Raises InvalidInput if the window does
-    not surround the grid, with half a relief window and two pixels to spare.
+    seed: None is the window's own. grid: 500 x 500 cells of 1 m by default. perturbation: relative standard deviation
+    of the variation within pixels. length_m: its correlation length [m]. Raises InvalidInput if the window does not
+    surround the grid by half a relief window and two pixels.
     """
     seed = window.seed if seed is None else seed
     grid = grid or SiteGrid(constants.SITE_CELLS, constants.SITE_CELLS, constants.SITE_RESOLUTION_M)
@@ -145,10 +147,11 @@ def reference(
 
 
 def resample(window: OrbitalWindow, layer: FloatArray, grid: SiteGrid, margin: int = 0) -> FloatArray:
-    """A layer of the window at the grid's cell centres, plus a margin of so many cells, by bicubic splines.
+    """A layer of the window at the grid's cell centres and ``margin`` cells around them, by bicubic splines.
 
-    The site's plane is the local equirectangular one: a degree of longitude shrinks with the cosine of the latitude in
-    the middle of the region, so a pixel that is square in degrees is not square on the ground.
+    The site's plane is the local equirectangular projection: a degree of longitude shrinks with the cosine of the
+    latitude of the region's centre, so a pixel that is square in degrees is not square on the ground. Raises
+    InvalidInput if the window does not surround these cells by two pixels.
     """
     pixel_deg = 1.0 / window.pixels_per_degree
     middle_lat = window.origin_lat_deg + grid.height_m / 2 / METRES_PER_DEGREE
@@ -170,11 +173,11 @@ def resample(window: OrbitalWindow, layer: FloatArray, grid: SiteGrid, margin: i
 
 
 def orbital_view(he3_ppb: FloatArray, grid: SiteGrid, footprint_m: float = _ORBITAL_FOOTPRINT_M) -> FloatArray:
-    """What an orbiter with square footprints [m] would make of a field: block means, resampled by bicubic splines.
+    """The field (rows, columns) [ppb] as an orbiter with square footprints would map it.
 
-    (rows, columns) in, the same out. For fields that come as finished arrays, without the coarse map they were made
-    from. Past the edge of the field a footprint holds less of it; nothing is invented. Cells larger
-    than a footprint are all seen.
+    Block means over footprints of ``footprint_m``, resampled by bicubic splines: for fields given as finished arrays,
+    without the coarse map that they were made from. At the edge of the field a footprint covers less of it, and
+    nothing is extrapolated. Where cells are larger than a footprint, each is its own block.
     """
     coarse, centres = he3_ppb, []
     for axis, cells in enumerate(grid.shape):
@@ -191,4 +194,5 @@ def orbital_view(he3_ppb: FloatArray, grid: SiteGrid, footprint_m: float = _ORBI
 
 
 def _cut(values: FloatArray, margin: int) -> FloatArray:
+    """The values without ``margin`` cells on each side."""
     return values[margin:-margin, margin:-margin].copy() if margin else values

@@ -1,8 +1,8 @@
-"""Regolith chemistry: from iron and maturity, which orbiters see, to titanium and helium-3.
+"""Regolith chemistry: titanium and helium-3 from iron and maturity, which orbiters measure.
 
 Sources:
-  FA-JIN   Fa and Jin: helium-3 grows with TiO2 (ilmenite holds it) and with the solar wind that arrived, and with
-           maturity (OMAT falls as a soil matures).
+  FA-JIN   Fa and Jin: helium-3 increases with TiO2 (ilmenite retains it), with the solar wind received and with
+           maturity (OMAT decreases as a soil matures).
   PAPER    the publication whose system this project rebuilds: its coefficients are the defaults.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegolithModel:
-    """The coefficients of the chemistry. They are a choice: measured soils scatter by several wt % of TiO2 about it."""
+    """The coefficients of the chemistry. They are a choice: measured soils scatter about it by several wt % of TiO2."""
 
     titanium_slope: float = constants.TITANIUM_SLOPE
     titanium_intercept: float = constants.TITANIUM_INTERCEPT
@@ -38,9 +38,9 @@ class RegolithModel:
             raise InvalidInput(f"expected a positive helium3_gain_ppb, got {self.helium3_gain_ppb}")
 
     def titanium_wt(self, iron_wt: FloatArray) -> FloatArray:
-        """TiO2 [wt %] of soils with the given FeO [wt %], of the same shape; raises InvalidInput outside 0..100 wt %.
+        """TiO2 [wt %] of soils with the given FeO [wt %], of the same shape.
 
-        TiO2 = 10^(0.06 FeO - 0.54) with the default coefficients (PAPER).
+        TiO2 = 10^(0.06 FeO - 0.54) with the default coefficients (PAPER). Raises InvalidInput outside 0..100 wt %.
         """
         iron = np.asarray(iron_wt, dtype=np.float64)
         if not bool(np.all((iron >= 0) & (iron <= 100))):
@@ -49,10 +49,10 @@ class RegolithModel:
         return titanium
 
     def helium3_ppb(self, titanium_wt: FloatArray, maturity: FloatArray, flux: float) -> FloatArray:
-        """Helium-3 [ppb] of soils with the given TiO2 [wt %] and OMAT, under a solar-wind flux of 0..1.
+        """Helium-3 [ppb] of soils with the given TiO2 [wt %] and OMAT, under a relative solar-wind flux.
 
-        He-3 = 0.56 TiO2 F / OMAT + 1.62 with the default coefficients (FA-JIN). Raises InvalidInput where OMAT is below
-        the least value at which the relation holds, 0.05.
+        He-3 = 0.56 TiO2 F / OMAT + 1.62 with the default coefficients (FA-JIN). Raises InvalidInput for a flux outside
+        0..1, and for an OMAT below 0.05, where the relation does not hold.
         """
         titanium = np.asarray(titanium_wt, dtype=np.float64)
         omat = np.asarray(maturity, dtype=np.float64)
@@ -66,10 +66,10 @@ class RegolithModel:
 def solar_wind_flux(
     latitude_deg: float, longitude_deg: float, half_angle_deg: float = constants.MAGNETOTAIL_HALF_ANGLE_DEG
 ) -> float:
-    """Solar-wind flux at a near-side place over a lunation, 1 where the Sun passes overhead and nothing shields.
+    """Solar-wind flux at a near-side place over a lunation, relative to normal incidence without shielding.
 
-    F = cos(lat) (1 - cos(lon) sin d): a parallel wind, none while the Moon crosses the magnetotail, which happens
-    within d of orbit around full Moon. Raises InvalidInput for places that never face Earth's side of the Moon.
+    F = cos(lat) (1 - cos(lon) sin d): a parallel wind, and none while the Moon crosses the magnetotail, within an angle
+    d of its orbit around full Moon. Raises InvalidInput for places on the far side.
     """
     if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 90):
         raise InvalidInput(

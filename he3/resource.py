@@ -1,18 +1,19 @@
-"""How much helium-3 an area holds: mean and spread of area averages under the joint posterior of all its cells.
+"""The helium-3 in an area: mean and standard deviation of its average under the joint posterior of all its cells.
 
-Neighbouring cells err together, so the spread of an average is not that of independent cells. With w the weights of the
-cells (each 1/N), K the prior covariance, X the samples and L the Cholesky factor of their covariance plus noise,
+The errors of neighbouring cells are correlated, so the spread of an average is not that of independent cells. With w
+the weights of the cells (each 1/N), K the prior covariance, X the samples and L the Cholesky factor of their covariance
+plus noise,
 
     mean = w' m,      variance = w' K w - |L^-1 K(X, cells) w|^2             (Rasmussen & Williams 2006, eq. 2.26)
 
-and, as the constant that the field varies about is itself estimated from the samples (unless a trend has it), its own
+and, because the constant mean of the field is itself estimated from the samples (unless a trend contains it), its
 uncertainty under a vague prior, propagated to the average (eq. 2.42 with H = 1):
 
     + (1 - 1' K_X^-1 K(X, cells) w)^2 / (1' K_X^-1 1)
 
-The first term needs no pairs of cells: a stationary covariance depends on the offset alone, and how often each offset
-occurs within the area is the autocorrelation of its mask (by FFT). The second is integrated over blocks of cells, each
-taken at the centre of its cells; the error of that is stated by doing it again with blocks twice as wide.
+The first term needs no sum over pairs of cells: a stationary covariance depends on the offset alone, and the number of
+pairs at each offset is the autocorrelation of the area's mask (by FFT). The second term is integrated over blocks of
+cells, each represented by the centre of its cells; its error is estimated from blocks twice as wide.
 """
 
 from __future__ import annotations
@@ -32,33 +33,34 @@ if TYPE_CHECKING:
     from he3.frames import BoolArray, FloatArray, SiteGrid
     from he3.gp import GaussianProcess
 
-MAX_NODES = 6000  # places at which the correlation with the samples is integrated: 0.1 s with 150 samples
-MAX_DRAWN_NODES = 700  # places of a joint draw: its Cholesky factor takes 10 ms
+MAX_NODES = 6000  # 1, blocks over which the correlation with the samples is integrated: 0.1 s with 150 samples
+MAX_DRAWN_NODES = 700  # 1, blocks of a joint draw, whose eigendecomposition takes 0.1 s
 
 
 @dataclass(frozen=True, slots=True)
 class AreaMean:
-    """Mean of the field over an area [ppb] and its standard deviation, with how well that was integrated."""
+    """Mean of the field over an area [ppb] and its standard deviation, with the error of the integration."""
 
     mean_ppb: float
     std_ppb: float
     cells: int
     spacing_m: float
-    """Side of the blocks of cells."""
+    """Side of the blocks of cells [m]."""
     std_error_ppb: float
-    """Change of the standard deviation when the blocks are twice as wide."""
+    """Change of the standard deviation [ppb] when the blocks are twice as wide."""
 
 
 def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.floating], area: BoolArray) -> AreaMean:
-    """The mean of the field over the cells of `area` (rows, columns), given its posterior mean (rows, columns) [ppb].
+    """The mean of the field over the cells of ``area`` (rows, columns).
 
-    Raises InvalidInput for shapes that do not fit or an area without a cell.
+    mean_ppb: the posterior mean (rows, columns) [ppb]. Raises InvalidInput for shapes that do not fit or an area
+    without a cell.
     """
     if area.shape != grid.shape or mean_ppb.shape != grid.shape:
         raise InvalidInput(f"expected maps of shape {grid.shape}, got {area.shape} and {mean_ppb.shape}")
     cells = int(area.sum())
     if cells == 0:
-        raise InvalidInput("expected an area that holds the centre of a cell at least, got one that holds none")
+        raise InvalidInput("expected an area that contains the centre of at least one cell, got one that contains none")
     block = max(1, math.ceil(math.sqrt(cells / MAX_NODES)))
     prior = _prior_variance(process, grid, area)
     variance = max(0.0, prior - _explained(process, *_nodes(grid, area, block)))
@@ -76,7 +78,7 @@ def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.flo
 def share_above(
     process: GaussianProcess, grid: SiteGrid, area: BoolArray, cutoff_ppb: float, rng: np.random.Generator, draws: int
 ) -> FloatArray:
-    """Share of the area (draws,) that holds more than the cut-off, in fields drawn from the joint posterior."""
+    """Share of the area above the cut-off (draws,), in fields drawn from the joint posterior."""
     fields, weights = drawn_fields(process, grid, area, rng, draws)
     shares: FloatArray = (fields > cutoff_ppb) @ weights
     return shares
@@ -85,9 +87,9 @@ def share_above(
 def drawn_fields(
     process: GaussianProcess, grid: SiteGrid, area: BoolArray, rng: np.random.Generator, draws: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Fields (draws, k) [ppb] drawn from the joint posterior at k blocks of cells, and the blocks' shares (k,).
+    """Fields (draws, k) [ppb] drawn from the joint posterior at k blocks of cells, and the blocks' area shares (k,).
 
-    The estimated constant varies with the fields, as in ``area_mean``. Patches smaller than a block are not resolved.
+    The estimated constant mean is drawn too, as ``area_mean`` counts it. Patches smaller than a block are not resolved.
     """
     block = max(1, math.ceil(math.sqrt(int(area.sum()) / MAX_DRAWN_NODES)))
     places, weights = _nodes(grid, area, block)
@@ -97,7 +99,7 @@ def drawn_fields(
         crossing = process.hyperparameters.covariance(process.places_m, places)
         unknown = process.hyperparameters.scale_ppb * _of_constant(process, _whitened(process, crossing))
         covariance += np.outer(unknown, unknown)
-    # Rounding may leave eigenvalues a little below zero; what is cut off there is not visible in any share.
+    # Rounding may leave eigenvalues slightly below zero; clipping them changes no share visibly.
     values, vectors = np.linalg.eigh(covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))
     fields: FloatArray = mean + rng.standard_normal((draws, len(places))) @ half.T
@@ -105,7 +107,7 @@ def drawn_fields(
 
 
 def _nodes(grid: SiteGrid, area: BoolArray, block: int) -> tuple[FloatArray, FloatArray]:
-    """Blocks of cells as places (k, 2) [m], each the centre of its cells in the area, and their shares of it (k,)."""
+    """Blocks of cells as places (k, 2) [m], each the centroid of its cells in the area, and their area shares (k,)."""
     rows, columns = np.nonzero(area)
     across = -(-grid.columns // block)
     blocks = (rows // block) * across + columns // block
@@ -134,7 +136,7 @@ def _prior_variance(process: GaussianProcess, grid: SiteGrid, area: BoolArray) -
 
 
 def _explained(process: GaussianProcess, places: FloatArray, weights: FloatArray) -> float:
-    """How much of the variance the samples take away, less what not knowing the constant adds; standardised units."""
+    """The variance of the average that the samples explain, less what the unknown constant adds; standardised units."""
     if len(process) == 0:
         return 0.0
     whitened = _whitened(process, process.hyperparameters.covariance(process.places_m, places) @ weights)
@@ -148,9 +150,10 @@ def _whitened(process: GaussianProcess, with_samples: FloatArray) -> FloatArray:
 
 
 def _of_constant(process: GaussianProcess, whitened: FloatArray) -> FloatArray:
-    """How far one standard deviation of the estimated constant moves what has these whitened (n,) or (n, k).
+    """Change () or (k,) of a quantity when the estimated constant changes by one standard deviation.
 
-    In standardised units, () or (k,); 0 where the trend has the constant. At least one sample.
+    whitened: the quantity's whitened covariances with the samples, (n,) or (n, k), n >= 1. In standardised units; 0 if
+    the trend contains the constant.
     """
     if process.hyperparameters.trend is not None:
         return np.zeros(whitened.shape[1:])

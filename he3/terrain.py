@@ -1,6 +1,6 @@
-"""Terrain: slope, relief, and where a rover may go.
+"""Terrain: slope, relief, and where a rover may drive.
 
-The rule for traversability is the paper's. Arrays are over the site: [y, x], row 0 in the south.
+The rule for traversability is the paper's. Arrays are [row, column] = [y, x], row 0 in the south.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ def slope_deg(elevation_m: FloatArray, resolution_m: float) -> FloatArray:
 def relief_m(elevation_m: FloatArray, resolution_m: float, window_m: float = constants.RELIEF_WINDOW_M) -> FloatArray:
     """Height [m] of each cell above the mean of the square window around it, (rows, columns).
 
-    Past the array's edge the ground is continued point-symmetrically, so that a plane has no relief anywhere; hand in
-    a margin of half a window, and cut it off afterwards, where the ground beyond the edge is known.
+    window_m: side of the window [m]. Beyond the array's edge the ground is continued point-symmetrically, so that a
+    plane has no relief anywhere. Where the ground beyond the edge is known, pass a margin of half a window and cut it
+    off afterwards. Raises InvalidInput for a window smaller than two cells.
     """
     _expect_map("elevation", elevation_m, least=2)
     half = round(window_m / resolution_m / 2)
@@ -39,7 +40,7 @@ def relief_m(elevation_m: FloatArray, resolution_m: float, window_m: float = con
         raise InvalidInput(f"expected a relief window of at least two cells of {resolution_m} m, got {window_m} m")
     padded = elevation_m
     remaining = half
-    while remaining > 0:  # an odd reflection reaches no further than the array is wide
+    while remaining > 0:  # an odd reflection reaches no further than the array's width
         pad = min(remaining, min(padded.shape) - 1)
         padded = np.pad(padded, pad, mode="reflect", reflect_type="odd")
         remaining -= pad
@@ -52,26 +53,28 @@ def relief_m(elevation_m: FloatArray, resolution_m: float, window_m: float = con
 def traversable(
     slope: FloatArray, relief: FloatArray, slope_limit_deg: float = constants.ROVER_SLOPE_NOMINAL_DEG
 ) -> BoolArray:
-    """Where a rover may go, (rows, columns), by slope [deg] and relief [m] of the same shape.
+    """Whether a rover may enter each cell, (rows, columns), by slope [deg] and relief [m] of the same shape.
 
-    Closed to it are slopes over the limit, hollows deeper than 1.5 standard deviations of relief, and hummocks higher
-    than that as long as each covers less than 5 % of the region (a larger rise is landscape); gaps and cracks in what
-    is closed are filled with a 3 x 3 morphological closing.
+    Obstacles are slopes over the limit, hollows deeper than 1.5 standard deviations of relief, and hummocks higher than
+    that if each covers less than 5 % of the region (a larger rise is landscape). A 3 x 3 morphological closing fills
+    gaps and cracks between obstacles.
     """
     _expect_map("slope", slope)
     if slope.shape != relief.shape:
         raise InvalidInput(f"expected slope and relief of one shape, got {slope.shape} and {relief.shape}")
     threshold = max(constants.RELIEF_SIGMAS * float(relief.std()), constants.RELIEF_FLOOR_M)
     obstacles = (slope > slope_limit_deg) | (relief < -threshold) | _small_patches(relief > threshold)
-    framed = np.pad(obstacles, 2, mode="edge")  # the frame keeps the closing from eating at the region's edge
+    framed = np.pad(
+        obstacles, 2, mode="edge"
+    )  # without the frame, the closing would open obstacles at the region's edge
     closed: BoolArray = ndimage.binary_closing(framed, structure=_SQUARE)[2:-2, 2:-2]
     return ~closed
 
 
 def reachable(open_cells: BoolArray, grid: SiteGrid, start_m: tuple[float, float]) -> BoolArray:
-    """The open cells, (rows, columns), that a rover at a place [m] can come to through shared cell edges.
+    """The open cells, (rows, columns), that are connected to a place [m] over shared cell edges.
 
-    Empty if the place itself is closed. Raises OutsideRegion if the region does not contain it.
+    None if the place itself is closed. Raises OutsideRegion if the region does not contain it.
     """
     rows, columns = grid.cells_of(np.array([start_m], dtype=np.float64))
     labels, _ = ndimage.label(open_cells)
@@ -83,7 +86,7 @@ def reachable(open_cells: BoolArray, grid: SiteGrid, start_m: tuple[float, float
 
 
 def _small_patches(mask: BoolArray) -> BoolArray:
-    """The mask without those of its patches that cover 5 % of the region or more."""
+    """The mask without its patches that cover 5 % of the region or more."""
     labels, count = ndimage.label(mask, structure=_SQUARE)
     cells = np.bincount(labels.ravel(), minlength=count + 1)
     small = cells < constants.HUMMOCK_MAX_FRACTION * mask.size

@@ -1,8 +1,8 @@
-"""Short open tours: the order in which to visit places, given the distances between them.
+"""Short open tours (the path version of the travelling-salesman problem), given the distances between places.
 
-The tour begins at place 0 and ends wherever it likes. Moves are the reversal of a stretch (2-opt, Croes 1958) and the
-transfer of up to three consecutive places, either way round (Or-opt, Or 1976), always the best one of all of them, by
-whole-matrix arithmetic; short double-bridge kicks (Martin, Otto and Felten 1991) then lead out of the local optimum.
+The tour begins at place 0; its end is free. Moves are the reversal of a stretch (2-opt, Croes 1958) and the transfer of
+up to three consecutive places in either direction (Or-opt, Or 1976); each step takes the best of all moves, by
+whole-matrix arithmetic. Local double-bridge kicks (Martin, Otto and Felten 1991) then lead out of the local optimum.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from he3.frames import FloatArray, IntArray
 
 MAX_TRANSFER = 3
-"""Places that one Or-opt move takes along; longer stretches hardly ever pay."""
+"""Longest stretch that an Or-opt move transfers; longer ones rarely shorten a tour."""
 MIN_GAIN = 1e-9
-"""A move has to shorten the tour by more than this share of it, or rounding could make the search circle."""
+"""Least share of the tour by which a move shortens it; below it, rounding could make the search cycle."""
 
 
 def short_tour(distances: FloatArray, first_guess: IntArray | None = None, kicks: int = 0, seed: int = 0) -> IntArray:
-    """Order (n,) in which to visit n places, beginning with place 0: no single move makes it shorter.
+    """Order (n,) in which to visit n places, beginning with place 0, that no single move makes shorter.
 
-    distances: (n, n), symmetric, not negative [m]. first_guess: an order to improve; without one, the best of the
-    nearest-neighbour and the cheapest-insertion tour. kicks: how often to disturb and repair it, keeping what is
-    shorter; which places are disturbed follows from the seed.
+    distances: (n, n), symmetric, not negative [m]. first_guess: an order to improve; without one, the better of the
+    nearest-neighbour and the farthest-insertion tour. kicks: how often to disturb the tour and repair it, keeping the
+    shorter one; the seed determines which places are disturbed. Raises InvalidInput for distances of another kind.
     """
     d = _with_open_end(distances)
     if len(d) <= 3:
         return np.arange(len(d) - 1, dtype=np.intp)
     if first_guess is None:
-        guesses = [_nearest_neighbour(distances), _cheapest_insertion(distances)]
+        guesses = [_nearest_neighbour(distances), _farthest_insertion(distances)]
     else:
         guesses = [np.asarray(first_guess, dtype=np.intp)]
     orders = [_improved(d, np.append(guess, len(d) - 1)) for guess in guesses]
@@ -44,7 +44,7 @@ def short_tour(distances: FloatArray, first_guess: IntArray | None = None, kicks
 
 
 def _with_open_end(distances: FloatArray) -> FloatArray:
-    """The (n + 1, n + 1) distances with one more place, no distance from anywhere: the tour's end."""
+    """The distances (n + 1, n + 1) with one more place, at distance 0 from all others: the tour's end."""
     d = np.asarray(distances, dtype=np.float64)
     if d.ndim != 2 or d.shape[0] != d.shape[1] or not len(d):
         raise InvalidInput(f"expected distances of shape (n, n) with n >= 1, got {d.shape}")
@@ -68,8 +68,8 @@ def _nearest_neighbour(distances: FloatArray) -> IntArray:
     return order
 
 
-def _cheapest_insertion(distances: FloatArray) -> IntArray:
-    """Takes in the place farthest from the tour next, where it costs least: outlines first, then fills in."""
+def _farthest_insertion(distances: FloatArray) -> IntArray:
+    """Order (n,) by farthest insertion: the place farthest from the tour is inserted next, where it costs least."""
     n = len(distances)
     order = [0]
     apart = np.array(distances[0], dtype=np.float64)
@@ -86,7 +86,7 @@ def _cheapest_insertion(distances: FloatArray) -> IntArray:
 
 
 def _improved(d: FloatArray, order: IntArray) -> IntArray:
-    """The order after best moves until none is left; bounded, though each of them makes the tour shorter."""
+    """The order after best moves until none is left, or a bound on their number is reached."""
     tolerance = MIN_GAIN * max(_length(d, order), 1.0)
     for _ in range(20 * len(order)):
         moved = _best_move(d[np.ix_(order, order)], tolerance)
@@ -97,10 +97,13 @@ def _improved(d: FloatArray, order: IntArray) -> IntArray:
 
 
 def _best_move(d: FloatArray, tolerance: float) -> IntArray | None:
-    """The permutation of positions that shortens most, or None; d: distances in the order of the tour."""
+    """The permutation (n,) of positions that shortens the tour most; None if none shortens it by the tolerance.
+
+    d: distances (n, n) in the order of the tour.
+    """
     n = len(d)
     step = d[np.arange(n - 1), np.arange(1, n)]
-    # 2-opt: leave at i, come back at j + 1, with what lies between turned round; 0 <= i < j <= n - 2.
+    # 2-opt: reverse the stretch i + 1 .. j, so that i is followed by j, and i + 1 by j + 1; 0 <= i < j <= n - 2.
     gain = step[:, None] + step[None, :] - d[:-1, :-1] - d[1:, 1:]
     np.fill_diagonal(gain, -np.inf)
     flat = int(np.argmax(gain))
@@ -108,7 +111,7 @@ def _best_move(d: FloatArray, tolerance: float) -> IntArray | None:
     i, j = min(i, j), max(i, j)
     move = np.r_[0 : i + 1, j:i:-1, j + 1 : n]
     for length in range(1, min(MAX_TRANSFER, n - 3) + 1):
-        # Or-opt: the stretch s .. s + length - 1 goes between p and p + 1, p outside of it.
+        # Or-opt: move the stretch s .. s + length - 1 between p and p + 1, with p outside it.
         s = np.arange(1, n - length)
         e = s + length - 1
         freed = step[s - 1] + step[e] - d[s - 1, e + 1]
@@ -131,12 +134,13 @@ def _best_move(d: FloatArray, tolerance: float) -> IntArray | None:
 
 
 def _kicked(d: FloatArray, order: IntArray, kicks: int, generator: np.random.Generator) -> IntArray:
+    """The shortest order found by so many kicks, each followed by best moves."""
     n = len(order)
     if n < 8:
         return order
     length = _length(d, order)
     for _ in range(kicks):
-        # Three cuts close together exchange two short neighbouring stretches: a local double bridge.
+        # A local double bridge: three cuts close together exchange two short neighbouring stretches.
         span = min(n - 2, 30)
         first = int(generator.integers(0, n - span))
         a, b, c = np.sort(generator.choice(np.arange(1, span), 3, replace=False)) + first
