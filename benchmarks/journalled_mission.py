@@ -21,7 +21,7 @@ from schemas.ground import MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapLayerQuery
 from schemas.topics import GROUND_STATUS, MAP_LAYER, SAMPLE, TRACK, Topic
 from schemas.wire import Wire
-from services.console.launch.launcher import free_endpoints
+from services.console.launch.endpoints import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.processes import LINK, VITAL, waited_for
 from services.mission.scenario import Scenario, load_scenario

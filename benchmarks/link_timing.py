@@ -43,7 +43,7 @@ from schemas.telemetry import SampleReport
 from schemas.topics import COMMAND, EARTH_CLOCK, MOON_CLOCK, SAMPLE, Side, Topic
 from schemas.wire import Header, Wire
 from services.console.client.mission_client import MissionClient
-from services.console.launch.launcher import free_endpoints
+from services.console.launch.endpoints import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.mission_time import SECOND
 from services.mission.scenario import load_scenario

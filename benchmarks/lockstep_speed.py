@@ -30,7 +30,8 @@ from typing import Any
 from he3.errors import He3Error, PeerUnreachable
 from schemas.lockstep import TimeStatus
 from services.console.client.mission_client import MissionClient
-from services.console.launch.launcher import Launcher, free_endpoints
+from services.console.launch.endpoints import free_endpoints
+from services.console.launch.launcher import Launcher
 from services.console.launch.scenarios import Chosen, choose
 from services.ground.planner_process import PlannerProcess
 from services.mission.in_process import InProcessMission

@@ -30,7 +30,8 @@ from typing import Any
 from he3.errors import He3Error, PeerUnreachable
 from schemas.topics import MAP_BOX, MAP_LAYER, MAP_POINT, Side
 from services.console.client.mission_client import MissionClient
-from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
+from services.console.launch.endpoints import Endpoints, free_endpoints
+from services.console.launch.launcher import Launcher
 from services.mission.deployment import deployment
 from services.runtime.child import ROOT, child_environment, python_command
 from services.runtime.transport.client import selector_text

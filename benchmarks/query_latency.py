@@ -38,7 +38,7 @@ from schemas.ground import GroundStatus, MissionPhase
 from schemas.topics import GROUND_STATUS, MAP_POINT, Side
 from schemas.wire import Header
 from services.console.client.mission_client import MissionClient
-from services.console.launch.launcher import free_endpoints
+from services.console.launch.endpoints import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.processes import LINK, PROCESSES, VITAL, waited_for
 from services.mission.scenario import load_scenario

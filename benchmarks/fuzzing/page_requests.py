@@ -22,7 +22,8 @@ from benchmarks.fuzzing import values
 from benchmarks.fuzzing.surface import one_line
 from he3.errors import He3Error
 from services.console.client.mission_client import MissionClient
-from services.console.launch.launcher import Launcher, free_endpoints
+from services.console.launch.endpoints import free_endpoints
+from services.console.launch.launcher import Launcher
 
 MISSION = "fuzzed"
 ANSWER_S = 60.0

@@ -19,7 +19,8 @@ from he3.errors import He3Error, InvalidInput
 from schemas.maps import MapAbout
 from schemas.topics import Side
 from services.console.client.mission_client import MissionClient
-from services.console.launch.launcher import Endpoints, Launcher, free_endpoints
+from services.console.launch.endpoints import Endpoints, free_endpoints
+from services.console.launch.launcher import Launcher
 from services.runtime.transport.opening import open_client
 from tests.processes import run
 from tests.waiting import PATIENCE_S, until

@@ -18,7 +18,7 @@ import pytest
 from benchmarks.journalled_mission import JournalledMission
 from schemas.link import ClockChange
 from schemas.topics import CLOCK_SET
-from services.console.launch.launcher import free_endpoints
+from services.console.launch.endpoints import free_endpoints
 from tests.processes import start
 from tests.waiting import PATIENCE_S, until
 

@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 from services.console.client.mission_client import MissionClient
-from services.console.launch.launcher import Launcher, free_endpoints
+from services.console.launch.endpoints import free_endpoints
+from services.console.launch.launcher import Launcher
 from tests.processes import start
 from tests.waiting import PATIENCE_S, expect_within, until
 

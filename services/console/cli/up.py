@@ -40,16 +40,17 @@ def up(
     import time
 
     from services.console.client.mission_client import MissionClient
-    from services.console.launch.launcher import Endpoints
+    from services.console.launch.endpoints import Endpoints, require_free
     from services.console.launch.scenarios import choose
     from services.console.launch.separate import checked_region, services_of
     from services.console.report.outputs import claimed, outputs
 
     chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
     mission = chosen.scenario
+    endpoints = Endpoints(mission.network.moon, mission.network.earth)
+    require_free(endpoints)
     where = outputs(out, None)
     checked_region(mission)
-    endpoints = Endpoints(mission.network.moon, mission.network.earth)
     services = services_of(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
     )

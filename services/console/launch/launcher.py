@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
-import socket
 import subprocess
-import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from he3.errors import He3Error
 from services.console.interruption import uninterrupted
+from services.console.launch.endpoints import Endpoints
 from services.mission.processes import LINK, PROCESSES, RECORDER, VITAL, ProcessSpec, waited_for
 from services.runtime.child import child_environment, exit_in_words, python_command
 
@@ -25,54 +21,6 @@ STOP_WITHIN_S = 1.5
 """How long a service may take to end before it is killed."""
 COMPLETE_WITHIN_S = 20.0
 """The same for a service that completes a file."""
-
-
-@dataclass(frozen=True, slots=True)
-class Endpoints:
-    """Where the two routers listen."""
-
-    moon: str
-    earth: str
-
-
-def free_endpoints() -> Endpoints:
-    """Two endpoints on loopback where no program listened a moment ago."""
-    with socket.socket() as moon, socket.socket() as earth:
-        for each in (moon, earth):
-            each.bind(("127.0.0.1", 0))
-        ports = moon.getsockname()[1], earth.getsockname()[1]
-    return Endpoints(*(f"tcp/127.0.0.1:{port}" for port in ports))
-
-
-@contextmanager
-def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
-    """The wanted endpoints, where any client looks for them, if they are free on this machine; else two that are.
-
-    They are kept from other missions of this user while the `with` statement lasts.
-    """
-    ports = [_loopback_port(endpoint) for endpoint in (wanted.moon, wanted.earth)]
-    if None in ports:
-        yield free_endpoints()
-        return
-    name = f"he3-{os.getuid()}-{ports[0]}-{ports[1]}.lock"
-    with ExitStack() as held:
-        try:
-            lock = held.enter_context((Path(tempfile.gettempdir()) / name).open("w", encoding="ascii"))
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            for port in ports:
-                with socket.socket() as probe:
-                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                    probe.bind(("127.0.0.1", port))
-        except OSError:
-            held.close()
-            yield free_endpoints()
-            return
-        yield wanted
-
-
-def _loopback_port(endpoint: str) -> int | None:
-    found = re.fullmatch(r"tcp/(?:127\.0\.0\.1|localhost):(\d{1,5})", endpoint)
-    return int(found[1]) if found and 0 < int(found[1]) < 65536 else None
 
 
 class Launcher:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from services.console.client.mission_client import MissionClient
 from services.console.client.run_file import RunningMission, announced
-from services.console.launch.launcher import Endpoints, Launcher, endpoints_near
+from services.console.launch.endpoints import Endpoints, endpoints_near
+from services.console.launch.launcher import Launcher
 from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now

@@ -1,0 +1,93 @@
+"""Where the two routers of a mission that is started here listen."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import re
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from he3.errors import He3Error
+
+MAX_PORT = 65_536
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Where the two routers listen."""
+
+    moon: str
+    earth: str
+
+
+def free_endpoints() -> Endpoints:
+    """Two endpoints on loopback where no program listened a moment ago."""
+    with socket.socket() as moon, socket.socket() as earth:
+        for each in (moon, earth):
+            each.bind(("127.0.0.1", 0))
+        ports = moon.getsockname()[1], earth.getsockname()[1]
+    return Endpoints(*(f"tcp/127.0.0.1:{port}" for port in ports))
+
+
+@contextmanager
+def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
+    """The wanted endpoints, where any client looks for them, if they are free on this machine; else two that are.
+
+    They are kept from other missions of this user while the `with` statement lasts.
+    """
+    moon, earth = _loopback_port(wanted.moon), _loopback_port(wanted.earth)
+    if moon is None or earth is None:
+        yield free_endpoints()
+        return
+    name = f"he3-{os.getuid()}-{moon}-{earth}.lock"
+    with ExitStack() as held:
+        try:
+            lock = held.enter_context((Path(tempfile.gettempdir()) / name).open("w", encoding="ascii"))
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for port in (moon, earth):
+                _bind("127.0.0.1", port)
+        except OSError:
+            held.close()
+            yield free_endpoints()
+            return
+        yield wanted
+
+
+def require_free(endpoints: Endpoints) -> None:
+    """Raise He3Error if another program of this machine listens at one of the endpoints.
+
+    The link finds that out too, but a service needs seconds to start. A TCP endpoint is checked only if its address is
+    one of this machine's.
+    """
+    for side, endpoint in (("moon", endpoints.moon), ("earth", endpoints.earth)):
+        found = re.fullmatch(r"tcp/\[?([^/\s\[\]]+)\]?:(\d{1,5})", endpoint)
+        if found is None or int(found[2]) >= MAX_PORT:
+            continue
+        try:
+            _bind(found[1], int(found[2]))
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                raise He3Error(
+                    f"cannot listen as the {side} router at {endpoint}: the address is in use by another program"
+                ) from None
+
+
+def _bind(host: str, port: int) -> None:
+    """Bind that address for a moment; raises OSError if that cannot be."""
+    numeric = "127.0.0.1" if host == "localhost" else host
+    flags = socket.AI_NUMERICHOST  # no name is looked up: that can take long
+    family, kind, protocol, _, address = socket.getaddrinfo(numeric, port, type=socket.SOCK_STREAM, flags=flags)[0]
+    with socket.socket(family, kind, protocol) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(address)
+
+
+def _loopback_port(endpoint: str) -> int | None:
+    found = re.fullmatch(r"tcp/(?:127\.0\.0\.1|localhost):(\d{1,5})", endpoint)
+    return int(found[1]) if found and 0 < int(found[1]) < MAX_PORT else None
