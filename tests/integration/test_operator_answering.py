@@ -59,7 +59,7 @@ def test_one_that_died_is_replaced_and_is_shown_the_newest_again(answering: Quer
     answering.show(snapshot(2))
     assert answering.settle()
     assert answering.pid not in (None, before)
-    assert len(warnings) == 1
+    assert sum("ended by itself" in warning for warning in warnings) == 1  # a slow machine also says what it waits for
 
 
 def test_waiting_for_one_that_never_gets_ready_ends_when_told_to_stop(answering: QueryProcess) -> None:
