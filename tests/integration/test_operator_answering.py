@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import threading
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,6 +16,7 @@ from schemas.topics import Side
 from services.ground.map.snapshot import MapSnapshot
 from services.runtime.queries import process as query_process
 from services.runtime.queries.process import QueryProcess
+from tests.waiting import until
 
 GRID = SiteGrid(50, 60, 1.0)
 
@@ -98,8 +98,7 @@ def test_one_that_hangs_is_waited_for_until_it_has_been_silent_for_long(
         ]
     finally:
         os.kill(pid, signal.SIGCONT)
-    while not answering.settle():  # until it is heard of again
-        time.sleep(0.05)
+    until(answering.settle, "the query process to be heard of again")
 
 
 def test_nothing_is_left_behind(answering: QueryProcess) -> None:
