@@ -1,6 +1,6 @@
-"""The planners: one signature for all, arrays and frozen values in, a planned round out.
+"""The planners, all with one signature: a request of arrays and frozen values in, a planned round out.
 
-They are named here and imported when one is asked for, so that their names are known without OMPL. A plug-in planner is
+They are named here and imported on demand, so that their names are known without OMPL. A plug-in planner is
 named ``module:function`` (``services.ground.planners.plugin``). Every planner's answers are validated in one place
 (``services.ground.planners.validation``).
 """
@@ -23,11 +23,11 @@ PLANNERS = {
     "informative": "services.ground.planners.informative",
     "tour": "services.ground.planners.tour.planner",
 }
-"""Name of each planner, which is also its function's name, and the module that holds it."""
+"""Name of each built-in planner, which is also its function's name, and its module."""
 
 
 def planner_named(name: str) -> Planner:
-    """The planner of that name, ours or a plug-in, its answers validated.
+    """The planner of that name, built-in or plug-in, with its answers validated.
 
     Raises InvalidInput for a name that no planner has, or a plug-in that cannot be imported.
     """
@@ -45,5 +45,5 @@ def _validated(name: str, planner: Planner, request: PlanningRequest) -> Planned
 
 
 def plan(name: str, request: PlanningRequest) -> PlannedRound:
-    """What the planner of that name answers to the request: one picklable callable for all of them."""
+    """The round that the planner of that name plans: one picklable callable for all planners."""
     return planner_named(name)(request)

@@ -1,16 +1,16 @@
-"""What the paper writes down, computed: a tree over all within reach, and of all its paths the one that is best by
+"""The paper's utility, computed: an RRT* tree over everything within reach, and of all its paths the best by
 
     u = I^alpha / (c + c0)
 
 with I the joint mutual information [nats] of the path's sample places, given all samples so far, and c its length [m].
-An RRT* tree of some 3,000 nodes makes as many paths; the covariances of their places are one batch, and so are their
+A tree of some 3,000 nodes has as many paths; the covariances of their places are one batch, and so are their
 determinants.
 
-Two things keep u from leading a rover astray, and both matter more than alpha.
+Two additions keep u useful, and both matter more than alpha.
 
-*What a round costs besides metres*, c0. With c0 = 0 the shortest path wins, always: I grows with the logarithm of the
-variance, c from nothing, and 150 samples end within 230 m of the start. But a sample takes an hour or more at the
-drill, whatever it tells; at 0.1 m/s that hour is worth 360 m. So c0 is ``sample_cost_m`` for each of the round's
+*The cost of a round besides its metres*, c0. With c0 = 0 the shortest path always wins: I grows with the logarithm of
+the variance, c from zero, and 150 samples end within 230 m of the start. But a sample takes an hour or more of
+drilling, whatever it tells; at 0.1 m/s an hour is worth 360 m. So c0 is ``sample_cost_m`` for each of the round's
 samples. Means of 3 or 4 seeds, Matern 5/2, over 30 rounds of 5 samples (t1, then t2; `rrtstar`: 0.81 at 14.5 km, 0.50
 at 14.9):
 
@@ -19,16 +19,16 @@ at 14.9):
     driven [km]      5.3  5.5     6.0  6.2     6.1  6.6     6.7  7.2     7.6  8.3     9.4  9.5
 
 At 300 m (10 seeds: 0.783 ppb at 6.8 km on t1, where `rrtstar` has 0.835 at 14.5; 0.476 at 7.1 on t2, where it has 0.500
-at 14.4), RMSE and metres were below those of `rrtstar` with every kernel; at 150 m, rough kernels (Matern 1/2) drive
-3.5 km only and fall behind.
+at 14.4), RMSE and metres were below those of `rrtstar` with every kernel; at 150 m, missions with rough kernels
+(Matern 1/2) drive 3.5 km only and their maps are worse.
 
-*How far a sample is believed to see.* Samples along short paths make the fitted length scale short; with a short
-length scale places 20 m apart are as good as independent, and the paths get shorter still: 150 samples in one corner.
-But n samples have to stand for the whole region whatever the length scale, each for the s x s metres around it, s^2 =
-area / n. So for the choice of a path, and for that alone, no correlation is taken to fall to a half before
-``least_scale`` s. (For the squared exponential at 1,000 m a sample, that took the RMSE on t1 from 0.847 to 0.785 ppb.)
+*The least length scale.* Samples along short paths make the fitted length scale short; with a short length scale
+places 20 m apart are almost independent, and the paths get shorter still: 150 samples in one corner. But n samples have
+to represent the whole region whatever the length scale, each the s x s metres around it, s^2 = area / n. So for the
+choice of a path, and for that alone, no correlation falls to a half before ``least_scale`` s. (For the squared
+exponential at 1,000 m a sample, that reduced the RMSE on t1 from 0.847 to 0.785 ppb.)
 
-Under a finite budget a round takes at most ``pace`` times its even share of what is left.
+Under a finite budget a round takes at most ``pace`` times its even share of what remains.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ DEFAULTS = {
     "pace": MAX_SHARE_RATIO,
     "rewire_scale_m": 400.0,
 }
-"""Settings by name. The tree's rewiring radius shrinks more slowly than the paper's, for shorter paths."""
+"""Settings by name. The tree's rewiring radius shrinks more slowly than the paper's, which makes paths shorter."""
 HALF_CORRELATION_SCALES = {
     "se": 1.1774,
     "matern12": 0.6931,
@@ -73,12 +73,12 @@ HALF_CORRELATION_SCALES = {
     "matern52": 1.0420,
     "smooth+rough": 0.6931,
 }
-"""Distance at which the correlation, of the rough part where there are two, has fallen to a half, in length scales."""
+"""Distance at which a kernel's correlation (that of the rough part, if there are two) is a half, in length scales."""
 _LENGTH_SCALES = ("length_scale_m", "rough_length_scale_m")
 
 
 def informative(request: PlanningRequest) -> PlannedRound:
-    """The round along the best path of the tree. Raises NoRoute, or InvalidInput for a request that makes no sense."""
+    """The round along the best path of the tree. Raises NoRoute, or InvalidInput for an inconsistent request."""
     options = validated(request).options
     if unknown := set(options.extra) - set(DEFAULTS):
         raise InvalidInput(f"informative knows the settings {', '.join(DEFAULTS)}; got {', '.join(sorted(unknown))}")
@@ -93,12 +93,12 @@ def informative(request: PlanningRequest) -> PlannedRound:
     away_m = np.hypot(*(tree.nodes_m - start).T)
     if away_m.max() <= options.goal_tolerance_m:
         raise NoRoute(
-            f"no way leads further than {options.goal_tolerance_m:g} m from ({start[0]:g}, {start[1]:g}) m: "
+            f"no path leads farther than {options.goal_tolerance_m:g} m from ({start[0]:g}, {start[1]:g}) m: "
             f"a tree of {iterations} iterations reached {len(away_m) - 1} places"
         )
     cost_m = tree.cost_m + lead_m
     nodes = np.flatnonzero(tree.cost_m > 0.0)
-    limit_m = max(settings["pace"] * share_m, float(cost_m[nodes].min()))  # the cheapest path, if need be
+    limit_m = max(settings["pace"] * share_m, float(cost_m[nodes].min()))  # at least the cheapest path
     nodes = nodes[cost_m[nodes] <= limit_m]
     area_m2 = float(ground.connected_to(start).sum()) * request.grid.resolution_m**2
     spacing_m = sqrt(area_m2 / (len(request.observed_m) + request.samples_left))
@@ -111,9 +111,9 @@ def informative(request: PlanningRequest) -> PlannedRound:
 
 
 def path_information(request: PlanningRequest, places_m: FloatArray) -> FloatArray:
-    """Joint mutual information (N,) [nats] of each of N sets of k sample places (N, k, 2) [m], given what is known.
+    """Joint mutual information (N,) [nats] of each of N sets of k sample places (N, k, 2) [m], given the observations.
 
-    Where the request has weights of interest, the field's deviation at a place counts as many times as its weight.
+    If the request has interest, the field's deviation at a place is multiplied by its weight.
     """
     covariance = belief_given(request).posterior_covariances(places_m)
     if request.interest is not None:
@@ -123,7 +123,7 @@ def path_information(request: PlanningRequest, places_m: FloatArray) -> FloatArr
 
 
 def with_least_length_scale(hyperparameters: Hyperparameters, least_m: float) -> Hyperparameters:
-    """The same hyperparameters, but with correlations that do not fall to a half before the given distance [m]."""
+    """The hyperparameters with length scales raised so that no correlation is below a half within ``least_m`` [m]."""
     kernel = hyperparameters.kernel
     least_scale_m = least_m / HALF_CORRELATION_SCALES[kernel.name]
     short = {k: least_scale_m for k, v in kernel.parameters().items() if k in _LENGTH_SCALES and v < least_scale_m}
@@ -133,8 +133,7 @@ def with_least_length_scale(hyperparameters: Hyperparameters, least_m: float) ->
 def places_on_paths(tree: Tree, nodes: NDArray[np.intp], count: int) -> FloatArray:
     """Places (N, count, 2) [m] at equal distances along the path from the root to each of the nodes (N,).
 
-    The last is the node itself. For each place the search goes up the tree from the node by leaps of 2^j ancestors, for
-    all places at once.
+    The last is the node itself. The search climbs from the nodes by leaps of 2^j ancestors, for all places at once.
     """
     at = tree.cost_m[nodes][:, None] * (np.arange(1, count + 1) / count)
     leaps = [np.maximum(tree.parents, 0)]

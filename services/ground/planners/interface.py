@@ -1,4 +1,4 @@
-"""What every planner is asked and what it answers: frozen values and arrays, no I/O, no clock, no global generator."""
+"""The request and the answer of every planner: frozen values and arrays, no I/O, no clock, no global generator."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PlannerOptions:
-    """What distinguishes one configuration of the planners from another; defaults are the paper's."""
+    """The settings of the planners; the defaults are the paper's."""
 
     clearance_m: float = 15.0
-    """No target lies nearer to a sample than this [m] (`rrt`, `rrtstar`)."""
+    """Least distance of a target from every sample [m] (`rrt`, `rrtstar`)."""
     step_m: float = 10.0
     """Longest edge of a tree [m]."""
     goal_tolerance_m: float = 10.0
     """A target counts as reached within this distance [m]."""
     max_iterations: int = 5000
-    """Bound on tree growth; planning ends by iterations, never by time."""
+    """Bound on tree growth; planning ends after iterations, never after a time."""
     information_exponent: float = 1.0
     """alpha of the utility u = I^alpha / c (`informative`)."""
     extra: dict[str, float] = field(default_factory=dict)
-    """Named settings of one planner only; unknown names are refused by that planner."""
+    """Settings of one planner, by name; a planner refuses names that it does not know."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,54 +40,55 @@ class PlanningRequest:
 
     grid: SiteGrid
     traversable: NDArray[np.bool_]
-    """(rows, columns): where the rover's centre may be; footprint and keep-outs are already taken out."""
+    """(rows, columns): where the rover's centre may be; footprint and keep-outs are already subtracted."""
     start_m: tuple[float, float]
     """Where the round begins (x, y) [m]."""
     observed_m: FloatArray
-    """(n, 2) places [m] already measured or certain to be: plans under way are counted in."""
+    """(n, 2) places [m] that are measured or will be: the samples of plans under way are included."""
     std_ppb: NDArray[np.float32]
     """(rows, columns) posterior standard deviation [ppb] given all of ``observed_m``."""
     hyperparameters: Hyperparameters
     samples: int
-    """How many samples this round takes."""
+    """Number of samples of this round."""
     samples_left: int
-    """How many samples the rest of the mission takes, this round included."""
+    """Number of samples of the rest of the mission, this round included."""
     budget_m: float
-    """Metres that the rest of the mission may drive, this round included; may be infinite."""
+    """Distance that the rest of the mission may drive [m], this round included; may be infinite."""
     seed: int
-    """Every random choice of the planner follows from it."""
+    """Determines every random choice of the planner."""
     interest: NDArray[np.float32] | None = None
-    """(rows, columns) weight >= 0 of each cell's uncertainty; None is 1 everywhere."""
+    """(rows, columns) weight >= 0 of each cell's uncertainty; None means 1 everywhere."""
     options: PlannerOptions = field(default_factory=PlannerOptions)
     outlook_m: FloatArray | None = None
-    """(k, 2) where the last plan expected to sample after its own round, in that order [m]; None if it did not say.
-    A planner may begin from it, so that plans agree with one another; it need not."""
+    """(k, 2) places [m] where the last plan expected to sample after its round, in that order; None if it had none.
+    A planner may start from it, so that consecutive plans agree."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedRound:
-    """One round: a polyline that starts where the rover is, and the places on it where samples are taken."""
+    """One round: a polyline from the rover's place, and the places on it where samples are taken."""
 
     path_m: FloatArray
-    """(K, 2) polyline [m], its first vertex the start; every leg is traversable."""
+    """(K, 2) polyline [m] from the start; every leg is traversable."""
     samples_m: FloatArray
     """(samples, 2) places [m] on the path, in the order in which they are reached."""
     information_nats: float
-    """Mutual information between the round's measurements and the field, given what is known."""
+    """Mutual information between the round's measurements and the field, given all samples before [nats]."""
     outlook_m: FloatArray | None = None
-    """(k, 2) where the planner expects to sample after this round, in that order [m]; None if it looks no further."""
+    """(k, 2) places [m] where the planner expects to sample after this round, in order; None if it plans one round."""
 
     @property
     def length_m(self) -> float:
+        """Length of the path [m]."""
         return path_length(self.path_m)
 
 
 Planner = Callable[[PlanningRequest], PlannedRound]
-"""Raises NoRoute when nothing can be planned: walled in, budget spent, no place left."""
+"""Raises NoRoute if no round is possible: the rover is walled in, the budget is spent, or no place is left."""
 
 
 def validated(request: PlanningRequest) -> PlanningRequest:
-    """The request itself, after its shapes were checked once; raises InvalidInput otherwise."""
+    """The request itself, if its shapes and numbers fit; raises InvalidInput otherwise."""
     for name in ("traversable", "std_ppb", "interest"):
         array = getattr(request, name)
         if array is not None and array.shape != request.grid.shape:

@@ -1,4 +1,4 @@
-"""From a path to a round: sample places along it, the part of it that a budget allows, what its samples would tell."""
+"""A round from a path: sample places along it, its part within a budget, and the information of its samples."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ if TYPE_CHECKING:
     from he3.frames import FloatArray
 
 MAX_SHARE_RATIO = 1.5
-"""A round may take so many times its even share of the metres that are left: the last rounds still have some then."""
+"""Largest part of the remaining budget that a round takes, in even shares: so the last rounds keep some of it."""
 
 
 def arc_lengths(path_m: FloatArray) -> FloatArray:
-    """Distance (K,) [m] along the polyline (K, 2) from its first vertex to each of its vertices."""
+    """Distance (K,) [m] along the polyline (K, 2) [m] from its first vertex to each vertex."""
     steps = np.diff(path_m, axis=0)
     return np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
 
 
 def places_along(path_m: FloatArray, count: int) -> FloatArray:
-    """Places (count, 2) [m] on the polyline, equally spaced by arc length, the last at its end, none at its
-    beginning."""
+    """Places (count, 2) [m] at equal distances along the polyline (K, 2) [m], the last at its end."""
     along = arc_lengths(path_m)
     at = along[-1] * np.arange(1, count + 1) / count
     places = np.column_stack((np.interp(at, along, path_m[:, 0]), np.interp(at, along, path_m[:, 1])))
@@ -35,7 +34,7 @@ def places_along(path_m: FloatArray, count: int) -> FloatArray:
 
 
 def path_prefix(path_m: FloatArray, length_m: float) -> FloatArray:
-    """The first ``length_m`` metres of the polyline, or all of it if it is no longer than that."""
+    """The first ``length_m`` metres of the polyline (K, 2) [m], or all of it if it is not longer."""
     along = arc_lengths(path_m)
     if along[-1] <= length_m:
         return path_m
@@ -46,20 +45,23 @@ def path_prefix(path_m: FloatArray, length_m: float) -> FloatArray:
 
 
 def budget_share_m(request: PlanningRequest) -> float:
-    """This round's even share [m] of the metres that are left. Raises NoRoute if none are."""
+    """This round's even share of the remaining budget [m]. Raises NoRoute if the budget is spent."""
     if not request.budget_m > 0:
-        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m are left for {request.samples_left} samples")
+        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")
     return request.budget_m * request.samples / request.samples_left
 
 
 def belief_given(request: PlanningRequest) -> GaussianProcess:
-    """The belief given all that is observed or certain to be; only its covariances mean anything."""
+    """The belief given the observed places, without values: only its covariances are meaningful."""
     belief = GaussianProcess(request.hyperparameters)
     return belief.condition_on_places(request.observed_m) if request.observed_m.size else belief
 
 
 def planned_round(request: PlanningRequest, path_m: FloatArray, samples_m: FloatArray) -> PlannedRound:
-    """The round with this path, which begins at the start or where the rover finds footing, and these sample places."""
+    """The round with this path (K, 2) [m] and these sample places (k, 2) [m].
+
+    The path begins at the start, or at the place that the rover drives to first (``OpenGround.footing``).
+    """
     start = np.array(request.start_m, dtype=np.float64)
     path = path_m if np.array_equal(path_m[0], start) else np.vstack((start, path_m))
     covariance = belief_given(request).posterior_covariance(samples_m)

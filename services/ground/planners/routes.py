@@ -1,8 +1,8 @@
-"""Ways round obstacles: complete over the cells, then drawn taut.
+"""Paths around obstacles: a complete search over the cells, then shortened.
 
-A search over the open cells (eight neighbours, a diagonal only between two open cells) finds a way wherever there is
-one, be it one cell wide, but is up to 8 % longer than it need be, since it knows eight directions only. Drawing it
-taut, over checked legs of any direction, takes most of that back.
+The search over the open cells (eight neighbours, a diagonal only between two open cells) finds a path wherever there is
+one, even one cell wide. With eight directions only, it is up to 8 % longer than the shortest path. Shortening it over
+free legs of any direction removes most of that.
 """
 
 from __future__ import annotations
@@ -21,16 +21,14 @@ from he3.frames import FloatArray, as_points, path_length
 if TYPE_CHECKING:
     from services.ground.planners.traversability import OpenGround
 
-SHORTENING_PASSES = 4
-SHORTENING_SPACING_CELLS = 4.0
-"""Between passes, corners may move along the legs by so many cells."""
-SHORTENING_MIN_GAIN = 1e-3
-"""A pass that shortens the way by a smaller share than this is the last."""
+SHORTENING_PASSES = 4  # 1, at most
+SHORTENING_SPACING_CELLS = 4.0  # cells between the vertices that are inserted into legs before a further pass
+SHORTENING_MIN_GAIN = 1e-3  # 1, share of the path; a pass that shortens it by less is the last
 _NEIGHBOURS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))  # rows, columns, cells
 
 
 class RouteFinder:
-    """Ways over open ground. Making one costs some tens of milliseconds on 500 x 500 cells, a search about as much."""
+    """Paths over open ground. On 500 x 500 cells, making the graph and each search take some tens of milliseconds."""
 
     def __init__(self, ground: OpenGround) -> None:
         self.ground = ground
@@ -52,30 +50,17 @@ class RouteFinder:
         self._graph = csr_array((np.tile(length_m, 2), both), shape=(cells.size, cells.size))
 
     def distances_from(self, place_m: tuple[float, float]) -> FloatArray:
-        """Length (rows, columns) [m] of the way over cells from the place [m] to each cell's centre; inf without one.
+        """Length (rows, columns) [m] of the path over cells from the place [m] to each cell's centre; inf without one.
 
-        At most 8 % above the shortest way. Raises NoRoute if the place is not on open ground.
+        At most 8 % above the shortest path. Raises NoRoute if the place is not on open ground.
         """
         cell, lead_m = self._cell_of(np.array([place_m]))
         lengths = dijkstra(self._graph, indices=cell[0])
         field: FloatArray = lengths.reshape(self.ground.open.shape) + lead_m[0]
         return field
 
-    def between(self, places_m: FloatArray) -> FloatArray:
-        """Lengths (n, n) [m] of the ways over cells between places (n, 2) [m]; inf where there is none.
-
-        At most 8 % (and two half cells) above the shortest. Raises NoRoute if one of them is not on open ground.
-        """
-        places = as_points(places_m)
-        cells, leads_m = self._cell_of(places)
-        lengths = np.empty((len(places), len(places)))
-        for i, cell in enumerate(cells):
-            lengths[i] = dijkstra(self._graph, indices=cell)[cells] + leads_m[i] + leads_m
-        np.fill_diagonal(lengths, 0.0)
-        return lengths
-
     def route(self, begin_m: tuple[float, float], end_m: tuple[float, float]) -> FloatArray:
-        """A taut free polyline (K, 2) [m] from one place to the other. Raises NoRoute if there is none."""
+        """A free, shortened polyline (K, 2) [m] from one place to the other. Raises NoRoute if there is none."""
         ends = np.array([begin_m, end_m], dtype=np.float64)
         cells, _ = self._cell_of(ends)
         if self.ground.segments_free(ends[:1], ends[1:])[0]:
@@ -83,7 +68,7 @@ class RouteFinder:
         lengths, before = dijkstra(self._graph, indices=cells[1], return_predecessors=True)
         if not np.isfinite(lengths[cells[0]]):
             raise NoRoute(
-                f"no traversable way leads from ({begin_m[0]:g}, {begin_m[1]:g}) to ({end_m[0]:g}, {end_m[1]:g}) m"
+                f"no traversable path leads from ({begin_m[0]:g}, {begin_m[1]:g}) to ({end_m[0]:g}, {end_m[1]:g}) m"
             )
         chain = [int(cells[0])]
         while chain[-1] != cells[1]:
@@ -93,8 +78,10 @@ class RouteFinder:
         return shortened_path(self.ground, np.vstack((ends[0], centres, ends[1])))
 
     def _cell_of(self, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-        """Flat index (n,) of each place's cell, and how far [m] its centre is. Raises NoRoute for one that is not
-        open."""
+        """Flat index (n,) of each place's cell, and its distance (n,) [m] from that cell's centre.
+
+        Raises NoRoute for a place that is not on open ground.
+        """
         rows, columns = self.ground.grid.cells_of(places)
         free = self.ground.segments_free(places, places)
         if not free.all():
@@ -105,10 +92,12 @@ class RouteFinder:
 
 
 def shortened_path(ground: OpenGround, path_m: FloatArray) -> FloatArray:
-    """A free polyline [m] between the same ends as the free polyline (K, 2), no longer, with the slack taken out."""
+    """A free polyline [m] with the ends of the free polyline (K, 2) [m], shortened over free legs; never longer."""
     best = path = as_points(path_m)
     for attempt in range(SHORTENING_PASSES):
-        path = _keep_visible(ground, path)[::-1]  # from either end in turn: greed at one end is undone from the other
+        path = _keep_visible(ground, path)[
+            ::-1
+        ]  # from each end in turn: what is greedy from one end is not from the other
         shorter = path_length(path) < path_length(best) * (1.0 - SHORTENING_MIN_GAIN)
         if path_length(path) <= path_length(best):
             best = path if attempt % 2 else path[::-1]
@@ -119,19 +108,19 @@ def shortened_path(ground: OpenGround, path_m: FloatArray) -> FloatArray:
 
 
 def _keep_visible(ground: OpenGround, path: FloatArray) -> FloatArray:
-    """The polyline with only those vertices from which the last of the next ones that can be seen is taken."""
+    """The polyline without the vertices that a free leg skips: from each kept vertex to the last visible one."""
     kept, at, last = [0], 0, len(path) - 1
     while at < last:
         ahead = path[at + 1 :]
         seen = ground.segments_free(np.broadcast_to(path[at], ahead.shape), ahead)
-        seen[0] = True  # a leg of the polyline itself
+        seen[0] = True  # the polyline's own leg
         at += 1 + int(np.flatnonzero(seen)[-1])
         kept.append(at)
     return path[kept]
 
 
 def _subdivided(path: FloatArray, spacing_m: float) -> FloatArray:
-    """The same polyline with vertices added, no two further apart than that."""
+    """The same polyline with vertices inserted, so that none are farther apart than ``spacing_m``."""
     parts = [path[:1]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.hypot(*(b - a)) / spacing_m)))

@@ -1,19 +1,19 @@
-"""The published planners, as a faithful baseline: drive to the most uncertain place, along a tree's path as it grew.
+"""The published planners, as a faithful baseline: drive to the most uncertain place along a tree's path, unsmoothed.
 
 The target is the most uncertain cell that the rover can reach, at least ``clearance_m`` from every sample. A tree of
 at most ``max_iterations`` iterations grows from the rover, by steps of 10 m, until a node lies within 10 m of the
-target; its path is driven as it is, neither smoothed nor cut short at corners, and the samples are taken at equal
-distances along it, the last at its end. Information enters by the target alone.
+target. Its path is driven as it is, and the samples are taken at equal distances along it, the last at its end. The
+uncertainty determines the target alone, not the path.
 
 `rrtstar` rewires within min(50 m, 150 m sqrt(log n / n)), exactly (see ``trees``), and like `rrt` it ends when the
-target is reached. That is after 900 iterations as a rule (450 to 2600), of the 5000 that are allowed; the setting
-``refine_iterations`` goes on to so many, for shorter paths.
+target is reached: typically after 900 iterations (450 to 2600) of the 5000 allowed. The setting ``refine_iterations``
+continues to that many, for shorter paths.
 
-Three cases the paper does not speak of. Far from all samples the uncertainty is the prior's, to the last digits of a
-float32; of places that are so far equally uncertain, the one farthest from all samples is the target, as it would be
-with more digits (in the first round, the one farthest from the rover). Where a tree does not reach its target within
-the bound, the next two most uncertain targets are tried, then the longest of the paths that came nearest is driven.
-Under a finite budget, targets lie no further than the round's even share of it, and a path ends after
+Three cases that the paper does not treat. Far from all samples the uncertainty equals the prior's to the last digits of
+a float32; of places that are equally uncertain in this sense, the one farthest from all samples is the target, as it
+would be with more digits (in the first round, the one farthest from the rover). If a tree does not reach its target
+within the bound, the next two most uncertain targets are tried, then the longest of the approaching paths is driven.
+Under a finite budget, targets lie within the round's even share of it, and a path ends after
 ``MAX_SHARE_RATIO`` times that share.
 """
 
@@ -34,18 +34,17 @@ from services.ground.planners.trees import GrowthSettings, tree_path
 
 TARGETS_TRIED = 3
 TIE = 1e-4
-"""Relative difference of uncertainty below which two targets are equally good: float32 noise, with a margin."""
+"""Relative difference below which two uncertainties are equal: float32 rounding, with a margin."""
 SETTINGS = ("refine_iterations",)
 
 
 def rrt(request: PlanningRequest) -> PlannedRound:
-    """The round that the paper's RRT would drive. Raises NoRoute, or InvalidInput for a request that makes no sense."""
+    """The round along the paper's RRT. Raises NoRoute, or InvalidInput for an inconsistent request."""
     return _towards_most_uncertain(request, optimal=False)
 
 
 def rrtstar(request: PlanningRequest) -> PlannedRound:
-    """The round that the paper's RRT* would drive. Raises NoRoute, or InvalidInput for a request that makes no
-    sense."""
+    """The round along the paper's RRT*. Raises NoRoute, or InvalidInput for an inconsistent request."""
     return _towards_most_uncertain(request, optimal=True)
 
 
@@ -86,7 +85,7 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
 def _candidates(
     request: PlanningRequest, connected: NDArray[np.bool_], start: Place, share_m: float
 ) -> NDArray[np.bool_]:
-    """(rows, columns): cells that may be a target: reachable, clear of samples, neither here nor out of budget."""
+    """(rows, columns): whether a cell may be a target: reachable, clear of samples and start, within the budget."""
     grid, options = request.grid, request.options
     candidates = connected.copy()
     for x, y in request.observed_m:
@@ -95,7 +94,7 @@ def _candidates(
     if isfinite(share_m):
         distance = np.hypot(grid.x_m[None, :] - start[0], grid.y_m[:, None] - start[1])
         near = candidates & (distance <= share_m)
-        # With a share too small for any target, the rover heads for one as far as the share goes.
+        # If the share is too small for any target, the rover drives towards one as far as the share allows.
         candidates = near if near.any() else candidates
     if not candidates.any():
         raise NoRoute(
@@ -106,14 +105,14 @@ def _candidates(
 
 
 def _most_uncertain(request: PlanningRequest, candidates: NDArray[np.bool_], rng: np.random.Generator) -> Place | None:
-    """The centre [m] of the candidate cell with the most uncertainty, weighted by interest; None if there is none."""
+    """Centre [m] of the candidate cell with the largest uncertainty times interest; None if there is no candidate."""
     cells = np.flatnonzero(candidates.ravel())
     if not cells.size:
         return None
-    worth: FloatArray = request.std_ppb.ravel()[cells].astype(np.float64)
+    weighted: FloatArray = request.std_ppb.ravel()[cells].astype(np.float64)
     if request.interest is not None:
-        worth *= request.interest.ravel()[cells]
-    equally_good = cells[worth >= worth.max() * (1.0 - TIE)]
+        weighted *= request.interest.ravel()[cells]
+    equally_good = cells[weighted >= weighted.max() * (1.0 - TIE)]
     if equally_good.size > 1:
         equally_good = _farthest(equally_good, request)
     row, column = divmod(int(rng.choice(equally_good)), request.grid.columns)
@@ -122,7 +121,7 @@ def _most_uncertain(request: PlanningRequest, candidates: NDArray[np.bool_], rng
 
 
 def _farthest(cells: NDArray[np.intp], request: PlanningRequest) -> NDArray[np.intp]:
-    """Those of the cells that lie farthest from all samples, or from the rover as long as there is none."""
+    """Those of the cells (flat indices) farthest from all samples, or from the rover if there is no sample."""
     grid = request.grid
     known = request.observed_m if request.observed_m.size else np.array([request.start_m])
     elsewhere = np.ones(grid.shape, dtype=np.bool_)
@@ -133,7 +132,7 @@ def _farthest(cells: NDArray[np.intp], request: PlanningRequest) -> NDArray[np.i
 
 
 def _close_disc(mask: NDArray[np.bool_], grid: SiteGrid, centre_m: Place, radius_m: float) -> None:
-    """Clear the mask at cells whose centre lies nearer than the radius [m] to the place."""
+    """Clear the mask, in place, at cells whose centre lies within the radius [m] of the place."""
     if radius_m == inf:
         mask[:] = False
         return

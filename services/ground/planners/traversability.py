@@ -1,13 +1,13 @@
-"""Open ground: which straight legs the rover may drive, to the cell.
+"""Open ground: which straight legs the rover may drive, exact to the cell.
 
-A leg is free when every cell that it touches is traversable and no point of it lies outside the region. Cells are
-taken as closed squares, grown by ``TOUCH`` of a cell: a leg that runs along the edge of a cell touches both
-neighbours, and one through a corner touches all four, so that it neither slips between two closed cells that meet at a
-corner nor depends on the rounding of whoever follows it.
+A leg is free if every cell that it touches is traversable and no point of it lies outside the region. Cells are closed
+squares, enlarged by ``TOUCH`` of a cell: a leg along the edge of a cell touches both neighbours, and one through a
+corner touches all four. So a leg never passes between two closed cells that meet at a corner, and the result does not
+depend on how the rover rounds its coordinates.
 
-The check goes through the slabs of one cell's width across the leg's longer axis. In each it looks at the few cells
-that the leg crosses there, and by the chessboard distance to the nearest closed cell it leaps over slabs that cannot
-touch one. The direction of a leg makes no difference to the answer.
+The check marches along the leg's longer axis, one cell (a slab) at a time. In each slab it tests the few cells that the
+leg crosses, and the chessboard distance to the nearest closed cell tells how many slabs it may skip. The result does
+not depend on the leg's direction.
 """
 
 from __future__ import annotations
@@ -23,15 +23,14 @@ from he3.errors import InvalidInput, NoRoute
 from he3.frames import BoolArray, FloatArray, SiteGrid, as_points
 
 TOUCH = 1e-6
-"""Distance [cells] within which a leg counts as touching a cell: a thousand times what rounding does to a
-coordinate."""
+"""Distance within which a leg touches a cell [cells]: a thousand times the rounding of a coordinate."""
 
 SegmentCheck = Callable[[float, float, float, float], bool]
 """Whether the leg from (ax, ay) to (bx, by) [m] is free."""
 
 
 class OpenGround:
-    """Traversable cells of a site, with what is needed to check legs over them quickly. Immutable."""
+    """The traversable cells of a site, prepared for fast checks of legs. Immutable."""
 
     def __init__(self, grid: SiteGrid, traversable: BoolArray) -> None:
         if traversable.shape != grid.shape:
@@ -41,12 +40,11 @@ class OpenGround:
         padded = np.pad(self.open, 1)
         distance = ndimage.distance_transform_cdt(padded, metric="chessboard")[1:-1, 1:-1]
         self.clearance = np.minimum(distance, 255).astype(np.uint8)
-        """(rows, columns): chessboard distance [cells] to the nearest closed cell or cell outside; 0 if closed
-        itself."""
+        """(rows, columns): chessboard distance to the nearest closed or outside cell [cells]; 0 for a closed cell."""
         self._by_column = np.ascontiguousarray(self.clearance.T)
 
     def is_open(self, points_m: FloatArray) -> BoolArray:
-        """Whether each of the (N, 2) places [m] lies in the region and in a traversable cell."""
+        """Whether each of the places (N, 2) [m] lies in the region and in a traversable cell, (N,)."""
         xy = as_points(points_m)
         inside = self.grid.contains(xy)
         answer = np.zeros(len(xy), dtype=np.bool_)
@@ -54,10 +52,10 @@ class OpenGround:
         return answer
 
     def footing(self, start_m: tuple[float, float]) -> tuple[float, float]:
-        """The place [m] from which legs are checked for a rover that stands at the given one: mostly the same place.
+        """The place [m] from which the legs of a rover at the given place begin: usually that place itself.
 
-        A rover on the very edge of a closed cell could make no leg that does not touch it; it first drives to the
-        centre of the cell that it is in. Raises NoRoute if that cell is closed, OutsideRegion if there is none.
+        Every leg from the edge of a closed cell touches that cell; such a rover first drives to the centre of the cell
+        that it is in. Raises NoRoute if that cell is closed, OutsideRegion if there is none.
         """
         here = np.array([start_m], dtype=np.float64)
         rows, columns = self.grid.cells_of(here)
@@ -69,7 +67,7 @@ class OpenGround:
         return (float(columns[0]) + 0.5) * size, (float(rows[0]) + 0.5) * size
 
     def connected_to(self, start_m: tuple[float, float]) -> BoolArray:
-        """(rows, columns): the cells that can be reached from the place [m] over shared edges; none if it is closed."""
+        """(rows, columns): the open cells connected to the place [m] over shared edges; none if it is closed."""
         labels, _ = ndimage.label(self.open)
         row, column = self.grid.cells_of(np.array([start_m]))
         label = labels[row[0], column[0]]
@@ -77,30 +75,25 @@ class OpenGround:
         return connected
 
     def segments_free(self, a_m: FloatArray, b_m: FloatArray) -> BoolArray:
-        """Whether each leg from a (N, 2) to b (N, 2) [m] is free."""
+        """Whether each leg from a (N, 2) to b (N, 2) [m] is free, (N,)."""
         a, b = as_points(a_m), as_points(b_m)
         if a.shape != b.shape:
-            raise InvalidInput(f"expected as many ends as beginnings of legs, got {a.shape} and {b.shape}")
+            raise InvalidInput(f"expected as many ends as starts of legs, got {a.shape} and {b.shape}")
         p, q = a / self.grid.resolution_m, b / self.grid.resolution_m
         steep = np.abs(q[:, 1] - p[:, 1]) > np.abs(q[:, 0] - p[:, 0])
         free = np.empty(len(a), dtype=np.bool_)
-        # The longer axis first: for steep legs that is y, and the clearance is looked up column by column.
+        # The longer axis comes first: x for flat legs, whose clearance is indexed [x, y], and y for steep ones.
         free[~steep] = _march(self._by_column, p[~steep], q[~steep])
         free[steep] = _march(self.clearance, p[steep][:, ::-1], q[steep][:, ::-1])
         return free
 
-    def path_free(self, path_m: FloatArray) -> bool:
-        """Whether every leg of the polyline (K, 2) [m] is free."""
-        path = as_points(path_m)
-        return bool(self.segments_free(path[:-1], path[1:]).all())
-
     def segment_check(self) -> SegmentCheck:
-        """The same check for one leg at a time, for planners that ask tens of thousands of times a second."""
+        """The same check for one leg at a time, for planners that make tens of thousands of checks a second."""
         return _scalar_check(self.grid, self.clearance.tobytes(), self._by_column.tobytes())
 
 
 def _march(clearance: NDArray[np.uint8], p: FloatArray, q: FloatArray) -> BoolArray:
-    """Whether the legs p (N, 2) to q [cells], first coordinate along the longer axis, touch only open cells.
+    """Whether each leg from p (N, 2) to q (N, 2) [cells], longer axis first, touches only open cells, (N,).
 
     clearance: indexed [first coordinate, second coordinate].
     """

@@ -1,9 +1,9 @@
 """Trees over open ground, grown by OMPL: a path to one target, or a tree over everything within reach.
 
-Determinism. OMPL draws from generators whose seeds come from one process-wide source. That source is seeded anew before
-each tree, and every OMPL object that owns a generator is made after that and dropped with the tree; so a tree follows
-from its arguments alone, whatever was planned before in the same process. (At the second seeding OMPL logs an error,
-because generators that exist already would not notice; none of ours do. Its log is silenced.) Growth ends after a
+Determinism. OMPL draws from generators that take their seeds from one process-wide source. The source is seeded before
+each tree, and every OMPL object that owns a generator is made after that and dropped with the tree; so a tree depends
+on its arguments alone, whatever was planned before in the same process. (At the second seeding OMPL logs an error,
+because existing generators would not be affected; none of ours exist then. Its log is silenced.) Growth ends after a
 number of iterations, never after a time. A lock keeps two threads from seeding each other's trees.
 """
 
@@ -33,7 +33,7 @@ class Tree:
     """A tree of straight free legs, its root at node 0.
 
     nodes_m: (N, 2) [m]. parents: (N,) index of each node's parent, -1 for the root. cost_m: (N,) length of the path
-    from the root [m]. order: (N,) the nodes so arranged that parents come before their children.
+    from the root [m]. order: (N,) the nodes in an order in which parents precede their children.
     """
 
     nodes_m: FloatArray
@@ -51,14 +51,14 @@ class Tree:
 
 @dataclass(frozen=True, slots=True)
 class GrowthSettings:
-    """How a tree grows."""
+    """Parameters of a tree's growth."""
 
     step_m: float = 10.0
-    """Longest edge made by extending the tree [m]; rewiring makes longer ones."""
+    """Longest edge by which the tree is extended [m]; rewiring makes longer ones."""
     goal_tolerance_m: float = 10.0
-    """The target counts as reached within this distance [m]."""
+    """Distance within which the target counts as reached [m]."""
     goal_bias: float = 0.0
-    """Share of iterations that aim at the target itself. The paper has none, and its path lengths bear that out."""
+    """Share of iterations that aim at the target itself. The paper has none, as its path lengths confirm."""
     rewire_most_m: float = 50.0
     """Largest radius within which RRT* chooses parents and rewires [m]."""
     rewire_scale_m: float = 150.0
@@ -71,9 +71,9 @@ def tree_path(
 ) -> tuple[FloatArray, bool]:  # fmt: skip
     """The path (K, 2) [m] from start towards the target along the tree as it grew, and whether the target was reached.
 
-    optimal: grow RRT* rather than RRT. iterations: bound on growth. refine: growth of RRT* goes on to this many
-    iterations once the target is reached, which is what makes the path shorter. If the target was not reached, the path
-    leads to the node nearest to it; it is the start alone, (1, 2), if no node is nearer than that.
+    optimal: grow RRT* rather than RRT. iterations: bound on growth. refine: once the target is reached, RRT* continues
+    to this many iterations, which makes the path shorter. If the target was not reached, the path leads to the node
+    nearest to it; it is the start alone, (1, 2), if no node is nearer than the start.
     """
     with _SEEDING:
         growing = _tree_growth(ground, start_m, target_m, optimal=optimal, seed=seed, growth=growth)
@@ -87,7 +87,7 @@ def tree_path(
 
 
 def exploration_tree(ground: OpenGround, start_m: Place, *, iterations: int, seed: int, growth: GrowthSettings) -> Tree:
-    """An RRT* tree over all that can be reached from the start, with no target, after so many iterations."""
+    """The RRT* tree over everything reachable from the start, without a target, after so many iterations."""
     with _SEEDING:
         growing = _tree_growth(ground, start_m, start_m, optimal=True, seed=seed, growth=replace(growth, goal_bias=0.0))
         information = growing.problem.getSpaceInformation()
@@ -99,7 +99,7 @@ def exploration_tree(ground: OpenGround, start_m: Place, *, iterations: int, see
 
 
 class _UnreachableGoal(ob.GoalRegion):  # type: ignore[misc]
-    """A goal that no state satisfies: the tree just grows."""
+    """A goal that no state satisfies: the tree grows for all iterations."""
 
     def __init__(self, space: ob.SpaceInformation) -> None:
         super().__init__(space)
@@ -110,7 +110,7 @@ class _UnreachableGoal(ob.GoalRegion):  # type: ignore[misc]
 
 
 class _LegValidator(ob.MotionValidator):  # type: ignore[misc]
-    """OMPL's question whether a motion is free, answered to the cell."""
+    """OMPL's motion validation by the exact check of legs over cells."""
 
     def __init__(self, space: ob.SpaceInformation, free: SegmentCheck) -> None:
         super().__init__(space)
@@ -125,7 +125,7 @@ class _LegValidator(ob.MotionValidator):  # type: ignore[misc]
 
 @dataclass(slots=True)
 class _TreeGrowth:
-    """One OMPL problem and the planner that is about to grow its tree."""
+    """One OMPL problem and the planner that grows its tree."""
 
     problem: ob.ProblemDefinition
     planner: ob.Planner
@@ -134,11 +134,11 @@ class _TreeGrowth:
     optimal: bool
 
     def solve(self, iterations: int, refine: int) -> None:
-        """Grow for so many iterations, or for ``refine`` only if RRT* has found the target by then.
+        """Grow for so many iterations, or for ``refine`` of them if RRT* has reached the target by then.
 
-        OMPL's RRTstar knows one "range": the longest extension and, at once, the largest rewiring radius. The paper has
-        10 m for the one and up to 50 m for the other. So the range is the step while an iteration extends the tree, and
-        the radius from the iteration's first leg check on, which is the one that OMPL makes for the extension.
+        OMPL's RRTstar has one "range", which is both the longest extension and the largest rewiring radius. The paper
+        has 10 m for the one and up to 50 m for the other. So the range is the step while an iteration extends the tree,
+        and the radius from the iteration's first leg check on, which OMPL makes for the extension.
         """
         planner, growth = self.planner, self.growth
         grown = 0
@@ -157,9 +157,8 @@ class _TreeGrowth:
             return grown > iterations or (grown > refine and isfinite(planner.bestCost().value()))
 
         planner.solve(ob.PlannerTerminationCondition(enough))
-        self.validator.on_check = (
-            None  # it refers to the planner, which refers to the validator: nobody would free them
-        )
+        # The callback refers to the planner and the planner to the validator: a cycle that is never freed.
+        self.validator.on_check = None
 
 
 def _tree_growth(
@@ -210,7 +209,7 @@ def _tree_from_planner_data(data: ob.PlannerData) -> Tree:
 
 
 def tree_from_parents(nodes: FloatArray, parents: IntArray, root: int) -> Tree:
-    """The tree of these nodes and parents, renumbered so that the root is node 0, with costs and order."""
+    """The tree of these nodes (N, 2) [m] and parents (N,), renumbered so that the root is node 0."""
     if root != 0:
         swap = np.arange(len(nodes))
         swap[[0, root]] = root, 0

@@ -75,7 +75,7 @@ def is_on(path, place):
 def check(asked, answer):
     ground = OpenGround(asked.grid, asked.traversable)
     assert answer.path_m[0].tolist() == list(asked.start_m)
-    assert ground.path_free(answer.path_m)
+    assert ground.segments_free(answer.path_m[:-1], answer.path_m[1:]).all()
     assert answer.samples_m.shape == (asked.samples, 2)
     assert ground.is_open(answer.samples_m).all()
     assert all(is_on(answer.path_m, place) for place in answer.samples_m)
@@ -167,7 +167,7 @@ def test_an_island_is_never_visited():
     traversable = np.ones(GRID.shape, bool)
     traversable[50:52, 40:] = traversable[50:, 40:42] = False
     for answer in mission(request(traversable=traversable)):
-        assert OpenGround(GRID, traversable).path_free(answer.path_m)
+        assert OpenGround(GRID, traversable).segments_free(answer.path_m[:-1], answer.path_m[1:]).all()
         assert not ((answer.samples_m > (42, 52)).all(axis=1)).any()
 
 
@@ -176,7 +176,9 @@ def test_a_maze_is_driven_along_its_corridors():
     for number, x in enumerate(range(15, 110, 15)):
         traversable[slice(0, 110) if number % 2 else slice(10, None), x : x + 2] = False
     flown = mission(request(traversable=traversable))
-    assert all(OpenGround(GRID, traversable).path_free(answer.path_m) for answer in flown)
+    assert all(
+        OpenGround(GRID, traversable).segments_free(answer.path_m[:-1], answer.path_m[1:]).all() for answer in flown
+    )
     places = np.vstack([answer.samples_m for answer in flown])
     assert np.ptp(places[:, 0]) > 90
 
@@ -214,7 +216,7 @@ def test_a_rover_on_the_edge_of_a_closed_cell_starts_all_the_same():
     traversable[10:20, 9] = False
     answer = plan("tour", request(traversable=traversable, start_m=(10.0, 15.0)))
     assert answer.path_m[0].tolist() == [10.0, 15.0]
-    assert OpenGround(GRID, traversable).path_free(answer.path_m[1:])
+    assert OpenGround(GRID, traversable).segments_free(answer.path_m[1:-1], answer.path_m[2:]).all()
 
 
 @pytest.mark.parametrize("budget", [0.0, -5.0])

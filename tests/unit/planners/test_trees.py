@@ -39,7 +39,7 @@ def test_a_path_leads_from_the_start_to_within_tolerance_of_the_target_over_free
     assert reached
     assert path[0].tolist() == [20.0, 20.0]
     assert np.hypot(*(path[-1] - (280.0, 20.0))) <= 10.0
-    assert ground.path_free(path)
+    assert ground.segments_free(path[:-1], path[1:]).all()
 
 
 def test_rrt_extends_by_the_step_and_rrtstar_rewires_within_fifty_metres(ground):

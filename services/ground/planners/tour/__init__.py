@@ -1,1 +1,1 @@
-"""The planner `tour`: one design for all samples that are left, one tour through it, its first piece as the round."""
+"""The planner `tour`: one design for all remaining samples, one tour through it, and its first piece as the round."""

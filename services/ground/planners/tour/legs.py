@@ -1,9 +1,8 @@
-"""Legs round obstacles: how far it is between places of a tour, and along which line.
+"""Legs around obstacles: lengths between the places of a tour, and the lines along which they are driven.
 
-Between neighbours, a leg that obstacles block is bent at one corner beside its middle where that suffices, which is
-cheap enough to do for every pair of neighbours at each look at the tour. Where one corner does not suffice, the tour
-reckons with a long detour; only if it takes that leg all the same, the shortest way over the cells is found, and drawn
-taut.
+A blocked leg between neighbours is bent at one corner beside its middle, if that makes it free; this is cheap enough
+for every pair of neighbours at each reordering of the tour. If one corner does not suffice, a long detour is assumed.
+Only if the tour contains that leg all the same, the shortest path over the cells is searched (``tour.paths``).
 """
 
 from __future__ import annotations
@@ -22,37 +21,37 @@ if TYPE_CHECKING:
     from services.ground.planners.traversability import OpenGround
 
 NEIGHBOURS = 10
-"""Places to which each place's legs are looked at; a short tour seldom goes to a farther one."""
+"""Nearest places to which the legs of a place are checked; a short tour rarely goes to a farther one."""
 CORNER_OFFSETS = np.array([0.08, 0.16, 0.28, 0.45, 0.7])
-"""How far beside its middle a leg is bent, in shares of its length, on either side."""
+"""Distances of the corner from the leg's middle, in shares of the leg's length, on either side."""
 BLOCKED_LEG_FACTOR = 2.0
-"""Length of a leg that one corner does not free, in multiples of the straight one, until somebody finds the way."""
+"""Assumed length of a leg that one corner does not free, in straight lengths, until its path is found."""
 DISTANT_LEG_FACTOR = 1.1
-"""The same for legs to places that are no neighbours."""
+"""Assumed length of a leg to a place that is not a neighbour, in straight lengths."""
 LABYRINTH_SHARE = 0.05
-"""Share of neighbours' legs that no corner frees above which the site is a labyrinth, and straight lines mislead."""
+"""Share of blocked legs between neighbours above which straight lengths mislead, and a bound is used instead."""
 
 LengthBound = Callable[[FloatArray], FloatArray]
-"""Places (n, 2) [m] -> lengths (n, n) [m] that no way between them can fall below."""
+"""Places (n, 2) [m] -> lower bounds (n, n) [m] on the lengths of the paths between them."""
 
 
 @dataclass(frozen=True, slots=True)
 class LegTable:
-    """Lengths of the legs between n places, and where they bend."""
+    """Lengths of the legs between n places, and their corners."""
 
     lengths_m: FloatArray
     """(n, n) [m]."""
     corners_m: FloatArray
-    """(n, n, 2) [m], NaN for straight legs and for those whose way is not known."""
+    """(n, n, 2) [m], NaN for straight legs and for those whose path is not known."""
     free: NDArray[np.bool_]
-    """(n, n): whether the leg, with its corner if it has one, is known to be free."""
+    """(n, n): whether the leg, with its corner if any, is known to be free."""
 
 
 def leg_table(ground: OpenGround, places_m: FloatArray, bound: LengthBound | None = None) -> LegTable:
-    """Legs between the places (n, 2) [m], each of them on open ground; the bound is asked for in labyrinths only."""
+    """The legs between places (n, 2) [m], all on open ground. bound: called only if many legs are blocked."""
     n = len(places_m)
-    apart = np.hypot(*(places_m[:, None] - places_m[None]).transpose(2, 0, 1))
-    lengths = apart * DISTANT_LEG_FACTOR
+    distance = np.hypot(*(places_m[:, None] - places_m[None]).transpose(2, 0, 1))
+    lengths = distance * DISTANT_LEG_FACTOR
     corners = np.full((n, n, 2), np.nan)
     free = np.eye(n, dtype=bool)
     if n > 1:
@@ -73,9 +72,9 @@ def leg_table(ground: OpenGround, places_m: FloatArray, bound: LengthBound | Non
 def legs_with_one_corner(
     ground: OpenGround, a_m: FloatArray, b_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Lengths (k,), corners (k, 2) or NaN, and whether they are free, of legs from a (k, 2) to b (k, 2) [m]."""
-    apart = np.hypot(*(b_m - a_m).T)
-    lengths = apart.copy()
+    """Lengths (k,) [m], corners (k, 2) [m] or NaN, and freedom (k,) of legs from a (k, 2) to b (k, 2) [m]."""
+    distance = np.hypot(*(b_m - a_m).T)
+    lengths = distance.copy()
     corners = np.full(a_m.shape, np.nan)
     free = ground.segments_free(a_m, b_m)
     blocked = np.flatnonzero(~free)
@@ -90,7 +89,7 @@ def legs_with_one_corner(
         fits = ground.is_open(flat)
         fits[fits] = ground.segments_free(np.repeat(a, count, axis=0)[fits], flat[fits])
         fits[fits] = ground.segments_free(flat[fits], np.repeat(b, count, axis=0)[fits])
-        bent = apart[blocked, None] * np.sqrt(1.0 + 4.0 * shares**2)
+        bent = distance[blocked, None] * np.sqrt(1.0 + 4.0 * shares**2)
         bent = np.where(fits.reshape(-1, count), bent, np.inf)
         best = np.argmin(bent, axis=1)
         rows = np.arange(len(blocked))
@@ -110,5 +109,5 @@ def leg_path(table: LegTable, places_m: FloatArray, i: int, j: int) -> FloatArra
 
 
 def joined_path(pieces: list[FloatArray]) -> FloatArray:
-    """One polyline out of consecutive ones, each beginning where the last one ends."""
+    """One polyline (K, 2) [m] from consecutive ones, each of which begins where the one before ends."""
     return np.vstack([pieces[0], *(piece[1:] for piece in pieces[1:])])

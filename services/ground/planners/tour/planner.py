@@ -1,14 +1,14 @@
-"""The whole rest of the mission as one design and one tour; the round is its first piece.
+"""The planner `tour`: the rest of the mission as one design and one tour, of which the round is the first piece.
 
-All samples and metres that are left are planned together: places that make the average of the field as certain as
-possible (``he3.i_optimal_design``), on a tour that is short and within the budget (``tour.design``). The first plan
-begins several designs and draws the best on for long, which is worth 1 % of RMSE where the budget binds; later ones
-begin from what the last one expected to do and let it move with what the hyperparameters have become, so that rounds
-agree with one another and no holes are left to come back for. A request without that outlook is planned afresh.
+All remaining samples and metres are planned together: places that minimise the field's average variance
+(``he3.i_optimal_design``), on a tour that is short and within the budget (``tour.design``). The first plan starts from
+several designs and optimises the best of them longer, which is worth 1 % of RMSE where the budget binds. Later plans
+start from the outlook of the plan before and adapt it to the refitted hyperparameters, so that rounds agree with one
+another and leave no gaps. A request without an outlook is planned from scratch.
 
-A mission without a budget gets one: metres beyond those of a tour through an even lattice buy next to nothing.
-Hyperparameters that say nothing about where to go, because they let a sample know only its own spot or all of the site,
-are brought to the nearest that do.
+A mission without a budget is given one: metres beyond those of a tour through an even lattice gain almost nothing.
+Length scales that say nothing about where to sample, because a sample would tell of its own place only or of the whole
+site, are clamped to the nearest that do.
 """
 
 from __future__ import annotations
@@ -35,36 +35,40 @@ from services.ground.planners.tour.route import route_through
 from services.ground.planners.tour.site import Site, reachable_site
 
 LENGTH_PRICE = 0.03
-"""Per cent of variance that one per cent of the tour has to be worth, whatever the budget."""
-LEG_CONSTANT = 1.02
-"""Metres a sample that a mission without a budget may drive, as the crow flies, in units of sqrt(reachable area /
-samples), the spacing of a square lattice. The shortest tour through places at random takes 0.7124 (Beardwood, Halton &
-Hammersley 1959), one through a lattice 1; near it, the variance hardly depends on the metres."""
+"""Per cent of variance that one per cent of the tour must be worth, whatever the budget."""
+LEG_SPACINGS = 1.02
+"""Straight metres per sample of a mission without a budget, in units of sqrt(reachable area / samples), the spacing of
+a square lattice. The shortest tour through random places takes 0.7124 (Beardwood, Halton & Hammersley 1959), one
+through a lattice 1; near it, the variance hardly depends on the metres."""
 INITIAL_DESIGNS = 8
-"""Designs that a plan without an outlook begins with."""
+"""Designs that a plan without an outlook starts from."""
 FINALISTS = 2
-"""Designs that are drawn on for long; the best of them is taken."""
+"""Designs that are optimised further; the best of them is taken."""
 INITIAL_STEPS = 40
+"""Steps of every initial design."""
 FINAL_STEPS = 300
+"""Further steps of a finalist."""
 OUTLOOK_STEPS = 10
-"""Steps of the places: of every design, of a finalist, and of an outlook."""
+"""Steps of a design from an outlook."""
 OUTLOOK_STEP_M = 1.5
-"""Root mean square step [m] with which the places of an outlook begin to move on."""
+"""Root mean square step of a design from an outlook at the beginning [m]."""
 KICKS = 20
+"""Kicks of the final tour: see ``he3.tsp.short_tour``."""
 MAX_OUTLOOK_MISMATCH = 0.34
-"""An outlook over more or fewer samples is used as long as the difference is at most this share of them."""
+"""Largest difference between the outlook's samples and those that remain, as a share of the latter."""
 BUDGET_ROUNDING = 1e-9
-"""Share of the budget that is left alone, so that sums of legs in another order do not exceed it."""
+"""Share of the budget that is not used, so that the path's length in another order of summation does not exceed it."""
 SETTINGS = ("length_price", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks")
 MIN_LENGTH_SCALE_SPACINGS = 0.5
+"""Shortest length scale of a design, in spacings of an even lattice of all samples over the site."""
 MAX_LENGTH_SCALE_SPACINGS = 6.0
-"""Length scales that a design uses, in spacings of an even lattice of all samples over the site."""
+"""Longest length scale of a design, in the same unit."""
 
 
 def tour(request: PlanningRequest) -> PlannedRound:
-    """The first piece of one tour through one design for all samples that are left, and the rest as its outlook.
+    """The first piece of one tour through one design for all remaining samples, with the rest as its outlook.
 
-    Raises NoRoute where nothing can be reached or no metre is left, InvalidInput for a request that makes no sense.
+    Raises NoRoute if no place is reachable or the budget is spent, InvalidInput for an inconsistent request.
     """
     extra = validated(request).options.extra
     if unknown := set(extra) - set(SETTINGS):
@@ -73,7 +77,7 @@ def tour(request: PlanningRequest) -> PlannedRound:
     site = reachable_site(request.grid, request.traversable, request.start_m, nodes)
     budget_m = request.budget_m - path_length(np.array([request.start_m, site.start_m]))
     if not budget_m > 0:
-        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m are left for {request.samples_left} samples")
+        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")
     places = site.snap_to_cell_centres(_design(request, site, budget_m, extra))
     route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed).truncated(
         budget_m * (1.0 - BUDGET_ROUNDING)
@@ -85,10 +89,10 @@ def tour(request: PlanningRequest) -> PlannedRound:
 
 
 def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[str, float]) -> FloatArray:
-    """Places (samples_left, 2) [m] in the order of their tour: the outlook's, moved on, or the best of a few."""
+    """Places (samples_left, 2) [m] in the order of their tour: from the outlook, or the best of several designs."""
     left, samples = request.samples_left, request.samples_left + len(request.observed_m)
     variance = _average_variance(request, site)
-    leg_m = LEG_CONSTANT * sqrt(site.area_m2 / samples)
+    leg_m = LEG_SPACINGS * sqrt(site.area_m2 / samples)
     length_price = float(extra.get("length_price", LENGTH_PRICE)) / (samples * leg_m)
     if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MAX_OUTLOOK_MISMATCH * left:
         places = design_from_outlook(site, request.observed_m, request.outlook_m, left)
@@ -99,7 +103,7 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
         )
     rng = np.random.default_rng(request.seed)
 
-    def drawn(places: FloatArray, steps: int) -> tuple[float, FloatArray]:
+    def optimised(places: FloatArray, steps: int) -> tuple[float, FloatArray]:
         metres = budget_m if isfinite(budget_m) else _default_budget_m(site, places, leg_m)
         price = length_price * variance(places)
         places = optimise_places(site, variance, places, price, metres, steps)
@@ -109,19 +113,20 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     for _ in range(max(1, int(extra.get("designs", INITIAL_DESIGNS)))):
         first_node = int(rng.integers(len(site.nodes.weights)))
         places = initial_design(site, request.observed_m, left, budget_m, first_node)
-        designs.append(drawn(places, int(extra.get("first_steps", INITIAL_STEPS))))
+        designs.append(optimised(places, int(extra.get("first_steps", INITIAL_STEPS))))
     designs.sort(key=lambda design: design[0])
     if (final_steps := int(extra.get("final_steps", FINAL_STEPS))) > 0:
         finalists = designs[: max(1, int(extra.get("finalists", FINALISTS)))]
-        designs = sorted([*designs, *(drawn(places, final_steps) for _, places in finalists)], key=lambda one: one[0])
+        designs = sorted(
+            [*designs, *(optimised(places, final_steps) for _, places in finalists)], key=lambda one: one[0]
+        )
     return designs[0][1]
 
 
 def _default_budget_m(site: Site, places: FloatArray, leg_m: float) -> float:
-    """What the tour through the places (n, 2) [m] may grow or has to shrink to, if nobody says: so many usual legs,
-    and the ways round obstacles."""
-    round_obstacles, as_the_crow_flies = tour_lengths(site, places)
-    return len(places) * leg_m * max(round_obstacles, leg_m) / max(as_the_crow_flies, leg_m)
+    """The budget [m] of a tour through the places (n, 2) [m] if none is given: legs of ``leg_m``, detours included."""
+    around_obstacles, straight = tour_lengths(site, places)
+    return len(places) * leg_m * max(around_obstacles, leg_m) / max(straight, leg_m)
 
 
 def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:
@@ -134,7 +139,7 @@ def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:
 
 
 def clamp_length_scales(kernel: Kernel, shortest_m: float, longest_m: float) -> Kernel:
-    """The kernel with its length scales within these bounds [m]: itself, where they are."""
+    """The kernel with its length scales clamped to shortest_m..longest_m."""
     parameters = {
         name: min(max(value, shortest_m), longest_m) if name.endswith("length_scale_m") else value
         for name, value in kernel.parameters().items()

@@ -1,4 +1,4 @@
-"""One route through a design: a short order of its places, and a free way for every leg of it."""
+"""The route through a design: a short order of its places, and a free path for each of its legs."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     from services.ground.planners.tour.site import Site
 
 MAX_REORDERINGS = 4
-"""How often legs whose way had to be found change the order of the tour."""
+"""Times that the order is improved with the lengths of paths found for blocked legs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A free polyline and the places on it, in the order in which they are reached."""
+    """A free polyline, and the places on it in the order in which it reaches them."""
 
     path_m: FloatArray
     """(K, 2) [m]."""
     places_m: FloatArray
     """(n, 2) [m]."""
     at_m: FloatArray
-    """(n,) how far along the path each of the places is [m]."""
+    """(n,) distance of each place along the path [m]."""
 
     def truncated(self, budget_m: float) -> Route:
-        """The route as far as the budget goes. Places beyond its end go amid the longest gaps before it."""
+        """The route cut at the budget [m]. Places beyond its end move to the middle of the longest gaps before it."""
         if self.at_m[-1] <= budget_m:
             return self
         end_m = max(budget_m, 0.0)
@@ -49,9 +49,9 @@ class Route:
 
 
 def route_through(site: Site, places_m: FloatArray, kicks: int, seed: int) -> Route:
-    """A short free route from the site's start through all places (n, 2) [m], which are reachable.
+    """A short free route from the site's start through all places (n, 2) [m], which must be reachable.
 
-    The order that the places come in is where the search for a shorter one begins.
+    The search for a short order begins from that of the places. kicks, seed: see ``he3.tsp.short_tour``.
     """
     stops = np.vstack((site.start_m, places_m))
     legs = site.legs(stops)
@@ -70,10 +70,10 @@ def route_through(site: Site, places_m: FloatArray, kicks: int, seed: int) -> Ro
         if np.array_equal(shorter, order):
             break
         order = shorter
-    ways = []
+    paths = []
     for i, j in pairwise(order.tolist()):
         if legs.free[i, j]:
-            ways.append(leg_path(legs, stops, i, j))
+            paths.append(leg_path(legs, stops, i, j))
         else:
-            ways.append(found[i, j] if i < j else found[j, i][::-1])
-    return Route(joined_path(ways), stops[order[1:]], np.cumsum([path_length(way) for way in ways]))
+            paths.append(found[i, j] if i < j else found[j, i][::-1])
+    return Route(joined_path(paths), stops[order[1:]], np.cumsum([path_length(path) for path in paths]))

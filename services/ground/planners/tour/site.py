@@ -1,4 +1,4 @@
-"""The site as a tour sees it: where a rover can be, which cell it would rather stand in, how large it is."""
+"""The site of a tour: reachable cells, the nearest reachable cell of each, lengths of legs, and the area."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from he3.i_optimal_design import FieldNodes
 
 LANDMARKS = 3
-"""Places from which the distance to everywhere is found, to tell legs that walls make long."""
+"""Places from which the distances to all cells are computed, as bounds on legs that walls make long."""
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """What a design has to know about the ground, and where its tour begins."""
+    """The ground of a design, and the start of its tour."""
 
     ground: OpenGround
     nodes: FieldNodes
     start_m: FloatArray
-    """(2,) [m], a place from which legs can be checked."""
+    """(2,) [m], a place from which legs begin: see ``OpenGround.footing``."""
     nearest_reachable: NDArray[np.int32]
-    """(2, rows, columns): row and column of the reachable cell that is nearest to each cell."""
+    """(2, rows, columns): row and column of the reachable cell nearest to each cell."""
     component: int
-    """Number of the connected part of the ground that can be reached."""
+    """Label of the connected component that the rover is in."""
 
     def snap_to_reachable(self, places_m: FloatArray) -> FloatArray:
-        """The places (n, 2) [m] where they can be reached, the centre of the nearest cell that can be where not."""
+        """The places (n, 2) [m], each unreachable one replaced by the centre of the nearest reachable cell."""
         grid = self.ground.grid
         size = grid.resolution_m
         columns = np.clip((places_m[:, 0] / size).astype(np.intp), 0, grid.columns - 1)
@@ -48,18 +48,18 @@ class Site:
         return np.where(stays[:, None], places_m, centres)
 
     def snap_to_cell_centres(self, places_m: FloatArray) -> FloatArray:
-        """The same, every place at the centre of its cell: clear of edges that other cells share."""
+        """The same, each place at the centre of its cell, away from the edges of other cells."""
         rows, columns = self.ground.grid.cells_of(self.snap_to_reachable(places_m))
         cells = np.column_stack((columns, rows)).astype(np.float64)
         centres: FloatArray = (cells + 0.5) * self.ground.grid.resolution_m
         return centres
 
     def legs(self, places_m: FloatArray) -> LegTable:
-        """The legs between the places (n, 2) [m], each of them reachable."""
+        """The legs between places (n, 2) [m], all reachable."""
         return leg_table(self.ground, places_m, self._length_bounds)
 
     def _length_bounds(self, places_m: FloatArray) -> FloatArray:
-        """(n, n) [m]: no way is shorter than the difference of its ends' distances from any landmark."""
+        """Lower bounds (n, n) [m] on path lengths: differences of the places' distances from the landmarks."""
         grid = self.ground.grid
         rows, columns = grid.cells_of(places_m)
         fields = _landmark_distances(grid, self.ground.open.tobytes(), self.component)
@@ -69,13 +69,13 @@ class Site:
 
     @property
     def area_m2(self) -> float:
-        """Area that is both reachable and of interest [m^2]; of less interest counts as less area."""
+        """Area that is reachable and of interest [m^2]; less interest counts as less area."""
         grid = self.ground.grid
         rows, columns = np.arange(grid.rows)[:, None], np.arange(grid.columns)[None, :]
         reachable = float(
             np.count_nonzero((self.nearest_reachable[0] == rows) & (self.nearest_reachable[1] == columns))
         )
-        # Cells that would weigh as much if all weighed the same: (sum w)^2 / sum w^2.
+        # The effective number of cells of unequal weights: (sum w)^2 / sum w^2.
         weights = self.nodes.weights
         of_interest = float(weights.sum() ** 2 / (weights * weights).sum()) * self.nodes.spacing_m**2
         return min(reachable * grid.resolution_m**2, of_interest)
@@ -84,7 +84,7 @@ class Site:
 def reachable_site(
     grid: SiteGrid, traversable: NDArray[np.bool_], start_m: tuple[float, float], nodes: FieldNodes
 ) -> Site:
-    """The site around a rover that stands at the start. Raises NoRoute if it is walled in or on closed ground."""
+    """The site reachable from the start [m]. Raises NoRoute if the rover is walled in or on closed ground."""
     cells = traversable.astype(np.bool_).tobytes()
     ground, labels = _connected_components(grid, cells)
     start = np.array(ground.footing(start_m))
@@ -95,32 +95,32 @@ def reachable_site(
 
 @lru_cache(maxsize=4)
 def _connected_components(grid: SiteGrid, traversable: bytes) -> tuple[OpenGround, NDArray[np.int32]]:
-    """Open ground, and the number of the connected part (rows, columns) that each open cell is in. Remembered."""
+    """Open ground, and the component label (rows, columns) of each open cell. Cached."""
     ground = OpenGround(grid, np.frombuffer(traversable, dtype=np.bool_).reshape(grid.shape))
     return ground, ndimage.label(ground.open)[0]
 
 
 @lru_cache(maxsize=4)
 def _nearest_reachable(grid: SiteGrid, traversable: bytes, component: int) -> NDArray[np.int32]:
-    """Row and column (2, rows, columns) of the cell of that part that is nearest to each cell. Remembered.
+    """Row and column (2, rows, columns) of the component's cell nearest to each cell. Cached.
 
-    Raises NoRoute if the part is a single cell: whoever stands there is walled in.
+    Raises NoRoute if the component is a single cell, in which a rover is walled in.
     """
     _, labels = _connected_components(grid, traversable)
     within = labels == component
     if np.count_nonzero(within) < 2:
         row, column = np.argwhere(within)[0]
         x, y = (column + 0.5) * grid.resolution_m, (row + 0.5) * grid.resolution_m
-        raise NoRoute(f"walled in at ({x:g}, {y:g}) m: no other cell can be reached from there")
+        raise NoRoute(f"walled in at ({x:g}, {y:g}) m: no other cell is reachable from there")
     return np.asarray(ndimage.distance_transform_edt(~within, return_distances=False, return_indices=True))
 
 
 @lru_cache(maxsize=2)
 def _landmark_distances(grid: SiteGrid, traversable: bytes, component: int) -> tuple[FloatArray, ...]:
-    """Lengths (rows, columns) [m] of the ways from each landmark to each cell of that part: ends of the longest ways.
+    """Lengths (rows, columns) [m] of the paths from each landmark to each cell of the component. Cached.
 
-    Remembered. From them follow bounds for all pairs of places (Goldberg & Harrelson 2005). Along a corridor, they are
-    exact but for the eight directions of the ways.
+    Landmarks are ends of the longest paths. The lengths bound those between all pairs of places (Goldberg & Harrelson
+    2005); along a corridor the bound is exact but for the eight directions of the paths.
     """
     ground, labels = _connected_components(grid, traversable)
     within = labels == component
@@ -131,7 +131,7 @@ def _landmark_distances(grid: SiteGrid, traversable: bytes, component: int) -> t
     for _ in range(LANDMARKS + 1):
         field = routes.distances_from(((column + 0.5) * grid.resolution_m, (row + 0.5) * grid.resolution_m))
         fields.append(np.where(within, field, 0.0))
-        # The first field serves to find the landmarks only: it is from anywhere.
+        # The first field, from an arbitrary cell, only serves to find the landmarks.
         nearest = np.minimum(nearest, fields[-1]) if len(fields) > 1 else fields[-1]
         row, column = np.unravel_index(int(np.argmax(np.where(within, nearest, -1.0))), grid.shape)
         if len(fields) == 1:
