@@ -1,6 +1,6 @@
-"""Prints or writes the JSON Schema of every message on the wire: ``python -m schemas [FOLDER]``.
+"""Print or write the JSON Schema of every message on the wire: ``python -m schemas [FOLDER]``.
 
-``python -m schemas --table`` prints the table of topics as it stands in docs/zenoh.md.
+``python -m schemas --table`` prints the table of topics that docs/zenoh.md contains.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ without a folder: one JSON document on standard output; --table: the topics as M
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:
-    """JSON Schema of each topic's message as it travels, of each reply, and of the mission report, by name."""
+    """JSON Schemas by name: of each topic's message as sent, of each reply, and of the mission report."""
     schemas: dict[str, dict[str, Any]] = {}
     for topic in TOPICS:
         schemas[topic.name.replace("/", ".")] = _travelling(topic.payload)
@@ -34,7 +34,7 @@ def _travelling(body: type[Wire]) -> dict[str, Any]:
 
 
 def topic_table() -> str:
-    """The topics as a Markdown table, a row each, in the table's order."""
+    """The topics as a Markdown table, one row each, in the order of ``TOPICS``."""
     rows = [
         f"Keys begin with `{KEY_ROOT}/{{mission}}/`; sizes are the longest message and the longest answer.",
         "",
@@ -56,7 +56,7 @@ def _row(topic: Topic) -> str:
         case Latest(_, distinct):
             service = f"latest of each {', '.join(distinct)}" if distinct else "latest"
         case _:
-            service = "question"
+            service = "query"
     keepers = [name for name, keeps in (("recorder", topic.recorded), ("sender", topic.kept)) if keeps]
     most = [_size(topic.max_bytes), *([_size(topic.max_reply_bytes)] if topic.reply is not None else [])]
     cells = (

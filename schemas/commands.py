@@ -1,4 +1,4 @@
-"""Telecommands and the stages that each passes through."""
+"""Telecommands, and the stages that each passes."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ _ORDER: Final = {stage: number for number, stage in enumerate(CommandStage)}
 
 
 class Telecommand(Wire):
-    """One imperative to the rover, executed at most once, and not after it expires."""
+    """A command to the rover, executed at most once and not after it expires."""
 
     command_id: Identifier
     kind: CommandKind
     expires_at: MissionTimeNs | None = None
     target_m: tuple[PositionM, PositionM] | None = None
-    """Where to go (`go_to` only)."""
+    """Where to drive (`go_to` only)."""
     polygon_m: Annotated[tuple[tuple[PositionM, PositionM], ...], Field(max_length=256)] | None = None
-    """Corners of the area that the rover may not enter (`set_keep_out` only); none removes it."""
+    """Corners of the area that the rover may not enter (`set_keep_out` only); None removes the area."""
     area_id: Identifier | None = None
-    """Which keep-out area is meant (`set_keep_out` only)."""
+    """The keep-out area that is set or removed (`set_keep_out` only)."""
 
     @model_validator(mode="after")
     def _has_what_its_kind_needs(self) -> Telecommand:
@@ -70,7 +70,7 @@ class Telecommand(Wire):
 
 
 class CommandReport(Wire):
-    """A command passed a stage."""
+    """Report that a command passed a stage."""
 
     command_id: Identifier
     stage: CommandStage
@@ -79,7 +79,7 @@ class CommandReport(Wire):
 
 
 class CommandStatus(Wire):
-    """A command and every stage it has passed, oldest first."""
+    """A command and the reports of all stages that it has passed, oldest first."""
 
     command: Telecommand
     stages: tuple[CommandReport, ...]
@@ -100,4 +100,4 @@ class CommandList(Wire):
 
 
 class NoParameters(Wire):
-    """A query that needs to say nothing more."""
+    """The body of a query without parameters."""

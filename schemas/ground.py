@@ -1,4 +1,4 @@
-"""What the ground station tells operators about the mission."""
+"""The ground station's messages to operators."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Count = Annotated[int, Field(ge=0)]
 
 class MissionPhase(StrEnum):
     WAITING = "waiting"
-    """The rover has not been heard of yet."""
+    """No message of the rover has arrived yet."""
     PLANNING = "planning"
     EXECUTING = "executing"
     COMPLETED = "completed"
@@ -25,7 +25,7 @@ class MissionPhase(StrEnum):
 
 
 class KernelParameters(Wire):
-    """The covariance function in use, in standardised units, with its scale in ppb."""
+    """The covariance function in use, in standardised units, with the scale of those units in ppb."""
 
     name: Text
     parameters: dict[str, float]
@@ -35,14 +35,14 @@ class KernelParameters(Wire):
 
 
 class GroundStatus(Wire):
-    """The mission as the ground sees it."""
+    """The state of the mission on the ground."""
 
     phase: MissionPhase
     planner: Text
     round: Count
     """Rounds completed."""
     rounds: Count
-    """Rounds in the whole mission."""
+    """Rounds of the whole mission."""
     samples: Count
     """Measurements in the map."""
     samples_total: Count
@@ -54,10 +54,10 @@ class GroundStatus(Wire):
     mean_std_ppb: float | None
     kernel: KernelParameters | None
     score: MapScore | None
-    """Against the reference field, where a simulated Moon provides one. Belief and planners never see it."""
+    """Score against the reference field, if a simulated Moon provides one. Belief and planners do not use it."""
     rover: RoverState | None
     rover_made_at: MissionTimeNs | None
-    """When the rover was as shown: compare with now."""
+    """When that state of the rover was reported; None if none was."""
     detail: Text = ""
 
     @property
@@ -67,7 +67,7 @@ class GroundStatus(Wire):
 
 
 class MissionTrack(Wire):
-    """Everything a picture of the mission needs: what was measured, driven and planned."""
+    """Samples, driven path, planned path and scores, for pictures of the mission."""
 
     samples: tuple[SampleReport, ...]
     driven_path_m: tuple[Waypoint, ...]
@@ -77,7 +77,7 @@ class MissionTrack(Wire):
 
 
 class InterestArea(Wire):
-    """A part of the site whose uncertainty counts `weight` times as much as elsewhere when rounds are planned."""
+    """A part of the site whose uncertainty counts `weight` times in planning."""
 
     area_id: Identifier
     polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)]
@@ -85,11 +85,11 @@ class InterestArea(Wire):
 
 
 class InterestChange(Wire):
-    """Sets an area of interest, or takes it back; without an area it only asks which there are."""
+    """Sets or removes an area of interest; without an area it is a query for the list of areas."""
 
     area_id: Identifier | None = None
     polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)] | None = None
-    """Corners [m]; none takes the area back."""
+    """Corners [m]; None removes the area."""
     weight: Annotated[float, Field(ge=0, le=1000)] = 2.0
 
 
@@ -98,7 +98,7 @@ class InterestList(Wire):
 
 
 class Presence(Wire):
-    """A process is alive; sent every few seconds of wall time."""
+    """Heartbeat of a process, sent every few seconds of wall time."""
 
     name: Identifier
     side: Text
@@ -107,5 +107,5 @@ class Presence(Wire):
     pid: Count
     host: Text
     refused: Count
-    """Messages that were refused since it started."""
+    """Messages refused since the process started."""
     events: Count

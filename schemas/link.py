@@ -1,4 +1,4 @@
-"""Conditions on the path between Earth and Moon, and what is under way on it."""
+"""Conditions of the link between Earth and Moon, its traffic, and mission time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Direction(StrEnum):
 
 
 class DirectionConditions(Wire):
-    """One direction of the link."""
+    """Conditions of one direction of the link."""
 
     one_way_light_time_s: Seconds = 1.282
     jitter_s: Seconds = 0.0
@@ -38,15 +38,15 @@ class DirectionConditions(Wire):
     loss: Fraction = 0.0
     duplicate: Fraction = 0.0
     reorder: Fraction = 0.0
-    """Share of the messages that are held back by up to one more light time."""
+    """Share of the messages that are delayed by up to one further light time."""
     corrupt: Fraction = 0.0
 
 
 class AtEdge(StrEnum):
     HOLD = "hold"
-    """What is offered out of contact waits for the next window."""
+    """A message offered out of contact waits for the next contact."""
     DROP = "drop"
-    """What is offered out of contact is lost."""
+    """A message offered out of contact is lost."""
 
 
 class Window(Wire):
@@ -77,7 +77,7 @@ class DutyCycle(Wire):
 
 
 class LinkConditions(Wire):
-    """The whole link. With neither windows nor a duty cycle there is always contact."""
+    """Conditions of the whole link. Without windows and duty cycle there is always contact."""
 
     up: DirectionConditions = DirectionConditions()
     down: DirectionConditions = DirectionConditions()
@@ -96,12 +96,12 @@ class LinkConditions(Wire):
 
 
 class LinkChange(Wire):
-    """New values for what is named; everything else stays. It holds for what is sent from now on."""
+    """New values for the fields that are set; the others stay. They hold for messages sent from now on."""
 
     conditions: LinkConditions | None = None
-    """All of it anew; what else is named comes on top."""
+    """Conditions that replace all present ones, before the other fields are applied."""
     direction: Direction | None = None
-    """Which way the figures are meant; None: both."""
+    """The direction that the figures apply to; None: both."""
     one_way_light_time_s: Seconds | None = None
     jitter_s: Seconds | None = None
     rate_bit_s: Annotated[float, Field(ge=1, le=1e12)] | None = None
@@ -111,9 +111,9 @@ class LinkChange(Wire):
     reorder: Fraction | None = None
     corrupt: Fraction | None = None
     contact: bool | None = None
-    """False: black-out from now on; True: contact from now on, whatever was scheduled; None: as it is."""
+    """False: black-out from now on; True: contact from now on, whatever the schedule; None: no change."""
     contact_as_scheduled: bool = False
-    """Back to windows or duty cycle, after `contact` overrode them."""
+    """Return to windows or duty cycle after `contact` overrode them."""
     at_edge: AtEdge | None = None
 
     @model_validator(mode="after")
@@ -126,7 +126,7 @@ class LinkChange(Wire):
 
 
 class InFlight(Wire):
-    """A message between the two sides, or waiting to leave."""
+    """A message on the link, or waiting to depart."""
 
     topic: Text
     source: Text
@@ -135,13 +135,13 @@ class InFlight(Wire):
     size_bytes: Count
     offered_at: MissionTimeNs
     departs_at: MissionTimeNs | None
-    """When its first bit leaves; None while it waits for contact."""
+    """When its first bit departs; None while it waits for contact."""
     arrives_at: MissionTimeNs | None
     """When its last bit arrives; None while it waits for contact."""
 
 
 class Dropped(Wire):
-    """A message that will not arrive, and why."""
+    """A message that will not arrive, with the reason."""
 
     topic: Text
     source: Text
@@ -152,20 +152,20 @@ class Dropped(Wire):
 
 
 class DirectionCounts(Wire):
-    """What happened to the messages of one direction since the start.
+    """Counts of one direction's messages since the start.
 
     offered + duplicated = delivered + lost + dropped + superseded + waiting + in flight.
     """
 
     offered: Count = 0
     repeated: Count = 0
-    """Of those offered: messages under custody that had been offered before."""
+    """Of those offered: repetitions of messages under custody."""
     delivered: Count = 0
     lost: Count = 0
     dropped_out_of_contact: Count = 0
     dropped_queue_full: Count = 0
     superseded: Count = 0
-    """Replaced by a newer one while they waited to leave."""
+    """Replaced by a newer message while they waited to depart."""
     duplicated: Count = 0
     corrupted: Count = 0
     waiting: Count = 0
@@ -174,7 +174,7 @@ class DirectionCounts(Wire):
 
 
 class LinkStatus(Wire):
-    """The link as it is now."""
+    """The present state of the link."""
 
     conditions: LinkConditions
     contact: bool
@@ -186,21 +186,21 @@ class LinkStatus(Wire):
     dropped: Annotated[tuple[Dropped, ...], Field(max_length=50)] = ()
     """The last 50 that will not arrive."""
     commands_arrived: Annotated[tuple[InFlight, ...], Field(max_length=10)] = ()
-    """The last 10 telecommands that came through, as they were on the way: who asks now and then misses none."""
+    """The last 10 telecommands that arrived, so that an infrequent reader misses none."""
     contact_forced: bool | None = None
-    """Contact as an operator decided it; None: as scheduled."""
+    """Contact as set by an operator; None: as scheduled."""
     incarnation: Count
 
 
 class ClockMode(StrEnum):
     WALL = "wall"
-    """Mission time follows the wall clock, times a rate."""
+    """Mission time is the wall clock times a rate."""
     LOCKSTEP = "lockstep"
     """Mission time jumps from event to event."""
 
 
 class ClockState(Wire):
-    """What mission time it is: at wall time `anchor_wall_ns` it was `anchor_mission_ns`, and it runs at `rate`."""
+    """Mission time as an anchor and a rate: at wall time `anchor_wall_ns` it was `anchor_mission_ns`."""
 
     mode: ClockMode = ClockMode.WALL
     epoch: Count = 0
@@ -208,7 +208,7 @@ class ClockState(Wire):
     revision: Count = 0
     """Counts the changes of the clock: of two states of one epoch, that of the higher revision is newer."""
     rate: Annotated[float, Field(ge=0, le=1e6)]
-    """Mission seconds a wall second; 0 while the mission is paused."""
+    """Mission seconds per wall second; 0 while the mission is paused."""
     anchor_wall_ns: MissionTimeNs
     anchor_mission_ns: MissionTimeNs
     start_ns: MissionTimeNs
@@ -216,7 +216,7 @@ class ClockState(Wire):
 
 
 class Acknowledgement(Wire):
-    """What a receiver of custody messages has: everything below `next_sequence`, but for the gaps."""
+    """What a receiver of custody messages has received: all below `next_sequence` except the gaps."""
 
     stream: Text
     """Topic name of the messages acknowledged."""
@@ -225,16 +225,16 @@ class Acknowledgement(Wire):
     next_sequence: Count
     """One more than the highest sequence received."""
     gaps: Annotated[tuple[tuple[Count, Count], ...], Field(max_length=64)] = ()
-    """First and last sequence of each run that is missing below `next_sequence`."""
+    """First and last sequence of each missing run below `next_sequence`."""
     last_sequence: Count | None = None
-    """Which message came last."""
+    """The sequence of the message received last."""
     last_repetition: Count = 0
-    """Which sending of it that was, as its header says."""
+    """Its repetition, as in its header."""
     last_received_at: MissionTimeNs | None = None
-    """When that was."""
+    """When it was received."""
 
 
 class ClockChange(Wire):
-    """Let mission time run at another rate from now on; 0 stops it."""
+    """A change of the rate of mission time; 0 stops it."""
 
     rate: Annotated[float, Field(ge=0, le=100_000)]

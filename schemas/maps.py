@@ -1,4 +1,4 @@
-"""What operators ask of the live map, and what it answers. Stock Zenoh clients put the parameters in the selector."""
+"""Operators' queries of the live map, and the replies. Plain Zenoh clients put the parameters in the selector."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Probability = Annotated[float, Field(ge=0, le=1)]
 Ppb = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 AsOf = Annotated[str, Field(max_length=40, pattern=r"^(\d{1,19}|\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d(\.\d{1,9})?)?Z?)$")]
-"""Which map is meant: a revision, or a mission time as 2030-01-01T06:00:00Z or in nanoseconds since 1970.
+"""The map that is meant: a revision, or a mission time as 2030-01-01T06:00:00Z or in nanoseconds since 1970.
 
-Answered from the last revision that is not later; the answer says which one that is.
+The reply is from the last revision that is not later, which it names.
 """
 
 PolygonText = Annotated[str, Field(max_length=10_000, pattern=r"^\s*-?[\d.eE+-]+(\s*,\s*-?[\d.eE+-]+)+\s*$")]
@@ -27,11 +27,11 @@ PolygonText = Annotated[str, Field(max_length=10_000, pattern=r"^\s*-?[\d.eE+-]+
 
 
 class MapFormat(StrEnum):
-    """How an answer is written. All but JSON come as they are, with a `MapAbout` as their attachment."""
+    """The format of a reply. All but JSON are the payload itself, with a `MapAbout` as the attachment."""
 
     JSON = "json"
     NPY = "npy"
-    """NumPy's own format, float32 or uint8, row 0 in the south."""
+    """NumPy's file format, float32 or uint8, row 0 in the south."""
     PNG = "png"
     """A picture, north up."""
     TIFF = "tiff"
@@ -40,17 +40,17 @@ class MapFormat(StrEnum):
 
 
 class MapPointQuery(Wire):
-    """The belief at one place."""
+    """Query of the belief at one place."""
 
     x: PositionM
     y: PositionM
     threshold: Ppb | None = None
-    """Ask also for the probability that there is more helium-3 than that [ppb]."""
+    """Abundance [ppb] for which the exceedance is asked too."""
     as_of: AsOf | None = None
 
 
 class MapPoint(Wire):
-    """Posterior of the helium-3 abundance at one place, from the map of that revision."""
+    """Posterior of the helium-3 abundance at one place, from the map of one revision."""
 
     x_m: PositionM
     y_m: PositionM
@@ -58,15 +58,15 @@ class MapPoint(Wire):
     std_ppb: Annotated[float, Field(ge=0)]
     traversable: bool
     revision: Count
-    """Grows by one with every change of the map."""
+    """Increases by one with every change of the map."""
     samples: Count
-    """Measurements that the map holds."""
+    """Measurements in the map."""
     mission_time_ns: MissionTimeNs
     """Mission time of that revision."""
     information_nats: Annotated[float, Field(ge=0)] | None = None
-    """What one measurement there would tell about the field."""
+    """Mutual information between one measurement there and the field."""
     exceedance: Probability | None = None
-    """Probability that there is more than the threshold, if one was given."""
+    """Probability that the abundance exceeds the threshold, if one was given."""
 
 
 class MapLayer(StrEnum):
@@ -74,17 +74,17 @@ class MapLayer(StrEnum):
     STD = "std"
     TRAVERSABLE = "traversable"
     INFORMATION = "information"
-    """What one measurement at the place would tell about the field [nat]."""
+    """Mutual information between one measurement at the place and the field [nat]."""
     EXCEEDANCE = "exceedance"
-    """Probability that there is more than `threshold`."""
+    """Probability that the abundance exceeds `threshold`."""
     SAMPLES = "samples"
-    """A table: what was measured, and where."""
+    """A table of the samples and their places."""
     PLAN = "plan"
-    """A table: the corners of what is driven and what is planned."""
+    """A table of the vertices of the driven and the planned path."""
 
 
 RASTERS: tuple[MapLayer, ...] = tuple(MapLayer)[:5]
-"""The layers with a value in every cell."""
+"""Layers with a value in every cell."""
 
 
 class MapLayerQuery(Wire):
@@ -93,7 +93,7 @@ class MapLayerQuery(Wire):
     layer: MapLayer
     step: Annotated[int, Field(ge=1, le=500)] = 1
     threshold: Ppb | None = None
-    """Of the exceedance [ppb]."""
+    """Threshold of the exceedance [ppb]."""
     as_of: AsOf | None = None
     format: MapFormat = MapFormat.JSON
 
@@ -114,7 +114,7 @@ class MapBoxQuery(Wire):
 
 
 class MapRaster(Wire):
-    """A layer as numbers: base64 of little-endian values, row 0 in the south, [row, column] = [y, x]."""
+    """A layer as base64 of little-endian values, row 0 in the south, [row, column] = [y, x]."""
 
     layer: MapLayer
     rows: Annotated[int, Field(ge=1, le=MAX_CELLS)]
@@ -134,7 +134,7 @@ class MapRaster(Wire):
 
 
 class MapAbout(Wire):
-    """What a picture or an array shows; travels as the attachment of answers that are not JSON."""
+    """Description of a picture or an array: the attachment of replies that are not JSON."""
 
     layer: MapLayer
     format: MapFormat
@@ -154,7 +154,7 @@ class MapAbout(Wire):
 
 
 class MapScore(Wire):
-    """How the belief compares with the reference field, over all cells; only a simulated Moon can tell."""
+    """The belief compared with the reference field over all cells, which only a simulated Moon provides."""
 
     rmse_ppb: Annotated[float, Field(ge=0)]
     coverage_68: Annotated[float, Field(ge=0, le=1)]
@@ -168,13 +168,13 @@ class MapScore(Wire):
 
 
 class MapTrackQuery(Wire):
-    """Samples and paths, as they are or as they were."""
+    """Query of samples and paths, present or past."""
 
     as_of: AsOf | None = None
 
 
 class MapRevision(Wire):
-    """A map that can still be asked for."""
+    """A revision of the map that is kept."""
 
     revision: Count
     samples: Count
@@ -183,38 +183,38 @@ class MapRevision(Wire):
 
 
 class MapSite(Wire):
-    """The ground that the map is of."""
+    """The grid and the place of the map."""
 
     rows: Count
     columns: Count
     resolution_m: float
     origin_lat_deg: float | None
-    """Of the south-west corner; None where the region does not say where on the Moon it lies."""
+    """Of the south-west corner; None if the region has no coordinates on the Moon."""
     origin_lon_deg: float | None
     noise_std_ppb: float
-    """Standard deviation of a measurement, as the belief has it."""
+    """Standard deviation of a measurement in the belief."""
 
 
 class MapHistory(Wire):
-    """The site, and the revisions that are held, oldest first; the last is the map as it is."""
+    """The site and the revisions that are kept, oldest first; the last is the present map."""
 
     site: MapSite
     revisions: tuple[MapRevision, ...]
 
 
 class ResourceQuery(Wire):
-    """How much helium-3 there is in an area. Without a polygon the whole site is meant."""
+    """Query of the helium-3 in an area; without a polygon, in the whole site."""
 
     polygon: PolygonText | None = None
     cutoff_ppb: Ppb = 8.0
-    """Ground with more than that is worth digging."""
+    """Abundance above which ground counts as ore."""
     probability: Annotated[float, Field(gt=0, lt=1)] = 0.9
-    """Of the credible intervals, and what a cell above the cut-off must have to count as confident."""
+    """Of the credible intervals, and the least probability of a cell that counts as confidently above the cut-off."""
     as_of: AsOf | None = None
 
 
 class Interval(Wire):
-    """Expectation, and an interval that holds the truth with the probability asked for."""
+    """Expectation and credible interval."""
 
     expected: float
     low: float
@@ -227,22 +227,22 @@ class ResourceEstimate(Wire):
     area_m2: Annotated[float, Field(ge=0)]
     cells: Count
     mean_ppb: Interval
-    """Of the abundance over the area."""
+    """Mean abundance over the area."""
     mean_std_ppb: float
     """Standard deviation of that mean."""
     mass_kg_per_m: Interval
-    """Helium-3 per metre of depth, at that bulk density, as if the abundance did not change with depth."""
+    """Helium-3 per metre of depth at `bulk_density_kg_m3`, with an abundance independent of depth."""
     bulk_density_kg_m3: float
     cutoff_ppb: float
     area_above_m2: Interval
-    """Area that holds more than the cut-off."""
+    """Area above the cut-off."""
     confident_area_m2: float
     """Area of the cells that are each above the cut-off with at least `probability`."""
     probability: float
     quadrature_m: float
-    """Spacing of the places at which the correlation with the samples was integrated."""
+    """Spacing of the places over which the correlation with the samples was integrated [m]."""
     quadrature_error_ppb: float
-    """How far the mean's standard deviation moves when that spacing is doubled."""
+    """Change of the mean's standard deviation when that spacing is doubled [ppb]."""
     revision: Count
     samples: Count
     mission_time_ns: MissionTimeNs
@@ -252,19 +252,19 @@ class FrameKind(StrEnum):
     KEY = "key"
     """The whole map."""
     DELTA = "delta"
-    """What is different from the frame before."""
+    """The difference from the frame before."""
     BEAT = "beat"
-    """No numbers: where the feed stands, now and then, so that who missed the last frame learns of it."""
+    """No values: the present sequence, sent periodically, so that a reader notices a missed frame."""
 
 
 class MapFrame(Wire):
-    """The head of a frame of the map's feed; numbers follow it, see services/ground/map/feed.py."""
+    """The head of a frame of the map's feed; values follow it, see services/ground/map/feed.py."""
 
     kind: FrameKind
     epoch: Count
-    """Which start of the feed; frames of another epoch do not fit together."""
+    """Identifies the start of the feed; frames of different epochs cannot be combined."""
     sequence: Count
-    """Grows by one with every change of the feed; a delta fits on the frame with one less."""
+    """Increases by one with every change of the feed; a delta applies to the frame with one less."""
     rows: Count
     columns: Count
     resolution_m: float

@@ -1,4 +1,4 @@
-"""What the rover's instruments ask the Moon, and what it answers."""
+"""Queries of the rover's instruments to the field service, and the replies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from schemas.wire import Identifier, PositionM, Wire
 
 
 class MeasurementRequest(Wire):
-    """Analyse the regolith drilled at a place. The same sample id gives the same number, however often it is asked."""
+    """Query for the analysis of regolith drilled at a place. Equal sample ids have equal replies."""
 
     sample_id: Identifier
     x_m: PositionM
@@ -19,7 +19,7 @@ class MeasurementRequest(Wire):
 
 
 class MeasurementReply(Wire):
-    """Helium-3 abundance of the sample by mass, sensor noise included."""
+    """Helium-3 abundance of the sample by mass, with sensor noise."""
 
     sample_id: Identifier
     x_m: PositionM
@@ -29,13 +29,13 @@ class MeasurementReply(Wire):
 
 
 class TerrainRequest(Wire):
-    """Look at the terrain at up to 512 places, as a rover looks along the way ahead."""
+    """Query for the terrain at up to 512 places, along the path ahead of the rover."""
 
     points_m: Annotated[tuple[tuple[PositionM, PositionM], ...], Field(min_length=1, max_length=512)]
 
 
 class TerrainReply(Wire):
-    """The terrain at those places, in their order; a place outside the region is not traversable."""
+    """The terrain at those places, in their order; places outside the region are not traversable."""
 
     elevation_m: tuple[float, ...]
     slope_deg: tuple[float, ...]

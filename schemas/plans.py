@@ -1,4 +1,4 @@
-"""What the ground asks of the rover: plans of one or several rounds."""
+"""Plans of one or several rounds, from the ground to the rover."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Waypoint = tuple[PositionM, PositionM]
 
 
 class PlannedSample(Wire):
-    """One place to drill, on the round's path."""
+    """A place to drill, on the round's path."""
 
     sample_id: Identifier
     x_m: PositionM
@@ -21,26 +21,26 @@ class PlannedSample(Wire):
 
 
 class RoundPlan(Wire):
-    """One round: a path, its first vertex where the round begins, and the places on it, in the order reached."""
+    """One round: a path from where it begins, and the places to sample on it, in the order in which it reaches them."""
 
     round: Annotated[int, Field(ge=1, le=10_000)]
     path_m: Annotated[tuple[Waypoint, ...], Field(min_length=1, max_length=4096)]
     samples: Annotated[tuple[PlannedSample, ...], Field(max_length=256)]
     information_nats: Annotated[float, Field(ge=0)]
-    """Mutual information between the round's measurements and the field, given what the ground counted in."""
+    """Mutual information between the round's measurements and the field, given the samples known and pending."""
 
 
 class MissionPlan(Wire):
-    """Consecutive rounds, the next first. A newer revision replaces those that have not begun, and none that has."""
+    """Consecutive rounds, the next first. A newer revision replaces the rounds that have not begun."""
 
     revision: Annotated[int, Field(ge=1)]
     rounds: Annotated[tuple[RoundPlan, ...], Field(min_length=1, max_length=64)]
     last: bool = False
-    """Nothing comes after these rounds: the mission is complete when they are."""
+    """No rounds follow: the mission is complete when these are."""
     samples_known: Annotated[int, Field(ge=0)]
-    """How many measured values the ground had when it planned."""
+    """Number of measured values on the ground at the time of planning."""
     samples_pending: tuple[Identifier, ...] = ()
-    """Measurements under way that were counted in: the posterior variance does not depend on their values."""
+    """Measurements under way that the plan takes into account; the posterior variance does not need their values."""
     planned_at: MissionTimeNs
 
     @model_validator(mode="after")

@@ -25,7 +25,7 @@ class MessageCounts(Wire):
 
 
 class ReportSample(Wire):
-    """One measurement as the ground has it."""
+    """One measurement, as received on the ground."""
 
     sample_id: Text
     round: Count
@@ -33,16 +33,16 @@ class ReportSample(Wire):
     y_m: float
     helium3_ppb: float
     measured_at_s: float
-    """Seconds of mission time since the start."""
+    """Mission time since the start [s]."""
 
 
 class MissionReport(Wire):
-    """What a mission did and how good its map is. Only `wall_time_s` and `host` differ between equal runs."""
+    """The course of a mission and the quality of its map. Equal runs differ in `wall_time_s` and `host` only."""
 
     scenario: Text
     region: Text
     region_note: Text
-    """What the region's data are: the embedded regions are synthetic stand-ins."""
+    """Provenance of the region's data; the embedded regions are synthetic stand-ins."""
     planner: Text
     kernel: Text
     seed: int
@@ -51,15 +51,15 @@ class MissionReport(Wire):
     rate: float | None
     completed: bool
     detail: Text
-    """Why it ended as it did, in the ground's words."""
+    """The reason for the mission's end, as the ground states it."""
     rounds: Count
     samples: Count
     samples_wanted: Count
-    """What the scenario asks for; fewer samples are a mission that ended early."""
+    """Samples that the scenario asks for; a mission with fewer ended early."""
     rmse_ppb: float | None
-    """Of the final map, over all cells; None, as the coverages are, where nobody knows the truth."""
+    """Of the final map, over all cells; None, as the coverages, if there is no reference field."""
     rmse_history: tuple[MapScore, ...]
-    """One entry a round."""
+    """One entry per round."""
     coverage_68: float | None
     coverage_95: float | None
     path_length_m: float

@@ -1,4 +1,4 @@
-"""What the rover tells: samples, events, state."""
+"""The rover's telemetry: samples, events, state."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SampleReport(Wire):
     noise_std_ppb: Annotated[float, Field(ge=0)]
     measured_at: MissionTimeNs
     driven_m: Metres
-    """Odometer of the rover when it measured."""
+    """Distance driven when it measured [m]."""
 
 
 class EventKind(StrEnum):
@@ -60,7 +60,7 @@ class EventKind(StrEnum):
 
 
 class RoverEvent(Wire):
-    """Something happened that the ground must know; past tense, delivered once."""
+    """An event on board, delivered exactly once."""
 
     kind: EventKind
     at: MissionTimeNs
@@ -71,14 +71,14 @@ class RoverEvent(Wire):
     sample_id: Identifier | None = None
     driven_m: Metres = 0.0
     obstacle_m: tuple[PositionM, PositionM] | None = None
-    """Nearest place on the way ahead that the rover may not enter (`blocked` only); x_m and y_m are where it stands."""
+    """Nearest place on the path ahead that the rover may not enter (`blocked` only); x_m and y_m are its own place."""
     samples_done: Annotated[tuple[Identifier, ...], Field(max_length=256)] = ()
-    """Samples of that round that are measured (`round_completed`, `round_aborted` and `blocked`): they will arrive."""
+    """Samples of the round that are measured (`round_completed`, `round_aborted` and `blocked`): they will arrive."""
     detail: Text = ""
 
 
 class RoverState(Wire):
-    """The rover as it is now; only the latest counts."""
+    """The present state of the rover; a newer one supersedes it."""
 
     mode: RoverMode
     x_m: PositionM
@@ -90,10 +90,10 @@ class RoverState(Wire):
     driven_m: Metres
     drilled_m: Metres
     round: Count
-    """The round being executed, or the last one; 0 before the first."""
+    """The round in execution, or the last one; 0 before the first."""
     plan_revision: Count
     rounds_on_board: Count
     """Rounds accepted and not yet begun."""
     samples_done: Count
     queue_depth: Count
-    """Messages that wait for the ground's acknowledgement."""
+    """Messages without the ground's acknowledgement."""

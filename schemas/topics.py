@@ -1,4 +1,4 @@
-"""The one table of topics: payload, direction, class of service, whether it is recorded. Nothing else spells a key."""
+"""The table of topics: payload, direction, class of service, recording. No other module spells a key."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Side(StrEnum):
 
 
 class Crosses(Enum):
-    """Whether a topic goes over the link, and which way."""
+    """Whether a topic crosses the link, and in which direction."""
 
     UP = "tc"
     DOWN = "tm"
@@ -45,23 +45,23 @@ class Crosses(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Custody:
-    """Delivered exactly once, end to end, in spite of loss and black-outs; lower priority values go first."""
+    """Delivered exactly once, end to end, despite loss and black-outs; lower priority values go first."""
 
     priority: int
 
 
 @dataclass(frozen=True, slots=True)
 class Latest:
-    """Only the newest counts: never repeated, never queued behind another of its kind."""
+    """Only the newest message counts: it is not repeated, and it replaces an older one that waits."""
 
     priority: int = 9
     distinct: tuple[str, ...] = ()
-    """Fields of the body that tell one kind from another, where a topic speaks of several things."""
+    """Fields of the body that distinguish messages of which each newest one counts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """Asked and answered within one side."""
+    """A query and its reply within one side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Topic:
     service: Custody | Latest | Query = Latest()
     recorded: bool = False
     kept: bool = False
-    """Whether the last message can be asked for, on the same key, by who came too late to hear it."""
+    """Whether the last message can be queried on the same key, for late subscribers."""
     reply: type[Wire] | None = None
     max_bytes: int = 16_384
     max_reply_bytes: int = 1_048_576
@@ -85,12 +85,12 @@ class Topic:
 
     @property
     def direction(self) -> Direction | None:
-        """Which way it crosses the link; None for a topic that stays on its side."""
+        """Direction in which it crosses the link; None for a topic that stays on its side."""
         return {Crosses.UP: Direction.UP, Crosses.DOWN: Direction.DOWN, Crosses.NEVER: None}[self.crosses]
 
     @property
     def sides(self) -> tuple[Side, ...]:
-        """Where the key exists: both sides for what crosses."""
+        """The sides on which the key exists: both for a topic that crosses."""
         if self.crosses is not Crosses.NEVER:
             return Side.MOON, Side.EARTH
         return (Side(self.name.split("/", 1)[0]),)
@@ -198,20 +198,20 @@ BY_NAME: dict[str, Topic] = {topic.name: topic for topic in TOPICS}
 
 
 def counted(topic: Topic) -> Topic:
-    """That topic's messages to those who take part in lockstep, who wait for each of them.
+    """The topic of that topic's messages to the processes in lockstep, which wait for each of them.
 
-    Wildcards do not match a chunk that begins with '@': whoever just looks on, on `he3/**` say, is never waited for.
+    Wildcards do not match a chunk that begins with '@', so an observer, on `he3/**` for example, is not waited for.
     """
     return replace(topic, name=f"{topic.name}/@counted", kept=False)
 
 
 def addressed(topic: Topic, name: str) -> Topic:
-    """That topic's messages to one process alone, on a key of their own."""
+    """The topic of that topic's messages to one process, with its own key."""
     return replace(topic, name=f"{topic.name}/{name}")
 
 
 def crossing(direction: Direction) -> tuple[Topic, ...]:
-    """The topics that go over the link that way."""
+    """The topics that cross the link in that direction."""
     return tuple(topic for topic in TOPICS if topic.direction is direction)
 
 
