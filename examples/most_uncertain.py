@@ -1,10 +1,10 @@
-"""A planner of your own: always on to the most uncertain place, and from there to the next.
+"""An example of a plug-in planner: drive to the most uncertain place, and from there to the next.
 
     he3 run t1 --in-process --planner examples.most_uncertain:most_uncertain
     he3 bench paper --seeds 3 --regions t1 --planners rrtstar,tour,examples.most_uncertain:most_uncertain
 
-It needs no tree and asks for no utility, but it is greedy: what one sample will teach about the places around it is
-taken into account before the next is chosen, what the way there costs is not. See how many metres that takes.
+It has neither tree nor utility. It is greedy: each place is chosen given the samples before it, whatever the length of
+the path to it. Compare the metres that it drives.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from services.ground.planners.routes import RouteFinder
 from services.ground.planners.traversability import OpenGround
 
 SPACING_CELLS = 10
-"""Of the places among which it chooses."""
+"""Spacing of the candidate places."""
 
 
 def most_uncertain(request: PlanningRequest) -> PlannedRound:
-    """The round to the most uncertain places within reach, one after the other. Raises NoRoute if there is none."""
+    """The round to the most uncertain places within the budget, one by one. Raises NoRoute if there is none."""
     grid = validated(request).grid
     ground = OpenGround(grid, request.traversable)
     routes = RouteFinder(ground)
@@ -37,9 +37,9 @@ def most_uncertain(request: PlanningRequest) -> PlannedRound:
     path, chosen, left_m = [np.array([here])], [], request.budget_m
     while len(chosen) < request.samples and len(places):
         within_reach = routes.distances_from(here)[rows, columns] <= left_m
-        worth = np.where(within_reach, interest * belief.predict(places)[1], -1.0)
-        best = int(np.argmax(worth))
-        if worth[best] < 0:
+        uncertainty = np.where(within_reach, interest * belief.predict(places)[1], -1.0)
+        best = int(np.argmax(uncertainty))
+        if uncertainty[best] < 0:
             break
         target = (float(places[best, 0]), float(places[best, 1]))
         leg = routes.route(here, target)
@@ -49,5 +49,5 @@ def most_uncertain(request: PlanningRequest) -> PlannedRound:
         chosen.append(target)
         belief = belief.condition_on_places([target])
     if not chosen:
-        raise NoRoute(f"no place to sample can be reached within the {request.budget_m:g} m that are left")
+        raise NoRoute(f"no place to sample is reachable within the remaining {request.budget_m:g} m")
     return planned_round(request, np.vstack(path), np.array(chosen))

@@ -1,4 +1,4 @@
-"""Make the coarse rasters of the embedded regions: a SYNTHETIC STAND-IN for orbital data, seeded and repeatable.
+"""Make the coarse rasters of the embedded regions: a SYNTHETIC STAND-IN for orbital data, seeded and reproducible.
 
 The real rasters (Kaguya MI mineral maps, SLDEM2015) are tens of gigabytes. What is made here has their grid (512 pixels
 a degree, north up) and statistics tuned so that the finished regions agree with the published figures: helium-3 range
@@ -28,13 +28,13 @@ from he3.reference import METRES_PER_DEGREE
 FloatArray = NDArray[np.float64]
 
 PIXELS = 32  # pixels on a side of a window: about 1.8 km, for a region of 0.5 km
-SUBSAMPLES = 9  # points a pixel and axis that an elevation is averaged over, as an orbiter's footprint does
+SUBSAMPLES = 9  # points per pixel and axis over which an elevation is averaged, as by an orbiter's footprint
 PROVENANCE = "SYNTHETIC STAND-IN made by scripts/make_standin_regions.py; not measured data"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """What one stand-in is made from. Lengths in metres, x east and y north of the region's south-west corner."""
+    """Parameters of one stand-in. Lengths in metres, x east and y north of the region's south-west corner."""
 
     file: str
     name: str
@@ -48,20 +48,20 @@ class Recipe:
     maturity: float  # mean OMAT
     maturity_spread: float
     chemistry_correlation: float  # between FeO and OMAT
-    chemistry_length_m: float  # shorter than a pixel: neighbours hardly resemble each other
+    chemistry_length_m: float  # shorter than a pixel: neighbouring pixels are almost independent
     terrain_seed: int
     base_m: float
     roughness_m: float  # standard deviation of the rolling ground
     roughness_length_m: float
     tilt: tuple[float, float]  # rise per metre east and north
-    craters: int  # that are strewn over the window at random
+    craters: int  # at random places of the window
     crater_diameters_m: tuple[float, float]
     landform: Callable[[FloatArray, FloatArray], FloatArray]
-    variation_seed: int  # of the perturbation under which the published figures hold
+    variation_seed: int  # of the perturbation for which the published figures hold
 
 
 def crater(x: FloatArray, y: FloatArray, cx: float, cy: float, diameter: float, freshness: float) -> FloatArray:
-    """Height [m] of a simple crater: a bowl, a fifth of its diameter deep when fresh, and a rim that falls off."""
+    """Height [m] of a simple crater: a bowl, a fifth of its diameter deep when fresh, and a rim."""
     r = np.hypot(x - cx, y - cy) / (diameter / 2)
     depth, rim = 0.20 * freshness * diameter, 0.04 * freshness * diameter
     bowl = -depth + (depth + rim) * r**2
@@ -74,7 +74,7 @@ def no_landform(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def rille(x: FloatArray, y: FloatArray) -> FloatArray:
-    """The upper edge of a winding rille in the north-west: ground falls away beyond a curved rim."""
+    """Height [m] of the upper edge of a winding rille in the north-west: ground descends beyond a curved rim."""
     along, beyond = x * 0.77 + y * 0.64, (y - 395) * 0.77 - x * 0.64
     beyond += 16 * np.sin(along / 70)
     return -0.47 * 12 * np.logaddexp(0, beyond / 12)
@@ -164,7 +164,7 @@ def make(recipe: Recipe) -> dict[str, NDArray[np.generic]]:
 
 
 def _chemistry(recipe: Recipe, spacing_m: tuple[float, float]) -> FloatArray:
-    """FeO and OMAT (2, rows, columns): correlated, with exactly the wanted mean, spread and correlation."""
+    """FeO and OMAT (2, rows, columns): correlated, with exactly the recipe's mean, spread and correlation."""
     random = np.random.default_rng(recipe.chemistry_seed)
     fields = unit_fields(2, (PIXELS, PIXELS), spacing_m, recipe.chemistry_length_m, random)
     flat = fields.reshape(2, -1) - fields.reshape(2, -1).mean(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Where scenarios and Zenoh configurations are found: in the checkout, or in the installed package."""
+"""Paths of the scenarios and Zenoh configurations that ship with the system: in the checkout or the package."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _CHECKOUT = Path(__file__).parents[2] / "deploy"
 
 
 RENAMED = {"t1-nominal": "t1-paper", "t2-nominal": "t2-paper"}
-"""Names that shipped scenarios had, and what they are called now."""
+"""Former names of shipped scenarios, and their present ones."""
 
 
 def deployment(*parts: str) -> Path:
@@ -26,7 +26,7 @@ def shipped_scenarios() -> list[str]:
 
 
 def find_scenario(reference: str) -> Path:
-    """Path of the scenario that a user means: a file, or the name of a shipped one; raises InvalidInput.
+    """Path of a scenario, given as a file or as the name of a shipped one; raises InvalidInput.
 
     An earlier name still works, with one line on standard error that says the name of today.
     """

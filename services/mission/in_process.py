@@ -1,4 +1,4 @@
-"""A whole mission in this process: all nodes of a scenario over the simulation driver, and its questions answered."""
+"""A whole mission in one process: all nodes of a scenario over the simulation driver, and replies to queries."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 ENDED = frozenset({MissionPhase.COMPLETED, MissionPhase.FAILED})
 
 RECORDING_FLUSH_S = 3600.0
-"""Mission time between flushes of an in-process recording: nobody else depends on it while it runs."""
+"""Mission time between flushes of an in-process recording, which no other process reads while it runs [s]."""
 
 
 def build_nodes(scenario: Scenario, region: Region | None = None) -> tuple[Node, ...]:
-    """The nodes of that scenario, as each of their processes would build its own.
+    """The nodes of a scenario, built as in their own processes.
 
     region: the scenario's, where it is loaded already. Raises InvalidInput for a scenario that no mission can have.
     """
@@ -46,7 +46,7 @@ def build_nodes(scenario: Scenario, region: Region | None = None) -> tuple[Node,
 
 
 class InProcessMission:
-    """A mission in virtual time. Step it or run it; ask it what an operator would ask."""
+    """A mission in virtual time: run it, and query it as an operator would."""
 
     def __init__(
         self,
@@ -57,25 +57,25 @@ class InProcessMission:
     ) -> None:
         self.scenario = scenario
         self.status: GroundStatus | None = None
-        """What the ground last said."""
+        """The ground's last status."""
         self.link: LinkStatus | None = None
-        """What the link last said."""
+        """The link's last status."""
         built = build_nodes(scenario) if nodes is None else tuple(nodes)
         self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, event_sink, scenario.link)
         self.simulation.tap(self._listen)
 
     @property
     def mission_time_s(self) -> float:
-        """Seconds since the mission began."""
+        """Mission time since the start [s]."""
         return (self.simulation.now - self.scenario.start_ns) / SECOND
 
     @property
     def end(self) -> MissionPhase | None:
-        """How the mission ended: completed or failed; None while it goes on."""
+        """The phase in which the mission ended, completed or failed; None while it goes on."""
         return None if self.status is None or self.status.phase not in ENDED else self.status.phase
 
     def run(self, watch: Callable[[], None] = lambda: None, until_s: float | None = None) -> MissionPhase:
-        """How the mission ended, after running it until the ground says so; `watch` is called after every instant.
+        """Run the mission to its end and return the phase in which it ended; `watch` is called after every instant.
 
         Raises He3Error when the mission stands still, or is not over `until_s` seconds after its beginning.
         """
@@ -90,14 +90,14 @@ class InProcessMission:
         return self.end
 
     def why(self) -> str:
-        """Where the mission is, in a few words, for an error's line."""
+        """The state of the mission in a few words, for an error message."""
         if self.status is None:
             return "the ground has not said anything"
         detail = f" ({self.status.detail})" if self.status.detail else ""
         return f"{self.status.phase.value}, {self.status.samples} of {self.status.samples_total} samples{detail}"
 
     def ask(self, topic: Topic, request: Wire) -> Any:
-        """The answer to an operator's question; raises He3Error with the refusal."""
+        """The reply to an operator's query; raises He3Error with the refusal."""
         return self.simulation.ask(topic, request)
 
     def _listen(self, topic: Topic, side: Side, payload: bytes, now: MissionTime) -> None:
@@ -108,7 +108,7 @@ class InProcessMission:
         try:
             said = decode(topic, payload, self.scenario.name)[1]
         except Refused:
-            return  # a stranger's; the nodes count those, an onlooker passes over them
+            return  # not of this mission: the nodes count it
         if topic is GROUND_STATUS:
             self.status = said
         else:

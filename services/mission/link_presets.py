@@ -1,4 +1,4 @@
-"""Conditions with a name: what agencies have flown, studied, or feared.
+"""Link conditions by name: those that agencies have flown or studied, and stress cases.
 
 [read]: read at its source; [calc]: computed; [assumed]: a working figure that nobody has verified.
 """
@@ -19,14 +19,14 @@ _MEAN_S: Final = round(
 _AT_THE_MEAN: Final = frozenset({"nominal", "polar-window", "lossy"})
 _VIPER_UP_BIT_S: Final = 2_000.0  # bit/s direct from Earth to a VIPER-like rover [assumed]
 _VIPER_DOWN_BIT_S: Final = 256_000.0  # bit/s direct to Earth from a VIPER-like rover [assumed]
-_CSA_DOWN_BIT_S: Final = 300_000.0  # bit/s, most that the CSA's study let come down [read]
+_CSA_DOWN_BIT_S: Final = 300_000.0  # bit/s, the most that the CSA's study allowed down [read]
 _QUEQIAO_UP_BIT_S: Final = 125.0  # bit/s, Queqiao to a rover [read]
 _QUEQIAO_DOWN_BIT_S: Final = 140_000.0  # bit/s, a rover's middle return rate to Queqiao (0.7, 140, 285 kbit/s) [read]
 _SIDEREAL_MONTH_S: Final = (
     2_360_591.0  # s, 27.32166 days, in which the Moon's libration, and so the Earth's height, repeats
 )
 _POLAR_CONTACT: Final = 0.51  # share of the time that the best south-pole site sees the Earth [read]
-_BEFORE_LOSS_S: Final = 1.0 * _DAY_S  # s of contact left when the mission begins, so that it meets the edge [assumed]
+_BEFORE_LOSS_S: Final = 1.0 * _DAY_S  # s of contact left at the start, so that the mission meets its end [assumed]
 
 
 def _light_time_s(name: str) -> float:
@@ -90,12 +90,12 @@ PROVENANCE: Final = MappingProxyType(
         "mars": "20 minutes one way: a stress case",
     }
 )
-"""Where each comes from, in one line."""
+"""Provenance of each, in one line."""
 
 
 def preset(name: str) -> LinkConditions:
-    """The conditions of that name; raises InvalidInput, listing the names, for one that is not known."""
+    """The conditions of that name; raises InvalidInput, listing the names, for an unknown one."""
     try:
         return PRESETS[name]
     except KeyError:
-        raise InvalidInput(f"expected a link preset out of {', '.join(PRESETS)}; got {name!r}") from None
+        raise InvalidInput(f"expected a link preset among {', '.join(PRESETS)}, got {name!r}") from None

@@ -1,4 +1,4 @@
-"""Regions, loaded: the embedded ones by name, anybody's from a file. This is where rasters are flipped, once."""
+"""Loading of regions: embedded ones by name, others from a file. Rasters are flipped to row 0 south here only."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from he3.terrain import relief_m, slope_deg, traversable
 from schemas.maps import MAX_CELLS
 from schemas.wire import MAX_POSITION_M
 
-# Name of a region -> its coarse rasters in this package. They are synthetic stand-ins, and their file names say so.
+# Region name -> file of its coarse rasters in this package. They are synthetic stand-ins, as the file names say.
 EMBEDDED: Final[Mapping[str, str]] = {
     "t1": "t1_taurus_littrow_synthetic_standin.npz",
     "t2": "t2_hadley_rille_synthetic_standin.npz",
 }
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
-MAX_LATITUDE_DEG: Final = 89.0  # beyond it a region is no plane of east and north
+MAX_LATITUDE_DEG: Final = 89.0  # deg, beyond it a region is no plane of east and north
 MAX_PROVENANCE: Final = 500  # characters
 _LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable")
 _FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_deg")
@@ -36,11 +36,10 @@ _FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_d
 def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
     """The finished region of an embedded name (``t1``, ``t2``) or of an .npz file.
 
-    A seed makes another variation of an embedded region; without one it is the region's own, under which its published
-    figures hold. A file has one variation, and takes no seed: it holds he3_ppb (rows, columns) with
-    row 0 in the south, resolution_m, and elevation_m [m] or traversable (bool) or both, and may hold orbital_ppb,
-    provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner.
-    Raises InvalidInput, in one line that names file, key and expectation.
+    seed: of the variation of an embedded region; None is the region's own, for which its published figures hold. A file
+    has one variation and takes no seed. It contains he3_ppb (rows, columns) with row 0 in the south, resolution_m, and
+    elevation_m [m] or traversable (bool) or both; orbital_ppb, provenance (text), and origin_lat_deg and origin_lon_deg
+    of its south-west corner are optional. Raises InvalidInput, in one line with file, key and expectation.
     """
     if str(name_or_path) in EMBEDDED:
         return reference(load_window(str(name_or_path)), seed)
@@ -53,7 +52,7 @@ def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
 
 
 def load_window(name: str) -> OrbitalWindow:
-    """The orbital window, here a synthetic stand-in, that an embedded region is made from, flipped to row 0 south."""
+    """The orbital window of an embedded region, a synthetic stand-in, flipped to row 0 south."""
     source = resources.files("services.mission").joinpath("region_data", EMBEDDED[name])
     with source.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
         arrays: dict[str, NDArray[Any]] = {key: archive[key] for key in archive.files}
@@ -84,10 +83,10 @@ def _region_from_file(path: Path) -> Region:
         raise InvalidInput(f"{path}: expected key elevation_m or traversable, got {', '.join(sorted(arrays))}")
     slope = np.zeros(he3.shape) if elevation is None else slope_deg(elevation, resolution_m)
     if open_cells is None:
-        assert elevation is not None  # one of the two is there, see above
+        assert elevation is not None  # checked above
         if resolution_m >= RELIEF_WINDOW_M:
             raise InvalidInput(f"{path}: expected key traversable, as elevation_m in cells of {RELIEF_WINDOW_M:g} m or "
-                               f"more tells no hollow or hummock, got resolution_m {resolution_m:g}")  # fmt: skip
+                               f"more shows no hollow or hummock, got resolution_m {resolution_m:g}")  # fmt: skip
         open_cells = traversable(slope, relief_m(elevation, resolution_m))
     return Region(
         name=path.stem,
@@ -105,7 +104,7 @@ def _region_from_file(path: Path) -> Region:
 
 
 def _read_layers(path: Path) -> dict[str, NDArray[Any]]:
-    """The known arrays of an .npz file, nothing executed; unknown keys are left alone."""
+    """The known arrays of an .npz file, by key; unknown keys are ignored, and nothing is unpickled."""
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(member.file_size for member in archive.infolist())
@@ -133,7 +132,7 @@ def _layer(
     bounds: tuple[float, float],
     unit: str,
 ) -> FloatArray | None:
-    """A layer as float64 (rows, columns), every cell of it measured; None if the file does not hold it."""
+    """A layer as float64 (rows, columns) without missing values; None if the file does not contain it."""
     values = arrays.get(key)
     if values is None:
         return None
@@ -170,7 +169,7 @@ def _expect_shape(path: Path, key: str, got: tuple[int, ...], wanted: tuple[int,
 
 
 def _provenance(path: Path, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Where the data come from, as the file says, and which file that is."""
+    """Provenance of the data as stated in the file, with the file's name."""
     values = arrays.get("provenance")
     if values is None:
         return f"given as {path.name}"
@@ -182,7 +181,7 @@ def _provenance(path: Path, arrays: Mapping[str, NDArray[Any]]) -> str:
 
 
 def _origin_deg(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[float, float] | tuple[None, None]:
-    """Latitude and longitude [deg] of the south-west corner, if the file says them."""
+    """Latitude and longitude [deg] of the south-west corner; None if the file does not contain them."""
     latitude = _number(path, arrays, "origin_lat_deg", -MAX_LATITUDE_DEG, MAX_LATITUDE_DEG, "deg")
     longitude = _number(path, arrays, "origin_lon_deg", -360.0, 360.0, "deg")
     if latitude is None and longitude is None:
@@ -202,7 +201,7 @@ def _resolution_m(path: Path, arrays: Mapping[str, NDArray[Any]]) -> float:
 def _number(
     path: Path, arrays: Mapping[str, NDArray[Any]], key: str, low: float, high: float, unit: str
 ) -> float | None:
-    """One number within bounds; None if the file does not hold it."""
+    """One number within low..high; None if the file does not contain it."""
     values = arrays.get(key)
     if values is None:
         return None

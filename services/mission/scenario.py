@@ -1,7 +1,7 @@
-"""A scenario: everything that determines a mission, read from one TOML file and frozen.
+"""The scenario: everything that determines a mission, read from one TOML file and frozen.
 
-Every figure has its unit in its name and its provenance in its comment: [read] and [assumed] as in the documentation.
-Bad values are refused with one line that names file, key, expectation and what came.
+Every quantity has its unit in its name and its provenance in its comment: [read] from a source, [calc] or [assumed].
+Bad values are refused in one line with file, key, expected and actual value.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MAX_SCENARIO_BYTES = 1_000_000
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
-# What a mission can be computed for. Every bound lies far beyond anything that flies, and keeps times within int64 ns.
+# What a mission can be computed for. The bounds lie far beyond every real rover, and keep times within int64 ns.
 Speed = Annotated[float, Field(ge=1e-4, le=100)]  # m/s
 Length = Annotated[float, Field(ge=0, le=10_000)]  # m
 Power = Annotated[float, Field(ge=0, le=1e6)]  # W
@@ -45,19 +45,19 @@ class Section(BaseModel):
 
 
 class FieldConfig(Section):
-    """The Moon: which region it is, and how well its instruments see it."""
+    """The Moon: its region, and the noise of the instruments."""
 
     noise_std_ppb: Annotated[float, Field(ge=0, le=1000)] = 0.1
     """Standard deviation of a measurement [ppb]; the paper's."""
     hidden_hazards: Annotated[int, Field(ge=0, le=1000)] = 0
-    """Boulders that the ground's terrain map does not show, put at random (seeded)."""
+    """Boulders that the ground's terrain map does not show, at random places that follow from the seed."""
     hazard_radius_m: Annotated[float, Field(gt=0, le=1000)] = 3.0
     field_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
-    """Seed of the reference field's perturbation; None: the region's own, under which its published figures hold."""
+    """Seed of the reference field's perturbation; None: the region's own, for which its published figures hold."""
 
 
 class RoverConfig(Section):
-    """The vehicle. Every time and power figure is a setting."""
+    """The vehicle: speeds, times and power."""
 
     speed_m_s: Speed = 0.1
     """On the flat [m/s]. VIPER: 0.1 nominal, 0.2 top [read]."""
@@ -68,11 +68,11 @@ class RoverConfig(Section):
     footprint_radius_m: Annotated[float, Field(ge=0, le=100)] = 0.8
     """Half the vehicle's width [m]. VIPER is 1.5 m square [read]."""
     look_ahead_m: Annotated[float, Field(ge=0.1, le=10_000)] = 10.0
-    """Length of the pieces in which a path is looked at and driven [m]."""
+    """Length of the pieces in which a path is inspected and driven [m]."""
     bite_m: Annotated[float, Field(ge=0.001, le=10)] = 0.1
-    """The drill goes down in bites of this depth [m]. TRIDENT: 0.1 [read]."""
+    """Depth of one bite of the drill [m]. TRIDENT: 0.1 [read]."""
     drill_s_per_m: Annotated[float, Field(ge=1e-3, le=1e7)] = 3600.0
-    """TRIDENT takes about an hour a metre [assumed]."""
+    """Drilling time per metre; TRIDENT: about an hour [assumed]."""
     analysis_s: Duration = 300.0
     """Heating and mass spectrometry of one sample; 5 to 60 minutes [assumed]."""
     base_load_w: Power = 150.0
@@ -80,26 +80,26 @@ class RoverConfig(Section):
     traction_j_per_m: EnergyPerMetre = 240.0
     """On the flat [assumed]."""
     climb_j_per_m: EnergyPerMetre = 700.0
-    """More for each metre of climb: 430 kg * 1.62 m/s^2 [calc]."""
+    """In addition for each metre of climb: 430 kg * 1.62 m/s^2 [calc]."""
     drill_w: Power = 200.0
-    """More while drilling [assumed]."""
+    """In addition while drilling [assumed]."""
     analysis_w: Power = 100.0
-    """More while analysing [assumed]."""
+    """In addition while analysing [assumed]."""
     solar_w: Power = 450.0
-    """Drawn from the sun, always: the missions last less than a lunar day [assumed]."""
+    """Solar power, constant because missions last less than a lunar day [assumed]."""
     capacity_wh: Annotated[float, Field(ge=1e-3, le=1e9)] = 5000.0
     """Battery [assumed]."""
     initial_charge: Fraction = 1.0
     reserve: Fraction = 0.2
     """Below this share of the capacity the rover goes safe and charges [assumed]."""
     resume_charge: Fraction = 0.5
-    """Charged to this share, it goes on by itself."""
+    """At this charge, the rover resumes by itself."""
     state_period_s: Period = 60.0
-    """How often the rover reports its state [s]."""
+    """Interval between the rover's state reports [s]."""
     instrument_retry_s: Period = 30.0
-    """How long the rover waits before it asks a silent instrument again [s]."""
+    """Time after which the rover repeats a query that an instrument has not replied to [s]."""
     watchdog_s: Period | None = None
-    """Parked and without a word from the ground for longer, it goes safe; None: never."""
+    """Time without a message from the ground after which a parked rover goes safe [s]; None: never."""
 
     @model_validator(mode="after")
     def _charges_beyond_its_reserve(self) -> RoverConfig:
@@ -109,21 +109,21 @@ class RoverConfig(Section):
 
 
 class InterestRegion(Section):
-    """A part of the site that is worth more (weight above 1) or less (below 1) than the rest."""
+    """A part of the site whose uncertainty counts more (weight above 1) or less (below 1) than elsewhere."""
 
     polygon_m: Polygon
     weight: Annotated[float, Field(ge=0, le=1000)]
-    """How many times as much the uncertainty there counts as where no area says anything."""
+    """Factor of the uncertainty there, relative to ground without an area of interest."""
 
 
 KernelName = Literal["se", "matern12", "matern32", "matern52", "smooth+rough", "auto"]
 PLANNER_NAMES = ("rrt", "rrtstar", "informative", "tour")
-OWN_PLANNER = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
-"""Anybody's planner, a function of a module."""
+PLUGIN_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
+"""Name of a plug-in planner: a function of a module."""
 
 
 def _planner_name(name: str) -> str:
-    if name not in PLANNER_NAMES and not OWN_PLANNER.fullmatch(name):
+    if name not in PLANNER_NAMES and not PLUGIN_NAME.fullmatch(name):
         raise ValueError(f"expected {', '.join(PLANNER_NAMES)} or module:function")
     return name
 
@@ -132,7 +132,7 @@ PlannerName = Annotated[str, AfterValidator(_planner_name)]
 
 
 class GroundConfig(Section):
-    """Belief and direction."""
+    """The belief, and the direction of the mission."""
 
     planner: PlannerName = "rrtstar"
     kernel: KernelName = "matern52"
@@ -140,51 +140,51 @@ class GroundConfig(Section):
     prior: Literal["constant", "orbital"] = "constant"
     """Prior mean: a learned constant, or the coarse orbital map with learned gain and offset."""
     planning_s: Duration = 30.0
-    """Mission time that planning a round takes in virtual time; on the wall clock it takes what it takes, if more."""
+    """Mission time that planning a round takes in virtual time, and at least on the wall clock [s]."""
     planner_limit_s: Annotated[float, Field(ge=1, le=1e6)] = 1800.0
-    """Wall-clock time after which a plug-in planner without an answer is ended, and the planning has failed [s]."""
+    """Wall-clock time after which a plug-in planner without an answer is ended and has failed [s]."""
     pipeline: Annotated[int, Field(ge=0, le=50)] = 0
-    """Rounds that are on board beyond the one being executed; 0 is stop-and-wait."""
+    """Rounds on board in addition to the one in execution; 0 is stop-and-wait."""
     budget_m: Annotated[float, Field(gt=0, le=1e8)] | None = None
-    """Metres that the whole mission may drive."""
+    """Distance that the whole mission may drive [m]."""
     budget_h: Annotated[float, Field(gt=0, le=1e5)] | None = None
-    """Hours that the whole mission may take, the charging of the rover included."""
+    """Time that the whole mission may take, charging included [h]."""
     information_exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
     """alpha of the utility I^alpha / c."""
     clearance_m: Length = 15.0
-    """No target nearer to a sample than this [m]; the paper's."""
+    """Least distance of a target from every sample [m]; the paper's."""
     max_slope_deg: Annotated[float, Field(gt=0, le=45)] | None = None
-    """Plan on terrain up to this slope; None: as the region's traversability says."""
+    """Steepest slope that is planned on; None: as in the region's traversability."""
     keep_outs_m: Annotated[tuple[Polygon, ...], Field(max_length=100)] = ()
     interest: Annotated[tuple[InterestRegion, ...], Field(max_length=100)] = ()
     score: bool = True
-    """Compare the map with the reference field, which only a simulated Moon can offer."""
+    """Compare the map with the reference field, which only a simulated Moon provides."""
     status_period_s: Period = 60.0
-    """How often status is published when nothing changes [s of mission time]."""
+    """Interval between status messages when nothing changes [s of mission time]."""
     rover_timeout_s: Period = 3600.0
-    """Unheard of for longer, the rover is reported as silent."""
+    """Time without a message after which the rover is reported as silent [s]."""
     patience_h: Annotated[float, Field(ge=0.01, le=1e5)] = 72.0
-    """Without any progress for longer, the mission ends with what it has [h]. What the light, the link's rate, contact
-    gaps and the rover's own steps take comes on top."""
+    """Time without progress after which the mission ends with the samples it has [h]. Light time, transmission, contact
+    gaps and the rover's own steps are added to it."""
 
     @property
     def keep_outs(self) -> dict[str, Polygon]:
-        """Corners [m] of each keep-out area by the id under which rover, ground and operator know it."""
+        """Corners [m] of each keep-out area, by the id that rover, ground and operator use."""
         return {_area_id(number): polygon for number, polygon in enumerate(self.keep_outs_m, start=1)}
 
     @property
     def interests(self) -> dict[str, InterestRegion]:
-        """The areas of interest by the id under which the operator changes them."""
+        """The areas of interest, by the id that operators use."""
         return {_area_id(number): area for number, area in enumerate(self.interest, start=1)}
 
 
 def _area_id(number: int) -> str:
-    """The id of the scenario's area of that number, counted from 1."""
+    """Id of the scenario's area with that number, from 1."""
     return f"scenario-{number}"
 
 
 class NetworkConfig(Section):
-    """Where the two routers listen. Loopback unless somebody decides otherwise."""
+    """Endpoints on which the two routers listen; loopback by default."""
 
     moon: Annotated[str, Field(pattern=r"^(tcp|tls|quic|unixsock-stream)/\S+$")] = "tcp/127.0.0.1:7447"
     earth: Annotated[str, Field(pattern=r"^(tcp|tls|quic|unixsock-stream)/\S+$")] = "tcp/127.0.0.1:7448"
@@ -194,7 +194,7 @@ class Scenario(Section):
     """A whole mission."""
 
     name: MissionName
-    """Also the mission's chunk in every key."""
+    """Name of the mission, also its chunk in every key."""
     description: str = ""
     region: str
     """`t1`, `t2`, or a path to a .npz file."""
@@ -205,9 +205,9 @@ class Scenario(Section):
     samples_per_round: Annotated[int, Field(ge=1, le=256)] = 5
     sample_depth_m: Annotated[float, Field(gt=0, le=3)] = 0.1
     start_m: Place = (25.0, 25.0)
-    """Where the rover lands (x, y) [m]."""
+    """Landing place (x, y) [m]."""
     rate: Annotated[float, Field(gt=0, le=100_000)] = 1.0
-    """Mission seconds a wall second, on the wall clock."""
+    """Mission seconds per wall second, on the wall clock."""
     field: FieldConfig = FieldConfig()
     rover: RoverConfig = RoverConfig()
     ground: GroundConfig = GroundConfig()
@@ -238,31 +238,33 @@ class Scenario(Section):
 
     @property
     def samples(self) -> int:
+        """Samples of the whole mission."""
         return self.rounds * self.samples_per_round
 
     def changed(self, **sections: dict[str, Any]) -> Scenario:
-        """This scenario with other values, checked again: ``changed(ground={"planner": "rrt"}, top={"seed": 7})``."""
+        """This scenario with other values, validated: ``changed(ground={"planner": "rrt"}, top={"seed": 7})``."""
         document = self.model_dump(mode="json")
         for section, values in sections.items():
             (document if section == "top" else document[section]).update(values)
         return self.replaced(document)
 
     def replaced(self, document: dict[str, Any]) -> Scenario:
-        """The scenario that the document describes, which began as this one."""
+        """The scenario of a document that was derived from this one; raises InvalidInput."""
         return checked_scenario(document, f"scenario '{self.name}' as changed")
 
 
 def load_scenario(path: Path) -> Scenario:
-    """The scenario in that TOML file; raises InvalidInput with one line that names file, key and expectation.
+    """The scenario of a TOML file.
 
-    A region's file that is not found from the working directory is looked for beside the scenario.
+    A region file that does not exist in the working directory is taken from the scenario's folder. Raises InvalidInput,
+    in one line with file, key and expectation.
     """
     try:
         with path.open("rb") as stream:
-            content = stream.read(MAX_SCENARIO_BYTES + 1)  # a device may have no size, and no end
+            content = stream.read(MAX_SCENARIO_BYTES + 1)  # a device may have neither size nor end
         if len(content) > MAX_SCENARIO_BYTES:
             raise InvalidInput(f"{path}: expected a scenario of at most {MAX_SCENARIO_BYTES} bytes, got more")
-        # Editors of some systems put a byte order mark before the text; it means nothing in UTF-8.
+        # Some editors write a byte order mark before UTF-8 text, where it has no meaning.
         document = tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the scenario: {error.strerror}") from None
@@ -276,24 +278,24 @@ def load_scenario(path: Path) -> Scenario:
 
 
 def _found_region(region: str, folder: Path) -> str:
-    """The region, or the path of its file in the scenario's folder where only that exists."""
+    """The region, or the path of its file in the scenario's folder if only that exists."""
     try:
         if region.endswith(".npz") and not Path(region).exists() and (folder / region).is_file():
             return str((folder / region).resolve())
-    except (OSError, ValueError):  # no name that a file can have: for who loads it to say
+    except (OSError, ValueError):  # not a valid file name: the loader refuses it
         pass
     return region
 
 
 def checked_scenario(document: dict[str, Any], where: str) -> Scenario:
-    """The scenario that the document describes; raises InvalidInput that begins with `where`."""
+    """The validated scenario of a document; raises InvalidInput with a line that begins with ``where``."""
     try:
-        # By way of JSON, so that a scenario is checked as strictly as what goes over the wire.
+        # Through JSON, so that a scenario is validated as strictly as a message.
         return Scenario.model_validate_json(json.dumps(document, default=_as_text))
     except ValidationError as error:
         raise InvalidInput(f"{where}: {one_line(error)}") from None
 
 
 def _as_text(value: object) -> str:
-    """TOML dates and times, as JSON has no type of its own for them."""
+    """Text of a TOML date or time, for which JSON has no type."""
     return value.isoformat() if isinstance(value, date | time) else str(value)

@@ -151,7 +151,7 @@ def test_the_same_seed_gives_the_same_hyperparameters_to_the_bit() -> None:
     assert first == second
 
 
-def test_noise_is_learned_only_when_bounds_are_given_and_stays_in_them() -> None:
+def test_the_noise_is_that_of_the_instrument_whatever_the_samples_suggest() -> None:
     places, values = drawn_from(SquaredExponential(1.0, 80.0), 200, seed=6, noise=0.3)
     rng = np.random.default_rng(0)
     assert fit_hyperparameters(places, values, "se", rng=rng).noise_std_ppb == 0.1
@@ -159,7 +159,7 @@ def test_noise_is_learned_only_when_bounds_are_given_and_stays_in_them() -> None
 
 @pytest.mark.parametrize("count", range(MIN_SAMPLES))
 @pytest.mark.parametrize("name", ["se", "auto"])
-def test_a_handful_of_samples_keeps_the_kernel_and_still_standardises(count: int, name: str) -> None:
+def test_with_few_samples_the_kernel_stays_at_its_default_and_the_scale_is_fitted(count: int, name: str) -> None:
     places, values = drawn_from(Matern12(), 10, seed=5)
     fitted = fit_hyperparameters(places[:count], values[:count], name, rng=np.random.default_rng(9))
     assert fitted.kernel.name == "se"

@@ -48,7 +48,7 @@ def test_its_gradient_is_that_of_its_definition(name):
         assert gradient[i, axis] == pytest.approx((ahead - behind) / 0.4, rel=0.08, abs=0.02 * np.abs(gradient).max())
 
 
-def test_samples_taken_and_samples_to_come_count_alike():
+def test_places_sampled_and_places_free_count_alike():
     nodes = field_nodes(GRID, None)
     k = Matern12(2.0, 20.0).of_squared_distance
     together = AverageVariance(k, NOISE, nodes, np.zeros((0, 2)))(np.vstack((TAKEN, FREE)))
@@ -62,7 +62,7 @@ def test_more_samples_never_leave_more_variance():
     assert (np.diff(values) < 0).all()
 
 
-def test_a_repeated_place_and_no_noise_leave_the_algebra_standing():
+def test_a_repeated_place_and_no_noise_give_a_finite_gradient():
     variance = AverageVariance(Matern12(1.0, 20.0).of_squared_distance, 0.0, field_nodes(GRID, None), TAKEN)
     value, gradient = variance.with_gradient(np.vstack((FREE, FREE, TAKEN)))
     assert 0 < value < 1
@@ -81,7 +81,7 @@ def test_nodes_carry_the_interest_of_all_their_cells():
 
 
 @pytest.mark.parametrize("interest", [np.zeros(GRID.shape), np.full(GRID.shape, -1.0), np.full(GRID.shape, np.nan)])
-def test_interest_that_is_nowhere_is_refused(interest):
+def test_interest_that_is_zero_negative_or_nan_is_refused(interest):
     with pytest.raises(InvalidInput):
         field_nodes(GRID, interest)
 

@@ -1,4 +1,4 @@
-"""Anybody's planner flies by its name, and what it must not do is refused in one line."""
+"""A plug-in planner is found by its name, and an answer that is not valid is refused in one line."""
 
 import sys
 from dataclasses import replace
@@ -66,7 +66,7 @@ def leaves_a_process(request):
     if os.fork() == 0:
         time.sleep(600)
         os._exit(0)
-    print("this is not for whoever reads the answer")
+    print("this is not part of the answer")
     return lists(request)
 
 def breaks(request):
@@ -79,14 +79,14 @@ def gives_up(request):
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working directory with somebody's planners in it."""
-    (tmp_path / "somebody.py").write_text(MODULE)
+    """A working directory with plug-in planners."""
+    (tmp_path / "user_planner.py").write_text(MODULE)
     (tmp_path / "leaving.py").write_text("raise SystemExit(3)\n")
     (tmp_path / "broken.py").write_text("def planner(:\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     yield tmp_path
-    for name in ("somebody", "broken", "leaving"):
+    for name in ("user_planner", "broken", "leaving"):
         sys.modules.pop(name, None)
 
 
@@ -109,31 +109,31 @@ def request_m() -> PlanningRequest:
 
 
 def test_a_planner_in_the_working_directory_is_found_by_its_name(here, request_m):
-    planned = planner_named("somebody:good")(request_m)
+    planned = planner_named("user_planner:good")(request_m)
     assert planned.length_m == pytest.approx(30.0)
 
 
 def test_a_planner_on_the_path_leaves_the_working_directory_off_it(here, request_m, tmp_path_factory, monkeypatch):
     installed = tmp_path_factory.mktemp("installed")
-    (installed / "somebody.py").write_text(MODULE)
+    (installed / "user_planner.py").write_text(MODULE)
     monkeypatch.syspath_prepend(installed)
-    assert planner_named("somebody:good")(request_m).length_m == pytest.approx(30.0)
+    assert planner_named("user_planner:good")(request_m).length_m == pytest.approx(30.0)
     assert str(here) not in sys.path
 
 
 def test_a_planner_in_the_working_directory_takes_the_place_of_no_other_module(here, request_m, monkeypatch):
     (here / "random.py").write_text("raise SystemExit('my own script, not for import')\n")
-    (here / "helping.py").write_text("GOOD = 'somebody beside it'\n")
-    (here / "somebody.py").write_text(MODULE + "\nimport random, helping\nrandom.random\n")
+    (here / "helping.py").write_text("GOOD = 'user_planner beside it'\n")
+    (here / "user_planner.py").write_text(MODULE + "\nimport random, helping\nrandom.random\n")
     monkeypatch.delitem(sys.modules, "random")
-    assert planner_named("somebody:good")(request_m).length_m == pytest.approx(30.0)
-    assert sys.modules.pop("helping").GOOD == "somebody beside it"
+    assert planner_named("user_planner:good")(request_m).length_m == pytest.approx(30.0)
+    assert sys.modules.pop("helping").GOOD == "user_planner beside it"
 
 
 def test_it_also_plans_in_the_process_that_plans_for_a_service(here, request_m):
     with PlannerProcess(parallel=1) as planners:
-        assert planners.plan("somebody:good", request_m).result().length_m == pytest.approx(30.0)
-        refused = planners.plan("somebody:through", request_m)
+        assert planners.plan("user_planner:good", request_m).result().length_m == pytest.approx(30.0)
+        refused = planners.plan("user_planner:through", request_m)
         with pytest.raises(InvalidInput, match="through closed cells"):
             refused.result()
 
@@ -156,29 +156,29 @@ def test_it_also_plans_in_the_process_that_plans_for_a_service(here, request_m):
         "long": "expected 60.0 m at most, got 95.0 m",
         "nowhere": "expected finite coordinates",
         "nothing": "expected a PlannedRound, got NoneType",
-        "breaks": r"got ZeroDivisionError: division by zero \(somebody.py, line \d+\)",
+        "breaks": r"got ZeroDivisionError: division by zero \(user_planner.py, line \d+\)",
     }.items(),
 )
 def test_an_answer_that_a_rover_could_not_drive_is_refused(here, request_m, name, expected):
     with pytest.raises(InvalidInput, match=expected):
-        planner_named(f"somebody:{name}")(request_m)
+        planner_named(f"user_planner:{name}")(request_m)
 
 
 def test_lists_are_as_good_as_arrays(here, request_m):
-    planned = planner_named("somebody:lists")(request_m)
+    planned = planner_named("user_planner:lists")(request_m)
     assert planned.samples_m.tolist() == [[40.5, 10.5]]
     assert planned.information_nats == 1.0
 
 
 def test_what_a_planner_starts_and_prints_does_not_get_in_the_way(here, request_m, capfd):
     with PlannerProcess(parallel=1) as planners:
-        assert planners.plan("somebody:leaves_a_process", request_m).result().length_m == pytest.approx(30.0)
+        assert planners.plan("user_planner:leaves_a_process", request_m).result().length_m == pytest.approx(30.0)
     assert capfd.readouterr().out == ""
 
 
 def test_a_planner_that_finds_no_way_says_so_as_ours_do(here, request_m):
     with pytest.raises(NoRoute, match="there is no way"):
-        planner_named("somebody:gives_up")(request_m)
+        planner_named("user_planner:gives_up")(request_m)
 
 
 @pytest.mark.parametrize(
@@ -186,8 +186,8 @@ def test_a_planner_that_finds_no_way_says_so_as_ours_do(here, request_m):
     [
         ("absent:planner", "got ModuleNotFoundError: No module named 'absent'"),
         ("broken:planner", "got SyntaxError"),
-        ("somebody:absent", "expected a function absent in somebody, got none"),
-        ("somebody:number", "expected a function number in somebody, got int"),
+        ("user_planner:absent", "expected a function absent in user_planner, got none"),
+        ("user_planner:number", "expected a function number in user_planner, got int"),
         ("leaving:planner", "got SystemExit: 3"),
         (":planner", "expected a planner as module:function, got ':planner'"),
         ("luck", "expected a planner among rrt, rrtstar, informative, tour, or module:function; got 'luck'"),

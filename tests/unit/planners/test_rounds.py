@@ -219,7 +219,7 @@ def test_a_spent_budget_is_refused(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_most_uncertain_ground_draws_nobody_when_it_cannot_be_reached(name):
+def test_the_most_uncertain_ground_is_no_target_when_it_cannot_be_reached(name):
     mask = np.ones((SIZE, SIZE), dtype=bool)
     mask[14, :] = False
     std = np.full(mask.shape, 0.1, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The planner `tour`: on open ground, within its budget, faithful to its outlook, and worth its metres."""
+"""The planner `tour` stays on open ground and within its budget, follows its outlook, and lowers the variance."""
 
 from dataclasses import replace
 from math import inf

@@ -132,7 +132,7 @@ def test_a_route_is_found_exactly_when_open_cells_connect_the_places(mask, i, j)
             RouteFinder(ground).route(a, b)
 
 
-def test_a_taut_route_round_a_wall_is_nearly_as_short_as_geometry_allows():
+def test_a_route_around_a_wall_is_nearly_as_short_as_geometry_allows():
     mask = np.ones((100, 100), dtype=bool)
     mask[:80, 50] = False
     ground = OpenGround(SiteGrid(100, 100), mask)

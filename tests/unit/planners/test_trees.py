@@ -50,7 +50,7 @@ def test_rrt_extends_by_the_step_and_rrtstar_rewires_within_fifty_metres(ground)
     assert np.hypot(*np.diff(near, axis=0).T).max() <= 15.0
 
 
-def test_rewiring_makes_paths_shorter_and_so_does_growing_on(ground):
+def test_rewiring_and_further_growth_make_paths_shorter(ground):
     def mean_length(**how):
         return np.mean([path_length(grown(ground, seed=seed, **how)[0]) for seed in range(6)])
 
@@ -79,7 +79,7 @@ def test_a_tree_with_no_room_to_grow_stays_in_its_cell():
     assert (np.floor(tree.nodes_m) == 5.0).all()
 
 
-def test_a_spanning_tree_has_one_root_free_legs_and_the_lengths_of_its_paths(ground):
+def test_an_exploration_tree_has_one_root_free_legs_and_the_lengths_of_its_paths(ground):
     tree = exploration_tree(ground, (20.0, 20.0), iterations=1500, seed=3, growth=GrowthSettings(rewire_scale_m=400.0))
     assert len(tree.nodes_m) > 1000
     assert tree.nodes_m[0].tolist() == [20.0, 20.0]
@@ -162,7 +162,7 @@ def test_trees_leave_nothing_behind(ground):
 
 
 @pytest.mark.parametrize("name", sorted(KERNELS))
-def test_a_far_sighted_kernel_keeps_half_its_correlation_at_the_distance_asked_for(name):
+def test_a_raised_length_scale_keeps_half_the_correlation_at_the_given_distance(name):
     kernel = kernel_from(name)
     parameters = {
         k: 2.0 if k in ("length_scale_m", "rough_length_scale_m") else v for k, v in kernel.parameters().items()

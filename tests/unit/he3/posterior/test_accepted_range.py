@@ -1,7 +1,7 @@
-"""Whatever a scenario may ask for, the map is the exact posterior: noise, field, cells, samples and places of any size.
+"""Within all that a scenario accepts, the map is the exact posterior.
 
-The accepted range: noise of 0 to 1000 ppb, fields of 1e-3 to 1e6 ppb, cells of 0.01 to 1000 m, places anywhere, on top
-of one another too. The authority is scikit-learn, and for few samples the same posterior in 50 decimal digits.
+The range: noise of 0 to 1000 ppb, fields of 1e-3 to 1e6 ppb, cells of 0.01 to 1000 m, places anywhere,
+coincident ones too. The authority is scikit-learn, and for few samples the same posterior in 50 decimal digits.
 """
 
 from dataclasses import dataclass
@@ -128,7 +128,7 @@ def assert_map_is(case: Case, posterior: GridPosterior, mean_ppb: FloatArray, st
     assert np.abs(mean - mean_ppb).max() <= MEAN_TOLERANCE * case.field_scale_ppb
     assert np.abs(std**2 - std_ppb**2).max() <= VARIANCE_TOLERANCE * case.prior_std_ppb**2
     assert (std > 0).all()
-    # Where rounding in float64, the authority's too, is more than this, there is no telling.
+    # The authority is itself rounded in float64.
     rounding = 1e-12 * case.prior_std_ppb**2
     assert (np.abs(std**2 - std_ppb**2) <= 2 * STD_TOLERANCE * std_ppb**2 + rounding).all()
 

@@ -1,4 +1,4 @@
-"""The map is the exact posterior on every cell, however it came about, and stays so over a thousand samples."""
+"""The map is the exact posterior on every cell, built or updated, over a thousand samples."""
 
 from collections.abc import Iterable
 

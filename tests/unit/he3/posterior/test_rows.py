@@ -1,4 +1,4 @@
-"""A sample's row on the grid is the exact one, whichever way it is found and whatever it leaves out."""
+"""A sample's row on the grid is exact, from every source and with what screening leaves out."""
 
 from collections.abc import Callable, Iterable
 
