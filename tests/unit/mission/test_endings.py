@@ -173,8 +173,8 @@ def test_the_patience_is_the_scenario_s() -> None:
 @pytest.mark.parametrize(
     "sections",
     [
-        {"link": {"windows": [{"opens_s": 0.0, "closes_s": 600.0}, {"opens_s": 3 * DAY_S, "closes_s": 4 * DAY_S}]}},
-        {"link": {"duty_cycle": {"period_s": 2 * DAY_S, "contact_s": HOUR_S}}, "ground": {"pipeline": 1}},
+        {"link": {"windows": [{"opens_s": 0.0, "closes_s": 600.0}, {"opens_s": DAY_S, "closes_s": 2 * DAY_S}]}},
+        {"link": {"duty_cycle": {"period_s": DAY_S, "contact_s": HOUR_S}}, "ground": {"pipeline": 1}},
         {"link": {"up": {"one_way_light_time_s": 6 * HOUR_S}, "down": {"one_way_light_time_s": 6 * HOUR_S}}},
         {"link": {"up": {"rate_bit_s": 1.0}}},
         {"link": {"up": {"loss": 0.9}, "down": {"loss": 0.9}}},
@@ -220,7 +220,7 @@ def test_a_black_out_that_the_operator_began_is_the_operator_s_to_end() -> None:
     mission = Mission(scenario())
     mission.simulation.run_for(HOUR_S / 2)
     mission.ask(LINK_SET, LinkChange(contact=False))
-    mission.simulation.run_for(2 * DAY_S)
+    mission.simulation.run_for(DAY_S)
     assert mission.end is None
     mission.ask(LINK_SET, LinkChange(contact=True))
     assert mission.run(until_s=30 * DAY_S) is MissionPhase.COMPLETED
@@ -230,7 +230,7 @@ def test_contact_windows_that_the_operator_sets_are_waited_for() -> None:
     mission = Mission(scenario(link=NO_CONTACT))
     mission.simulation.run_for(HOUR_S)
     now_s = mission.mission_time_s
-    later = {"opens_s": now_s + 2 * DAY_S, "closes_s": now_s + 3 * DAY_S}
+    later = {"opens_s": now_s + DAY_S, "closes_s": now_s + 2 * DAY_S}
     conditions = mission.scenario.link.model_copy(update={"windows": ()})
     changed = type(conditions).model_validate({**conditions.model_dump(mode="json"), "windows": [later]}, strict=False)
     mission.ask(LINK_SET, LinkChange(conditions=changed))
