@@ -26,7 +26,7 @@ from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.kernels import AUTO, KERNELS
 from he3.posterior.grid import GridPosterior
 from services.ground.scoring import Scorer
-from services.mission.regions import EMBEDDED
+from services.mission.embedded_regions import EMBEDDED
 
 MISMATCHED = {"se": "*", "matern32": "*", "matern52": "*", "matern12": "+"}
 """Kernels that do not match the reference fields, and their mark."""

@@ -19,7 +19,8 @@ from he3.errors import He3Error
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners.interface import PlannedRound, PlanningRequest
-from services.mission.regions import EMBEDDED, load_region
+from services.mission.embedded_regions import EMBEDDED
+from services.mission.regions import load_region
 
 OWN_PROCESS = ("rrt", "rrtstar", "informative")
 """Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone. So is

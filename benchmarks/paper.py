@@ -33,7 +33,7 @@ from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Mission, Row
 from benchmarks.worker_pool import WorkerPool
 from he3.errors import InvalidInput
 from services.ground.planners import planner_named
-from services.mission.regions import EMBEDDED
+from services.mission.embedded_regions import EMBEDDED
 
 PUBLISHED = {
     ("t1", "rrt"): (0.8347, 16829.9),

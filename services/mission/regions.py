@@ -20,12 +20,8 @@ from he3.reference import OrbitalWindow, Region, orbital_view, reference
 from he3.terrain import relief_m, slope_deg, traversable
 from schemas.maps import MAX_CELLS
 from schemas.wire import MAX_POSITION_M
+from services.mission.embedded_regions import EMBEDDED
 
-# Region name -> file of its coarse rasters in this package. They are synthetic stand-ins, as the file names say.
-EMBEDDED: Final[Mapping[str, str]] = {
-    "t1": "t1_taurus_littrow_synthetic_standin.npz",
-    "t2": "t2_hadley_rille_synthetic_standin.npz",
-}
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
 MAX_LATITUDE_DEG: Final = 89.0  # deg, beyond it a region is no plane of east and north
 MAX_PROVENANCE: Final = 500  # characters

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 from he3 import constants
 from he3.frames import Place, SiteGrid
 from schemas.topics import COMMAND, MEASURE, PLAN, STATE, TERRAIN, Side
+from services.mission.embedded_regions import EMBEDDED
 from services.mission.mission_time import MissionTime, seconds
-from services.mission.regions import EMBEDDED, load_region
 from services.rover.executive import STEP, Executive
 from services.rover.instruments import RETRY
 from services.rover.operating_state import CHARGED
@@ -155,4 +155,7 @@ def _site_of(scenario: Scenario) -> SiteGrid:
     # The extent is all that the rover knows of the region beforehand; it scans the rest.
     if scenario.region in EMBEDDED:
         return SiteGrid(constants.SITE_CELLS, constants.SITE_CELLS, constants.SITE_RESOLUTION_M)
+    # What reads a region takes longer to import than all else of the rover.
+    from services.mission.regions import load_region
+
     return load_region(scenario.region).grid

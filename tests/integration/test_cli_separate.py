@@ -166,7 +166,7 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
 @pytest.mark.parametrize(
     ("number", "after_s", "code", "last_line"),
     [
-        (signal.SIGINT, 0.0, 130, "he3: interrupted"),
+        pytest.param(signal.SIGINT, 0.0, 130, "he3: interrupted", marks=pytest.mark.exhaustive),
         (signal.SIGTERM, 0.7, 143, "he3: terminated"),
         (signal.SIGINT, 2.5, 130, "he3: interrupted"),
     ],
@@ -180,7 +180,7 @@ def test_it_ends_at_any_moment_without_a_trace(
         assert_ends(process, pids, number, code, last_line)
 
 
-@pytest.mark.parametrize("victim", ["link", "rover", "ground"])
+@pytest.mark.parametrize("victim", ["link", pytest.param("rover", marks=pytest.mark.exhaustive), "ground"])
 def test_a_service_that_dies_is_named_and_the_others_are_ended(victim: str, environment: dict[str, str]) -> None:
     with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:
         pids = services_of(process, environment)

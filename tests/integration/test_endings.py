@@ -30,7 +30,9 @@ def test_services_that_are_still_starting_end_at_once(missions, number, seed):
     assert {name: process.end() for name, process in mission.processes.items()} == dict.fromkeys(ALL, 0)
 
 
-@pytest.mark.parametrize(("number", "seed"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
+@pytest.mark.parametrize(
+    ("number", "seed"), [(signal.SIGINT, 1), pytest.param(signal.SIGTERM, 2, marks=pytest.mark.exhaustive)]
+)
 def test_a_running_mission_ends_within_two_seconds_and_leaves_a_recording(missions, listen, tmp_path, number, seed):
     recording = tmp_path / "mission.mcap"
     mission = missions("short", "--rate", RATE)

@@ -69,7 +69,8 @@ def show(
 def _loaded(region: str, field_seed: int | None) -> Region:
     """The region; raises InvalidInput for a field seed with a region file, which has one variation only."""
     from he3.errors import InvalidInput
-    from services.mission.regions import EMBEDDED, load_region
+    from services.mission.embedded_regions import EMBEDDED
+    from services.mission.regions import load_region
 
     if field_seed is not None and region not in EMBEDDED:
         raise InvalidInput(

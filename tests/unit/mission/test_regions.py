@@ -20,7 +20,8 @@ from he3.errors import InvalidInput
 from he3.terrain import reachable
 from services.console.cli.reference import build
 from services.mission import regions
-from services.mission.regions import EMBEDDED, load_region, load_window
+from services.mission.embedded_regions import EMBEDDED
+from services.mission.regions import load_region, load_window
 
 # Minimum, maximum, mean [ppb] and the share that is not traversable, as published.
 PUBLISHED = {"t1": (4.82, 13.47, 7.88, 0.0991), "t2": (3.62, 8.60, 5.50, 0.1301)}
