@@ -132,6 +132,9 @@ class TimeManagerDriver:
         if self._computing_since_s is not None:
             self._computing_s += time.monotonic() - self._computing_since_s
             self._computing_since_s = None
+        # A query from outside, sent at the news of the mission's end, must not become part of its last instant: the
+        # event log would depend on how fast it came.
+        self._io.participant.hold_outside = self._finished() is not None
         for name, grant in manager.grant(instant).items():
             if name == context.name:
                 self._io.participant.grant(grant)
@@ -145,16 +148,22 @@ class TimeManagerDriver:
             while self._context.inbox.take():
                 pass
 
+    def _finished(self) -> str | None:
+        """Why the process that decides on the end is finished; None while it is not, and once time was paused."""
+        member = None if self._over else self._manager.members.get(self._options.stop_when or "")
+        return None if member is None else member.finished
+
     def _pause_when_over(self) -> None:
-        """Pause once, when the service that decides is finished; an operator may go on."""
-        if self._over:
+        """Pause once, when the process that decides is finished and its last instant is over; an operator may go on."""
+        why = self._finished()
+        if why is None:
             return
-        member = self._manager.members.get(self._options.stop_when or "")
-        if member is not None and member.finished is not None:
-            self._over = True
-            self._pace.pause()
-            self._record_events(False)
-            self._context.log.info(f"mission time stands: {member.name} is finished ({member.finished})")
+        self._over = True
+        self._pace.pause()
+        self._record_events(False)
+        self._context.log.info(f"mission time stands: {self._options.stop_when} is finished ({why})")
+        if self._io.participant.holds_outside:
+            self.poke()
 
     def _record_events(self, active: bool) -> None:
         if self._context.events is not None:

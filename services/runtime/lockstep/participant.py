@@ -68,6 +68,8 @@ class Participant:
         self.granted: Grant | None = None
         """The step that it may act in as soon as it is `ready`."""
         self.finished: Finish | None = None
+        self.hold_outside = False
+        """Whether inputs from outside wait, whatever steps are granted."""
         self._resume = tuple(resume)
         self._waiting: list[_Waiting] = []
         self._from_outside = 0
@@ -149,7 +151,8 @@ class Participant:
             self._waiting.append(_Waiting(stamp.step, stamp.sender, (kind, stamp.sender, stamp.number), given))
             return stamp.step <= self._uncounted_until
         self._from_outside += 1
-        self._waiting.append(_Waiting(0, OUTSIDE, (kind, OUTSIDE, self._from_outside), given))
+        order = (kind, OUTSIDE, self._from_outside)
+        self._waiting.append(_Waiting(self._last_granted, OUTSIDE, order, given))  # never of a step under way
         return True
 
     # --- acting -------------------------------------------------------------------------------------------------
@@ -175,6 +178,11 @@ class Participant:
         due = self.scheduler.due_computations(self.granted.at)
         return () if all(future.done() for future in due) else tuple(self.scheduler.computations())
 
+    @property
+    def holds_outside(self) -> bool:
+        """Whether an input from outside waits."""
+        return any(each.sender == OUTSIDE for each in self._waiting)
+
     def ready(self) -> bool:
         """Whether it is granted a step and has everything for it."""
         return self.granted is not None and not self.lacks() and not self.computing()
@@ -187,7 +195,7 @@ class Participant:
         self.step, self.now = grant.step, max(self.now, grant.at)
         later = []
         for each in self._waiting:
-            if each.step < grant.step:
+            if each.step < grant.step and not (self.hold_outside and each.sender == OUTSIDE):
                 self.scheduler.put(each.order, each.given)
             else:
                 later.append(each)

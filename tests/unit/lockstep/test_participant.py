@@ -132,6 +132,32 @@ def test_an_input_from_outside_needs_a_poke_and_does_not_count_as_announced() ->
     assert part.lacks() == {"field": 1}
 
 
+def test_an_input_from_outside_that_arrives_during_a_step_waits_for_the_next() -> None:
+    node = Scripted()
+    part = part_of(node)
+    granted(part, 5, 100)
+    part.take_message(message(1), None)
+    part.act(Carrier())
+    assert node.seen == []
+    granted(part, 6, 100).act(Carrier())
+    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [1]
+
+
+def test_inputs_from_outside_are_held_while_a_mission_ends_and_all_others_are_handled() -> None:
+    node = Scripted()
+    part = part_of(node)
+    part.hold_outside = True
+    part.take_message(message(1), None)
+    part.take_message(message(2), stamp("field", 1, step=4))
+    granted(part, 5, 100, field=1).act(Carrier())
+    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [2]
+    assert part.holds_outside
+    part.hold_outside = False
+    granted(part, 6, 100).act(Carrier())
+    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [2, 1]
+    assert not part.holds_outside
+
+
 def test_a_process_does_not_receive_its_own_messages() -> None:
     node = Scripted()
     part = part_of(node)
