@@ -1,12 +1,10 @@
-"""Do intervals hold what they promise? Coverage of every kernel, on the same samples, over fields.
+"""Coverage of the intervals: the share of the truth within 1 and 2 posterior deviations, by kernel, over fields.
 
-A promise of 68 % is about all fields of a kind, not about one: so each seed draws its own variation of an embedded
-region, as well as its own noise (a region from a file is what it is, and only the noise varies). Its samples are taken
-where the paper's `rrtstar` goes, and where `informative` and `tour` go. Every kernel is fitted to the same samples, and
-the share of the region's cells within 1 and 2 posterior standard deviations of the truth is counted. The reference
-fields are a smooth trend with a rough perturbation of exponential covariance, so that one kernel matches them,
-`smooth+rough`. The others are marked: too smooth to see the perturbation, or rough without the trend. "auto" is
-whichever it chooses.
+A probability of 68 % is about all fields of a kind, not about one. So each seed draws its own variation of an embedded
+region and its own noise; for a region from a file, only the noise varies. Samples are taken where the paper's `rrtstar`
+goes, and where `informative` and `tour` go. Every kernel is fitted to the same samples. The reference fields are a
+smooth trend with a rough perturbation of exponential covariance, so `smooth+rough` matches them. The other kernels are
+marked: too smooth for the perturbation, or rough without the trend. "auto" is whichever the fit chooses.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ MARKS = (
     "+ mismatched: without the field's smooth part, so that its intervals are a little too wide between even samples",
 )
 DESIGNS = {"rrtstar": "matern52", "informative": "smooth+rough", "tour": "smooth+rough"}
-"""Who chooses the places, and the kernel that it believes in while it does."""
+"""The planners that choose the places, each with the kernel that it plans with."""
 NOMINAL = (0.683, 0.954)
 JUDGED = (*KERNELS, AUTO)
 
@@ -51,8 +49,7 @@ def run(
 ) -> list[Row]:
     """One row a fit; the table printed, rows written to `json`.
 
-    regions: embedded names; region: somebody's field as .npz in their place. Raises InvalidInput for names that nobody
-    has.
+    regions: embedded names; region: a field as .npz in their place. Raises InvalidInput for names that are not known.
     """
     if seeds < 1 or jobs < 1 or not (regions or region):
         raise InvalidInput(f"expected one seed, job and region at least, got {seeds}, {jobs} and {len(regions)}")

@@ -82,7 +82,7 @@ Row = dict[str, Any]
 
 @dataclass
 class Outcome:
-    """What came of one run."""
+    """The outcome of one run."""
 
     seed: int
     schedule: Schedule
@@ -107,7 +107,7 @@ def run(
     *,
     say: Callable[[str], None] = print,
 ) -> Row:
-    """Fly that many missions, seeds counted from `seed`; the counts of what went wrong, printed and written as JSON."""
+    """The counts of what went wrong in that many missions, seeds counted from `seed`; printed, and written as JSON."""
     if runs < 1 or jobs < 1:
         raise InvalidInput(f"expected one run and one job at least, got {runs} and {jobs}")
     began = time.monotonic()
@@ -254,7 +254,7 @@ class _Planners:
 
 
 class World:
-    """One mission, its processes, and what the rover was heard to measure."""
+    """One mission, its processes, and the samples that the rover reported."""
 
     def __init__(self, seed: int, executor: Executor, planner: str | None = None) -> None:
         self.scenario = scenario_of(seed, planner)
@@ -298,7 +298,7 @@ class World:
         self._command(Telecommand(command_id="the-last-resume", kind=CommandKind.RESUME))
 
     def revive(self) -> None:
-        """Start whatever does not run: a process that was to crash when it next acts may do so late."""
+        """Start every process that is down: one that is to crash at its next effect may do so late."""
         for name in SERVICES:
             self._start(name, torn=False)
 
@@ -324,19 +324,19 @@ class World:
             self.simulation.restart(self._built(name), TORN if torn else b"")
 
     def _set_link(self, change: LinkChange) -> bool:
-        """Whether the link heard of it."""
+        """Whether the link answered."""
         return self._asked("link", LINK_SET, change)
 
     def _command(self, command: Telecommand | None) -> None:
         if command is None or not self.simulation.alive("ground"):
             return
         if not self._asked("ground", ISSUE_COMMAND, command):
-            # Nobody knows whether it had gone out: that is what the id is for.
+            # The command may have gone out or not: because of its id it is executed once.
             self._start("ground", torn=False)
             self._asked("ground", ISSUE_COMMAND, command)
 
     def _asked(self, name: str, topic: Topic, request: Wire) -> bool:
-        """Whether that process answered; it may be gone, or go upon the question."""
+        """Whether that process answered; it may be down, or go down on the query."""
         if not self.simulation.alive(name):
             return False
         try:

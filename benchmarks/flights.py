@@ -1,4 +1,4 @@
-"""Many missions of many kinds on several cores: what the comparisons of planners have in common."""
+"""Missions on several cores, as the comparisons of planners fly them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from services.mission.regions import load_region
 
 OWN_PROCESS = ("rrt", "rrtstar", "informative")
 """Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone. So is
-each of anybody's own (``module:function``)."""
+each plug-in planner (``module:function``)."""
 
 
 @dataclass(frozen=True, slots=True)

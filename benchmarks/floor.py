@@ -58,7 +58,7 @@ NOISE_SEEDS = 5
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """What nobody can do much better than, on one region."""
+    """The error and length on one region that no planner can go far below."""
 
     region: str
     samples: int

@@ -33,7 +33,7 @@ def run(
 ) -> list[Row]:
     """One row a mission; the table printed, the frontier drawn into `out`, rows written to `json`.
 
-    regions: embedded names; region: somebody's field as .npz in their place; peers: also fly SGP-Tools, once a budget
+    regions: embedded names; region: a field as .npz in their place; peers: also fly SGP-Tools, once a budget
     and region. Raises InvalidInput for budgets that are not positive.
     """
     if seeds < 1 or not budgets or not all(budget > 0 for budget in budgets) or not (regions or region):

@@ -169,7 +169,7 @@ class JournalledMission:
                     self.ask(MAP_LAYER, MapLayerQuery(layer=layer)).data_base64
                     for layer in (MapLayer.MEAN, MapLayer.STD)
                 ]
-            except He3Error:  # whoever answers has not the map yet
+            except He3Error:  # the query process has no map yet
                 if time.monotonic() > end:
                     raise
                 time.sleep(0.1)

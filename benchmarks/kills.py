@@ -43,7 +43,7 @@ def run(
     *,
     say: Callable[[str], None] = print,
 ) -> Row:
-    """Kill each of the four services so many times, over as many missions as that takes; what came of it.
+    """Kill each of the four services so many times, over as many missions as needed; the outcome.
 
     within: seconds of wall time that one mission may take. settings: other values of the scenario, as for ``--set``.
     Raises He3Error when a sample was lost or doubled, a mission stuck, or a map came back otherwise.

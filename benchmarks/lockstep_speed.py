@@ -6,7 +6,7 @@ The same mission runs once in this process and once as four processes over Zenoh
     mission_h           mission time from beginning to end [h]
     wall_s              wall time from the first event to the last [s]
     start_s             before that: starting processes, reading the region, finding each other [s]
-    planning_s          of wall_s, what everybody waited for a plan [s]
+    planning_s          part of wall_s in which all waited for a plan [s]
     events_per_s        events / (wall_s - planning_s)
     wall_s_per_mission_h
     identical           whether the event log is that of the first row, to the byte
@@ -145,7 +145,7 @@ def _row(driver: str, events: int, lasted_s: float, start_s: float, wall_s: floa
 
 
 class _Waiting:
-    """An executor that knows for how long its results were waited for."""
+    """An executor that counts how long its results are waited for."""
 
     def __init__(self, executor: Executor) -> None:
         self.waited_s = 0.0
@@ -156,7 +156,7 @@ class _Waiting:
 
 
 class _Awaited(Future[Any]):
-    """What came of it; the wait for it is counted."""
+    """The result of another future; the wait for it is counted."""
 
     def __init__(self, future: Future[Any], waiting: _Waiting) -> None:
         super().__init__()

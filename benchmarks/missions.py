@@ -41,7 +41,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """One mission flown: its row of figures, and what it did."""
+    """One mission: its row of figures, its path and its samples."""
 
     row: Row
     path_m: FloatArray
@@ -92,7 +92,7 @@ def run_mission(
 
     prior: None or "orbital", a trend learned from the region's orbital map or from ``orbital_ppb`` in its place.
     start_m: where the rover stands at first, ``start_of`` the region if None. progress is called with the number of
-    samples taken and of all. Raises InvalidInput for names that nobody has.
+    samples taken and of all. Raises InvalidInput for names that are not known.
     """
     begun = time.perf_counter()
     if prior not in (None, "orbital"):

@@ -68,9 +68,9 @@ def run(
 ) -> list[Row]:
     """One row a mission; the table printed, figures drawn into `out`, rows written to `json`.
 
-    regions: embedded names; region: somebody's field as .npz in their place. kernel: of the paper's protocol;
+    regions: embedded names; region: a field as .npz in their place. kernel: of the paper's protocol;
     own_kernel: of our planners. floor: find it, too, which takes a quarter of a minute a region and budget. Raises
-    InvalidInput for names that nobody has.
+    InvalidInput for names that are not known.
     """
     if seeds < 1:
         raise InvalidInput(f"expected one seed at least, got {seeds}")

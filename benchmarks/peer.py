@@ -1,4 +1,4 @@
-"""Processes that a benchmark starts beside itself, and that end with it."""
+"""Processes that a benchmark starts, and that end with it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SETTLING_S = 300.0
 
 
 class Peer:
-    """A module run as a process: told something by a line, it answers with a line of JSON; it ends with `ends`."""
+    """A module run as a process. It takes lines and answers each with a line of JSON. It ends with `ends`."""
 
     def __init__(self, ends: ExitStack, module: str, *arguments: str) -> None:
         self._module = module
@@ -46,7 +46,7 @@ class Peer:
             raise He3Error(f"{self._module}: ended before it was told what to do") from None
 
     def answer(self, within_s: float = 0.0) -> Any:
-        """What it answers; raises He3Error when nothing comes in that time and the settling."""
+        """Its answer; raises He3Error when none comes within that time and `SETTLING_S`."""
         assert self._process.stdout is not None
         longest_s = within_s + SETTLING_S
         giving_up = threading.Timer(longest_s, self._process.kill)
@@ -73,6 +73,6 @@ class Peer:
 
 
 def answer_line(answer: object) -> None:
-    """Answer, from within a peer."""
+    """Write the answer of this process, which is a peer."""
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()

@@ -205,7 +205,7 @@ def _computed(connection: Connection, function: Callable[[Any], Iterable[Any]], 
     except Exception as error:  # noqa: BLE001 - it is raised again where the results are wanted
         try:
             pickle.loads(pickle.dumps(error))
-        except Exception:  # noqa: BLE001 - an exception that cannot be pickled is told in words
+        except Exception:  # noqa: BLE001 - an exception that cannot be pickled is sent as text
             return _Done(He3Error(f"{type(error).__name__}: {error}"))
         return _Done(error)
     return _Done()

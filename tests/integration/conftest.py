@@ -127,7 +127,7 @@ class Process:
 
 
 class Heard(NamedTuple):
-    """A message and when it came, in wall time [ns]."""
+    """A message, and when it was received in wall time [ns]."""
 
     header: Header
     body: Any
@@ -135,7 +135,7 @@ class Heard(NamedTuple):
 
 
 class Listener:
-    """Every message of one topic that reaches a client."""
+    """Keeps every message of one topic that reaches a client."""
 
     def __init__(self, client: Client, topic: Topic) -> None:
         self.heard: list[Heard] = []
@@ -242,7 +242,7 @@ class Mission:
 
 
 def free_endpoints() -> tuple[str, str]:
-    """Two endpoints on loopback that nobody listens on."""
+    """Two endpoints on loopback with free ports."""
     with socket.socket() as first, socket.socket() as second:
         for each in (first, second):
             each.bind(("127.0.0.1", 0))

@@ -37,7 +37,7 @@ from services.runtime.clock import mission_time
 from tests.waiting import PATIENCE_S, expect_within, until
 
 SERVICES = ("rover", "recorder", "ground", "field")
-"""All but the link, in no order that anybody would choose."""
+"""All but the link, in an unusual order."""
 
 _numbers = count(1)
 
@@ -172,7 +172,7 @@ def test_every_selector_that_the_page_on_the_wire_shows_is_answered(mission, ear
     told.wait(lambda _, body: body.command.command_id == "mine-1" and passed(body, CommandStage.RECEIVED) is not None)
 
 
-def test_there_are_three_ways_to_have_no_answer_and_a_client_tells_them_apart(earth):
+def test_a_client_tells_three_causes_of_no_answer_apart(earth):
     with pytest.raises(PeerUnreachable, match="no service answers"):
         earth.query(BY_NAME["moon/field/measure"], LinkChange())
     with pytest.raises(He3Error, match="field required"):
@@ -242,7 +242,7 @@ def test_what_is_on_its_way_keeps_its_arrival_when_the_light_time_changes(earth,
 # --- bad input from outside -------------------------------------------------------------------------------------
 
 
-def test_strangers_who_send_rubbish_on_every_key_change_nothing_and_are_counted(mission, earth, moon, listen):
+def test_malformed_payloads_on_every_key_change_nothing_and_are_counted(mission, earth, moon, listen):
     presence = {Side.EARTH: listen(earth, EARTH_PRESENCE), Side.MOON: listen(moon, MOON_PRESENCE)}
 
     def refused(name, side):

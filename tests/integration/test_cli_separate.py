@@ -171,7 +171,7 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
         (signal.SIGINT, 2.5, 130, "he3: interrupted"),
     ],
 )
-def test_it_ends_at_any_moment_without_a_trace(
+def test_a_mission_ends_at_any_moment_without_a_traceback(
     number: signal.Signals, after_s: float, code: int, last_line: str, environment: dict[str, str]
 ) -> None:
     with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:

@@ -1,4 +1,4 @@
-"""Services that are told to stop, at any moment: gone in time, in order, without a word too much."""
+"""Services end in time, in order and in silence, whenever they are told to."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_recorder_that_is_started_again_keeps_what_it_had_recorded(missions, l
         assert any(message.topic is GROUND_STATUS for message in Recording(path).messages()), path
 
 
-def test_services_end_when_told_twice_in_a_row(missions):
+def test_services_that_get_two_signals_end(missions):
     mission = missions("short", "--rate", RATE)
     mission.start("link", "rover")
     mission.ready()

@@ -38,7 +38,7 @@ def test_a_mission_whose_recording_and_pictures_cannot_be_written_has_its_report
     assert pictures == [f"{out / name}: cannot write the picture: File too large" for name in ("map.png", "rmse.png")]
 
 
-def test_a_report_that_cannot_be_written_is_one_line_and_exit_code_1_and_the_mission_is_told_all_the_same(
+def test_a_report_that_cannot_be_written_is_one_line_and_exit_code_1_and_the_summary_is_printed(
     tmp_path: Path,
 ) -> None:
     report = tmp_path / "full" / "report.json"

@@ -1,4 +1,4 @@
-"""Lockstep when something goes wrong: who dies, hangs or comes back, who only looks on, and what an operator does."""
+"""Lockstep under faults: processes that die, hang or come back, clients that hang, and an operator's control."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_a_bad_time_control_is_refused_in_one_line_and_changes_nothing(standing:
     assert mission.control() == before
 
 
-# --- who dies, hangs, comes back --------------------------------------------------------------------------------
+# --- processes that die, hang, come back ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_a_time_manager_that_hangs_is_reported_by_all_that_wait_for_it(standing:
     mission.moves_on()
 
 
-# --- who only looks on ------------------------------------------------------------------------------------------
+# --- clients that are no part of the mission -------------------------------------------------------------------
 
 LOOKS_ON_AND_HANGS = """
 import os, signal, sys

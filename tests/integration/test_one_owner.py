@@ -1,4 +1,4 @@
-"""Two of us: outputs and journals belong to one process at a time, and the second is told who has them."""
+"""Outputs and journals belong to one process at a time; a second one is refused and names the first."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_mission_whose_outputs_are_in_use_is_refused_and_changes_nothing(
     assert kept == {"mission.mcap": b"theirs", "report.json": b"theirs"}
 
 
-def test_two_recorders_of_one_file_are_one_too_many(tmp_path: Path) -> None:
+def test_a_second_recorder_of_one_file_is_refused(tmp_path: Path) -> None:
     from he3.errors import InvalidInput
     from services.recorder.files import open_recording
 

@@ -37,20 +37,22 @@ def warnings() -> list[str]:
 
 @pytest.fixture
 def answering(warnings: list[str]) -> Iterator[QueryProcess]:
-    # Nobody listens there: what is shown is taken in all the same.
+    # No router listens there; snapshots are taken in all the same.
     process = QueryProcess("services.ground.map.process", Side.EARTH, "tcp/127.0.0.1:9", "answering", warnings.append)
     yield process
     process.close()
 
 
-def test_what_is_settled_is_answered_from(answering: QueryProcess) -> None:
+def test_a_query_process_settles_on_the_newest_snapshot(answering: QueryProcess) -> None:
     assert answering.settle()  # nothing was shown, so nothing is to come
     for revision in range(1, 20):
         answering.show(snapshot(revision))
     assert answering.settle()
 
 
-def test_one_that_died_is_replaced_and_is_shown_the_newest_again(answering: QueryProcess, warnings: list[str]) -> None:
+def test_a_query_process_that_died_is_replaced_and_gets_the_newest_snapshot_again(
+    answering: QueryProcess, warnings: list[str]
+) -> None:
     answering.show(snapshot(1))
     assert answering.settle()
     before = answering.pid
@@ -62,13 +64,13 @@ def test_one_that_died_is_replaced_and_is_shown_the_newest_again(answering: Quer
     assert sum("ended by itself" in warning for warning in warnings) == 1  # a slow machine also says what it waits for
 
 
-def test_waiting_for_one_that_never_gets_ready_ends_when_told_to_stop(answering: QueryProcess) -> None:
+def test_waiting_for_a_query_process_that_never_gets_ready_ends_when_told_to_stop(answering: QueryProcess) -> None:
     stop = threading.Event()
     stop.set()
     answering.wait_until_ready(stop)
 
 
-def test_one_that_dies_before_it_is_ready_is_reported_with_the_reason(warnings: list[str]) -> None:
+def test_a_query_process_that_dies_before_it_is_ready_is_reported_with_the_reason(warnings: list[str]) -> None:
     process = QueryProcess("services.no_such_module", Side.EARTH, "tcp/127.0.0.1:9", "answering", warnings.append)
     try:
         with pytest.raises(
@@ -80,7 +82,7 @@ def test_one_that_dies_before_it_is_ready_is_reported_with_the_reason(warnings: 
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs SIGSTOP")
-def test_one_that_hangs_is_waited_for_until_it_has_been_silent_for_long(
+def test_a_query_process_that_hangs_is_waited_for_until_it_has_been_silent_for_long(
     answering: QueryProcess, warnings: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(query_process, "SILENT_AFTER_S", 3.0)
@@ -101,7 +103,7 @@ def test_one_that_hangs_is_waited_for_until_it_has_been_silent_for_long(
     until(answering.settle, "the query process to be heard of again")
 
 
-def test_nothing_is_left_behind(answering: QueryProcess) -> None:
+def test_a_closed_query_process_is_gone(answering: QueryProcess) -> None:
     answering.show(snapshot(1))
     assert answering.settle()
     pid = answering.pid

@@ -167,7 +167,7 @@ def he3(endpoints: Endpoints, *words: str) -> subprocess.CompletedProcess[str]:
     return run(command)
 
 
-def test_the_shell_asks_for_all_of_it(running: tuple[Launcher, Endpoints], tmp_path: Path) -> None:
+def test_every_map_command_prints_text_and_json(running: tuple[Launcher, Endpoints], tmp_path: Path) -> None:
     endpoints = running[1]
     for words in (
         ("map", "box", "mean", "0", "0", "100", "100", "--resolution", "10"),
@@ -221,7 +221,7 @@ def _answerer_of(ground: int) -> int:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_an_answerer_that_is_killed_is_replaced_and_the_ground_does_not_notice(
+def test_a_query_process_that_is_killed_is_replaced_and_the_ground_goes_on(
     running: tuple[Launcher, Endpoints], client: MissionClient
 ) -> None:
     launcher, _ = running

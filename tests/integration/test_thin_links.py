@@ -89,7 +89,7 @@ def test_thirty_messages_of_100_kb_pass_a_link_of_32_kb_a_second(
 ) -> None:
     ends = free_endpoints()
     flags = ["short", "--rate", "20", "--moon", ends.moon, "--earth", ends.earth, "--set", "link.up.rate_bit_s=256000"]
-    script = str(HERE / "big_letters.py")
+    script = str(HERE / "large_plans.py")
     commands = {
         "link": ["-P", "-m", "services.link", *flags, "--wait-for", "rover,ground"],
         "rover": [script, "rover", *flags],
@@ -108,6 +108,6 @@ def test_thirty_messages_of_100_kb_pass_a_link_of_32_kb_a_second(
         return said if "finished" in said else None
 
     said = until(finished, logs)
-    came = [int(number) for number in re.findall(r"a letter came.*?number=(\d+)", said)]
+    came = [int(number) for number in re.findall(r"a plan arrived.*?number=(\d+)", said)]
     assert came == list(range(1, 31))
     assert said.count("whole=True") == 30

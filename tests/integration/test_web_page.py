@@ -114,7 +114,7 @@ def test_without_authority_nothing_is_commanded_and_the_reason_is_said(mission: 
         assert len(mission.commands()) == before
 
 
-def test_the_server_ends_at_once_and_quietly_while_somebody_looks_on(mission: MissionClient) -> None:
+def test_the_server_ends_at_once_and_quietly_while_a_browser_is_connected(mission: MissionClient) -> None:
     server = Served(mission)
     with server as where, urllib.request.urlopen(f"{where}api/stream", timeout=PATIENCE_S) as stream:
         assert stream.readline() == b"retry: 1000\n"
@@ -127,7 +127,7 @@ def test_the_server_ends_at_once_and_quietly_while_somebody_looks_on(mission: Mi
         assert server.process.stderr.read() == "he3: terminated\n"
 
 
-def test_bad_questions_are_answered_with_one_line_that_says_why(address: str) -> None:
+def test_bad_queries_are_answered_with_one_line_that_says_why(address: str) -> None:
     own = address.rstrip("/")
     for query, why in (
         ("map/point?x=900&y=1", "expected a place within"),
@@ -256,7 +256,7 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     assert passed["completed"] >= passed["started"]
     until(lambda: script(browser, "return document.getElementById('rover-mode').textContent") == "paused", "paused")
 
-    # An alarm stays until somebody has said that they saw it.
+    # An alarm stays until an operator has acknowledged it.
     click(browser, "button[data-command=safe]")
     alarm = ".alarm[data-kind=safe_mode]"
     until(lambda: browser.find_elements("css selector", f"{alarm} button"), "the alarm")

@@ -57,7 +57,7 @@ def test_every_kind_of_fault_every_service_and_every_command_comes_up() -> None:
     assert commanded == {kind.value for kind in CommandKind} - {CommandKind.RESUME.value}
 
 
-def test_whatever_goes_wrong_is_put_right_again() -> None:
+def test_every_fault_is_undone_at_its_end() -> None:
     for fault in (fault for seed in range(200) for fault in schedule_of(seed)):
         if fault.kind in LINK_FAULTS:
             begins, ends = (link_change(fault, begins, 1.282) for begins in (True, False))

@@ -1,4 +1,4 @@
-"""The floor, and missions without services, on a small region that is somebody's own file."""
+"""The floor, and missions without services, on a small region from a file."""
 
 import json
 import subprocess
@@ -88,7 +88,7 @@ def test_a_mission_whose_budget_runs_out_says_why(region):
     assert "budget is spent" in mission.ended
 
 
-def test_a_prior_that_nobody_has_is_refused(region):
+def test_a_prior_that_is_not_known_is_refused(region):
     with pytest.raises(InvalidInput, match="orbital"):
         run_mission(region, "tour", "matern12", 1, rounds=1, prior="radar")
 

@@ -1,4 +1,4 @@
-"""The comparison of planners and of kernels, on a small region that is somebody's own file."""
+"""The comparison of planners and of kernels, on a small region from a file."""
 
 import json
 from dataclasses import replace
@@ -111,7 +111,7 @@ def test_a_frontier_without_a_budget_is_refused(quarter_of_t1, budgets):
         frontier.run(seeds=1, region=quarter_of_t1, budgets=budgets)
 
 
-def test_a_comparison_of_planners_that_nobody_has_is_refused(quarter_of_t1):
+def test_a_comparison_of_planners_that_are_not_known_is_refused(quarter_of_t1):
     with pytest.raises(InvalidInput, match="expected planners among"):
         paper.run(seeds=1, region=quarter_of_t1, planners=("teleport",))
     with pytest.raises(InvalidInput, match="expected one seed"):

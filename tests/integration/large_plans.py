@@ -1,6 +1,6 @@
 """Two small services for a test: a ground that sends thirty plans of 100 kB, and a rover that counts what comes.
 
-Run as ``python big_letters.py ground|rover SCENARIO ...``, with the flags of every service.
+Run as ``python large_plans.py ground|rover SCENARIO ...``, with the flags of every service.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from services.runtime.options import Options
 from services.runtime.process import serve
 from services.runtime.service import Service
 
-LETTERS = 30
+PLANS = 30
 BYTES = 100_000
 
 
@@ -51,7 +51,7 @@ class Sender:
 
     def handle(self, event: Event, now: int) -> Iterable[Effect]:
         if isinstance(event, TimerFired):
-            return [Send(PLAN, big_plan(number, now)) for number in range(1, LETTERS + 1)]
+            return [Send(PLAN, big_plan(number, now)) for number in range(1, PLANS + 1)]
         return [SetTimer("begin", now + SECOND)]
 
 
@@ -69,9 +69,9 @@ class Receiver:
         plan: MissionPlan = event.body
         whole = plan == big_plan(plan.revision, plan.planned_at)
         self.came.append(plan.revision)
-        yield LogRecord(Level.INFO, "a letter came", {"number": plan.revision, "whole": whole})
-        if len(self.came) == LETTERS:
-            yield Finish(whole, f"letters {self.came}")
+        yield LogRecord(Level.INFO, "a plan arrived", {"number": plan.revision, "whole": whole})
+        if len(self.came) == PLANS:
+            yield Finish(whole, f"plans {self.came}")
 
 
 def build(options: Options) -> Node:
