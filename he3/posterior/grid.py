@@ -91,7 +91,7 @@ class GridPosterior:
         posterior = cls(grid, hyperparameters, threads=threads)
         posterior._set_processes(*posterior._conditioned(np.asarray(xy_m, dtype=np.float64), values_ppb))
         posterior._recompute()
-        posterior._ensure_precision()
+        posterior._ensure_precision(slice(None))
         return posterior
 
     def __len__(self) -> int:
@@ -124,7 +124,7 @@ class GridPosterior:
         residual = float(without_trend.whitened[n])
         for tile in self._tiled.tiles:
             self._sums.add_row(n, row[tile.cells], residual, tile.cells)
-        self._ensure_precision()
+        self._ensure_precision(self._tiled.tile_near(place).cells)
 
     def at(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (k,) and standard deviation (k,) [ppb] at arbitrary places (k, 2) [m], exact."""
@@ -199,13 +199,16 @@ class GridPosterior:
         parts = (part for tile in self._tiled.tiles for part in tile.parts(_CELLS_PER_PART))
         self._run_tasks(partial(fill, part) for part in parts)
 
-    def _ensure_precision(self) -> None:
-        """Recompute everything in float64 if float32 rows do not suffice for the samples so far."""
+    def _ensure_precision(self, changed: slice) -> None:
+        """Recompute everything in float64 if float32 rows do not suffice for the samples so far.
+
+        changed: the cells whose variance has fallen most.
+        """
         if self._dtype == np.float64:
             return
         trend = self._sums.trend
         self._probes.extend(self._without_trend, None if trend is None else trend.whitened)
-        if self._probes.agree_with(self._sums, self._without_trend.whitened):
+        if self._probes.agree_with(self._sums, self._without_trend.whitened, changed):
             return
         size = len(self) * self._rows.bytes_per_sample * 2
         if size > MAX_ROW_BYTES:

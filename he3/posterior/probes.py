@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from he3.kernels import squared_distances
 from he3.posterior.sums import PosteriorSums
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class Probes:
         self._prior_variance = hyperparameters.kernel.prior_variance
         self._sums = PosteriorSums.prior(hyperparameters, self._points_m, len(self._cells))
         self._rows: FloatArray = np.empty((0, len(self._cells)))
+        self._count = 0
         level = float(np.abs(hyperparameters.prior_mean_ppb(self._points_m)).max()) / hyperparameters.scale_ppb
         self._field_scale = max(level, float(np.sqrt(self._prior_variance)))
 
@@ -53,24 +55,38 @@ class Probes:
 
         trend_whitened: the trend's columns (n, p), whitened at all samples; None without a trend.
         """
-        first = len(self._rows)
+        first = self._count
         if first == len(process):
             return
-        covariance = process.hyperparameters.covariance(process.places_m[first:], self._points_m)
-        covariance -= process.factor[first:, :first] @ self._rows
-        new = solve_triangular(process.factor[first:, first:], covariance, lower=True, check_finite=False)
+        r2 = squared_distances(process.places_m[first:], self._points_m)
+        new = process.hyperparameters.kernel.of_squared_distance(r2)
+        new -= process.factor[first:, :first] @ self._rows[:first]
+        if len(new) == 1:
+            new /= process.factor[-1, -1]
+        else:
+            new = solve_triangular(process.factor[first:, first:], new, lower=True, check_finite=False)
         if self._sums.trend is not None:
             assert trend_whitened is not None
             self._sums.trend = replace(self._sums.trend, whitened=trend_whitened)
         self._sums.add_rows(first, new, process.whitened[first:], slice(None))
-        self._rows = np.vstack((self._rows, new))
+        self._keep(new)
 
-    def agree_with(self, sums: PosteriorSums, whitened: FloatArray) -> bool:
-        """Whether a map's sums are exact enough at the probes, and no cell's variance is too small for float32.
+    def _keep(self, new: FloatArray) -> None:
+        """Store new rows (k, probes); the array grows by doubling."""
+        last = self._count + len(new)
+        if last > len(self._rows):
+            grown = np.empty((2 * last, len(self._cells)))
+            grown[: self._count] = self._rows[: self._count]
+            self._rows = grown
+        self._rows[self._count : last] = new
+        self._count = last
 
-        whitened: all samples' whitened residuals (n,).
+    def agree_with(self, sums: PosteriorSums, whitened: FloatArray, changed: slice) -> bool:
+        """Whether a map's sums are exact enough at the probes, and no changed cell's variance is too small for float32.
+
+        whitened: all samples' whitened residuals (n,). changed: the cells whose variance has fallen most.
         """
-        if not float(sums.variance.min()) >= LEAST_VARIANCE * self._prior_variance:
+        if not float(sums.variance[changed].min()) >= LEAST_VARIANCE * self._prior_variance:
             return False
         mean, variance = sums.posterior(whitened, 0.0, self._cells)
         exact_mean, exact_variance = self._sums.posterior(whitened, 0.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from he3.frames import SiteGrid
+    from he3.frames import FloatArray, SiteGrid
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -82,6 +82,12 @@ class TiledGrid:
     @property
     def cells(self) -> int:
         return self.grid.rows * self.grid.columns
+
+    def tile_near(self, place_m: FloatArray) -> Tile:
+        """The tile that contains the place (2,) [m], or that is nearest to it along each axis."""
+        column, row = (place_m / self.grid.resolution_m).astype(np.intp)
+        row, column = np.clip((row, column), 0, (self.grid.rows - 1, self.grid.columns - 1))
+        return next(tile for tile in self.tiles if row < tile.rows.stop and column < tile.columns.stop)
 
     def in_tile_order(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Values (cells, ...) given in the order of ``array.ravel()``, reordered by tile."""

@@ -54,6 +54,18 @@ def test_parts_are_whole_rows_of_a_tile_one_after_the_other(rows: int, columns: 
         assert part.cells.stop - part.cells.start == part.size <= max(cells, columns)
 
 
+@given(lengths, lengths, st.integers(1, 40), st.floats(-50, 200), st.floats(-50, 200))
+def test_the_tile_near_a_place_holds_the_cell_nearest_to_it(
+    rows: int, columns: int, edge: int, x: float, y: float
+) -> None:
+    tiled = TiledGrid(SiteGrid(rows, columns, 2.0), edge)
+    tile = tiled.tile_near(np.array([x, y]))
+    row = min(max(int(np.floor(y / 2.0)), 0), rows - 1)
+    column = min(max(int(np.floor(x / 2.0)), 0), columns - 1)
+    assert tile.rows.start <= row < tile.rows.stop
+    assert tile.columns.start <= column < tile.columns.stop
+
+
 def test_a_site_smaller_than_a_tile_is_one_tile() -> None:
     assert len(TiledGrid(SiteGrid(TILE_EDGE, 3)).tiles) == 1
     assert len(TiledGrid(SiteGrid(TILE_EDGE + 1, 3)).tiles) == 2
