@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from services.runtime.entry import forget_working_directory, prepare_process
+from services.runtime.entry import forget_working_directory, leave, prepare_process
 
 if __name__ == "__main__":
     forget_working_directory()
@@ -21,8 +21,18 @@ TRACEBACK = "HE3_TRACEBACK"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated.
+
+    Without arguments it is the command of this process, and ends the process: a session that a bad link keeps from
+    closing leaves threads behind, for which Python's own end would wait for ever.
+    """
+    if arguments is None:
+        leave(_ended(sys.argv[1:]))
+    return _ended(list(arguments))
+
+
+def _ended(words: list[str]) -> int:
+    """Exit code of the command, after everything that may end it."""
     try:
         prepare_process()
         from services.console.interruption import Terminated, ending_on_signals, told_to_end

@@ -64,11 +64,18 @@ def build() -> typer.Typer:
     return app
 
 
-def _common(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
-) -> None:
-    if version:
+def _show_version(wanted: bool) -> None:
+    """Print the version and end. A callback of the flag, so that it is carried out although no command follows."""
+    if wanted:
         from services.runtime.heartbeat import software_version
 
         typer.echo(f"he3-seeker {software_version()}")
         raise typer.Exit
+
+
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    """Flags of the command itself."""

@@ -15,7 +15,7 @@ from he3.errors import He3Error
 from services.console import __main__ as entry
 from services.console.cli import app
 from services.console.interruption import ENDS_WITHIN_S, Terminated, ending_in_time, ending_on_signals, told_to_end
-from tests.waiting import expect_within
+from tests.waiting import PATIENCE_S, expect_within
 
 ENDS = [(signal.SIGINT, 130, "he3: interrupted\n"), (signal.SIGTERM, 143, "he3: terminated\n")]
 
@@ -152,3 +152,15 @@ def test_a_disk_that_is_full_costs_one_line_that_says_so(
     command_is(monkeypatch, lambda: open("/dev/null/x", "w"))  # noqa: PTH123, SIM115 - it is never opened
     assert entry.main([]) == 1
     assert capsys.readouterr().err == "he3: /dev/null/x: Not a directory\n"
+
+
+def test_a_command_of_its_own_process_ends_though_a_thread_never_does() -> None:
+    # A session that a bad link keeps from closing leaves threads behind, for which Python's own end waits for ever.
+    stuck = (
+        "import sys, threading; threading.Thread(target=threading.Event().wait).start();"
+        "sys.argv = ['he3', '--version'];"
+        "from services.console.__main__ import main; sys.exit(main())"
+    )
+    done = subprocess.run([sys.executable, "-c", stuck], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("he3-seeker ")

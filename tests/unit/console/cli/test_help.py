@@ -51,3 +51,8 @@ def test_a_group_without_a_command_shows_its_help_and_fails(capsys: pytest.Captu
 
 def test_the_application_can_be_built_twice() -> None:
     assert build() is not build()
+
+
+def test_the_version_is_printed_without_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("he3-seeker ")
