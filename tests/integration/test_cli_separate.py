@@ -195,6 +195,7 @@ def test_a_service_that_dies_is_named_and_the_others_are_ended(victim: str, envi
         assert alive(pids) == []
 
 
+@pytest.mark.exhaustive
 def test_a_mission_goes_on_without_a_recorder_that_dies_and_says_so(
     tmp_path: Path, environment: dict[str, str]
 ) -> None:
@@ -236,6 +237,7 @@ def test_services_that_are_up_stay_up_without_a_recorder_that_dies(tmp_path: Pat
         assert process.wait() == 130
 
 
+@pytest.mark.exhaustive
 def test_the_services_do_not_outlive_a_starter_that_was_killed(environment: dict[str, str]) -> None:
     with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:
         pids = services_of(process, environment)

@@ -19,7 +19,7 @@ def limit_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE_BYTES, LARGEST_FILE_BYTES))
 
 
-@pytest.mark.parametrize("driver", ["--in-process", "--lockstep"])
+@pytest.mark.parametrize("driver", ["--in-process", pytest.param("--lockstep", marks=pytest.mark.exhaustive)])
 def test_a_mission_whose_recording_and_pictures_cannot_be_written_has_its_report(driver: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     short = ("--set", "rounds=1", "--set", "samples_per_round=2", "--set", "rover.state_period_s=60")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
 from benchmarks import kills
 from tests.waiting import PATIENCE_S
 
 
+@pytest.mark.exhaustive
 def test_each_service_is_killed_in_turn_and_every_sample_is_in_the_map_exactly_once(tmp_path):
     said: list[str] = []
     row = kills.run(

@@ -67,7 +67,9 @@ def marked() -> Iterator[Marked]:
         os.kill(pid, signal.SIGKILL)
 
 
-@pytest.mark.parametrize("killed", ["alone", "controller", "worker"])
+@pytest.mark.parametrize(
+    "killed", ["controller", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("alone", "worker"))]
+)
 def test_a_test_run_that_is_killed_leaves_no_service(killed: str, marked: Marked, tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text("from tests.integration.conftest import *\n")
     (tmp_path / "test_that_waits.py").write_text(A_TEST_THAT_WAITS)
@@ -105,7 +107,9 @@ def test_a_benchmark_that_is_killed_leaves_no_process(killed: str, marked: Marke
         marked.wait_until_gone()
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.exhaustive), (signal.SIGTERM, 143)]
+)
 def test_a_benchmark_that_a_signal_ends_keeps_the_rows_that_it_has(
     number: signal.Signals, code: int, marked: Marked, quarter_of_t1: Path, tmp_path: Path
 ) -> None:

@@ -103,6 +103,7 @@ def test_lockstep_and_in_process_runs_have_the_same_events_to_the_byte_with_loss
     assert {name: apart.report[name] for name in same} == {name: alone.report[name] for name in same}
 
 
+@pytest.mark.exhaustive
 @busy_or_not
 def test_every_delivery_takes_exactly_its_light_time(busy: bool, tmp_path: Path) -> None:
     with cores_busy(busy):

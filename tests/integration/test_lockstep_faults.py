@@ -202,6 +202,7 @@ def test_a_process_that_hangs_is_named_and_time_stands_until_it_goes_on(standing
     assert mission.control().detail == ""
 
 
+@pytest.mark.exhaustive
 def test_a_process_that_hangs_can_be_replaced_and_then_ends_when_it_wakes_up(
     lockstep: Callable[..., Lockstep],
 ) -> None:
@@ -218,6 +219,7 @@ def test_a_process_that_hangs_can_be_replaced_and_then_ends_when_it_wakes_up(
     assert "he3 field: another process has taken part as field since" in hung.text
 
 
+@pytest.mark.exhaustive
 def test_when_the_link_is_killed_the_others_wait_and_go_on_with_its_successor(
     lockstep: Callable[..., Lockstep],
 ) -> None:
@@ -233,6 +235,7 @@ def test_when_the_link_is_killed_the_others_wait_and_go_on_with_its_successor(
     assert mission.control().now > stood.now, "time never ran backwards"
 
 
+@pytest.mark.exhaustive
 def test_a_query_to_a_server_that_dies_is_sent_again_when_it_is_back(
     lockstep: Callable[..., Lockstep],
 ) -> None:

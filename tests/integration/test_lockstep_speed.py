@@ -11,6 +11,7 @@ from benchmarks.lockstep_speed import run
 from services.mission.deployment import find_scenario
 
 
+@pytest.mark.exhaustive
 def test_the_benchmark_has_a_row_for_each_driver_and_their_events_are_the_same(tmp_path: Path) -> None:
     said: list[str] = []
     shorter = tmp_path / "shorter.toml"

@@ -114,7 +114,14 @@ def assert_gone(pids: dict[int, str]) -> None:
     )
 
 
-@pytest.mark.parametrize("starter", [STARTER, THROUGH_A_SHELL], indirect=True, ids=["direct", "through-a-shell"])
+@pytest.mark.parametrize(
+    "starter",
+    [
+        pytest.param(STARTER, id="direct", marks=pytest.mark.exhaustive),
+        pytest.param(THROUGH_A_SHELL, id="through-a-shell"),
+    ],
+    indirect=True,
+)
 def test_a_whole_mission_ends_when_the_process_that_started_it_is_killed(starter: int) -> None:
     below = ours(starter)
     os.kill(starter, signal.SIGKILL)
@@ -122,7 +129,7 @@ def test_a_whole_mission_ends_when_the_process_that_started_it_is_killed(starter
 
 
 @pytest.mark.parametrize("starter", [STARTER], indirect=True, ids=["direct"])
-@pytest.mark.parametrize("victim", ["services.console", "services.ground "])
+@pytest.mark.parametrize("victim", [pytest.param("services.console", marks=pytest.mark.exhaustive), "services.ground "])
 def test_the_children_of_a_killed_process_end(starter: int, victim: str) -> None:
     (pid,) = [pid for pid, line in ours(starter).items() if victim in line and "-c" not in line.split()]
     below = ours(pid)

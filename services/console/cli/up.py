@@ -48,9 +48,9 @@ def up(
     chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
     mission = chosen.scenario
     endpoints = Endpoints(mission.network.moon, mission.network.earth)
-    require_free(endpoints)
     where = outputs(out, None)
     checked_region(mission)
+    require_free(endpoints)
     services = services_of(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
     )

@@ -35,6 +35,7 @@ def time_s(rows: list[delay.Row], light_time_s: float, pipelined: bool) -> float
     )
 
 
+@pytest.mark.exhaustive
 def test_stop_and_wait_pays_the_round_trip_every_round_and_a_pipeline_only_once(
     study: tuple[list[delay.Row], Path],
 ) -> None:

@@ -31,6 +31,7 @@ def test_the_paper_s_table_is_printed_written_and_held_against_the_yardstick(pla
     assert f"{ratio:.3f}" in line
 
 
+@pytest.mark.exhaustive
 def test_each_planner_is_also_held_against_the_harder_yardstick(quarter_of_t1):
     said: list[str] = []
     rows = paper.run(seeds=1, region=quarter_of_t1, planners=("rrtstar", "rrtstar-matern52"), jobs=2, floor=False,

@@ -14,7 +14,9 @@ from services.mission.scenario import checked_scenario
 KM = 1000.0
 
 
-@pytest.mark.parametrize("planner", ["tour", pytest.param("rrtstar", marks=pytest.mark.exhaustive), "informative"])
+@pytest.mark.parametrize(
+    "planner", [*(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("tour", "rrtstar")), "informative"]
+)
 def test_a_mission_over_cells_of_a_kilometre_takes_all_its_samples(planner: str) -> None:
     grid = SiteGrid(60, 99, KM)
     x, y = np.meshgrid(grid.x_m, grid.y_m)
