@@ -63,6 +63,9 @@ class Latest:
 class Query:
     """A query and its reply within one side."""
 
+    observes: bool = False
+    """Whether an observer asks it: its answer changes nothing, so no event log has it, whenever it arrives."""
+
 
 @dataclass(frozen=True, slots=True)
 class Topic:
@@ -121,19 +124,23 @@ LINK_SET = Topic("earth/link/set", LinkChange, service=Query(), reply=LinkStatus
 GROUND_STATUS = Topic("earth/ground/status", GroundStatus, recorded=True, kept=True, max_bytes=65_536)
 ISSUE_COMMAND = Topic("earth/ground/command", Telecommand, service=Query(), reply=CommandStatus)
 LIST_COMMANDS = Topic(
-    "earth/ground/commands", NoParameters, service=Query(), reply=CommandList, max_reply_bytes=4_194_304
+    "earth/ground/commands", NoParameters, service=Query(observes=True), reply=CommandList, max_reply_bytes=4_194_304
 )
 SET_INTEREST = Topic(
     "earth/ground/interest", InterestChange, service=Query(), reply=InterestList, max_reply_bytes=4_194_304
 )
 COMMAND_STATUS = Topic("earth/ground/command-status", CommandStatus, recorded=True, max_bytes=65_536)
-MAP_POINT = Topic("earth/map/point", MapPointQuery, service=Query(), reply=MapPoint)
-MAP_LAYER = Topic("earth/map/layer", MapLayerQuery, service=Query(), reply=MapRaster, max_reply_bytes=33_554_432)
-MAP_SCORE = Topic("earth/map/score", NoParameters, service=Query(), reply=MapScore)
-TRACK = Topic("earth/map/track", MapTrackQuery, service=Query(), reply=MissionTrack, max_reply_bytes=33_554_432)
-MAP_BOX = Topic("earth/map/box", MapBoxQuery, service=Query(), reply=MapRaster, max_reply_bytes=33_554_432)
-MAP_RESOURCE = Topic("earth/map/resource", ResourceQuery, service=Query(), reply=ResourceEstimate)
-MAP_HISTORY = Topic("earth/map/history", NoParameters, service=Query(), reply=MapHistory)
+MAP_POINT = Topic("earth/map/point", MapPointQuery, service=Query(observes=True), reply=MapPoint)
+MAP_LAYER = Topic(
+    "earth/map/layer", MapLayerQuery, service=Query(observes=True), reply=MapRaster, max_reply_bytes=33_554_432
+)
+MAP_SCORE = Topic("earth/map/score", NoParameters, service=Query(observes=True), reply=MapScore)
+TRACK = Topic(
+    "earth/map/track", MapTrackQuery, service=Query(observes=True), reply=MissionTrack, max_reply_bytes=33_554_432
+)
+MAP_BOX = Topic("earth/map/box", MapBoxQuery, service=Query(observes=True), reply=MapRaster, max_reply_bytes=33_554_432)
+MAP_RESOURCE = Topic("earth/map/resource", ResourceQuery, service=Query(observes=True), reply=ResourceEstimate)
+MAP_HISTORY = Topic("earth/map/history", NoParameters, service=Query(observes=True), reply=MapHistory)
 MAP_FEED = Topic("earth/map/feed", MapFrame, max_bytes=67_108_864)
 """Not an envelope: head and numbers, see services/ground/map/feed.py. A query on the same key returns a key frame."""
 

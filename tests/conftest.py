@@ -23,6 +23,12 @@ settings.load_profile("gate")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_runtime_folder(tmp_path_factory):
+    """No command of a test finds a mission that a test in another process has started."""
+    os.environ["XDG_RUNTIME_DIR"] = str(tmp_path_factory.mktemp("runtime"))
+
+
 @pytest.fixture(scope="session")
 def quarter_of_t1(tmp_path_factory):
     """A region file with a quarter of t1, every second cell: 125 x 125 cells of 2 m."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, decode_reply, encode
-from schemas.topics import Crosses, Side, Topic, under_custody
+from schemas.topics import Crosses, Query, Side, Topic, under_custody
 from schemas.wire import Header, Wire
 from services.mission.mission_time import MissionTime
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
@@ -259,7 +259,8 @@ class Host:
 
     def _checked_query(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
         self._asked[token] = topic
-        return self._handle(QueryReceived(topic, request, token), now, f"asked {topic.name}")
+        observed = isinstance(topic.service, Query) and topic.service.observes
+        return self._handle(QueryReceived(topic, request, token), now, None if observed else f"asked {topic.name}")
 
     def _reply(self, query: str, payload: bytes, now: MissionTime) -> list[Action]:
         """A reply that its topic does not admit is a refused query; one to a query that has ended is ignored."""
@@ -288,9 +289,10 @@ class Host:
             return self._custody.timer_elapsed(now)
         return self._handle(TimerFired(timer), now, f"due {timer}")
 
-    def _handle(self, event: Event, now: MissionTime, what: str) -> list[Action]:
+    def _handle(self, event: Event, now: MissionTime, what: str | None) -> list[Action]:
+        """The actions that follow from the event; `what` is its line in the event log, None without one."""
         self._events += 1
-        if self._event_sink is not None:
+        if self._event_sink is not None and what is not None:
             self._event_sink(now, self._interface.name, what)
         return list(self._actions(self._node.handle(event, now), now))
 

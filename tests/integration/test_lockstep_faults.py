@@ -85,8 +85,8 @@ def lockstep(missions: Callable[..., object], tmp_path: Path) -> Callable[..., L
 
 @pytest.fixture(scope="module")
 def shared_lockstep(shared_missions: Callable[..., object]) -> Lockstep:
-    """A mission for tests after which it is as it was."""
-    mission = shared_missions("short", "--lockstep")
+    """A mission for tests after which it is as it was; none of them sees its end."""
+    mission = shared_missions("short", "--lockstep", "--set", "rounds=200")
     mission.start("link", flags=WAIT_FOR)
     mission.start("field", "rover", "ground")
     mission.ready()

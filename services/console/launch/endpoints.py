@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import re
 import socket
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 from he3.errors import He3Error
 
@@ -45,11 +42,11 @@ def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
     if moon is None or earth is None:
         yield free_endpoints()
         return
-    name = f"he3-{os.getuid()}-{moon}-{earth}.lock"
     with ExitStack() as held:
         try:
-            lock = held.enter_context((Path(tempfile.gettempdir()) / name).open("w", encoding="ascii"))
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # An abstract socket is a lock without a file: it ends with the process, and no link can stand in its place.
+            claim = held.enter_context(socket.socket(socket.AF_UNIX))
+            claim.bind(f"\0he3-{os.getuid()}-{moon}-{earth}")
             for port in (moon, earth):
                 _bind("127.0.0.1", port)
         except OSError:
