@@ -282,7 +282,7 @@ def test_every_event_is_a_line_of_the_event_log():
 def test_an_event_log_has_what_changes_the_mission_and_no_query_of_an_observer():
     lines = []
     node = Scripted(name="ground", sides=(Side.EARTH,), serves=(LIST_COMMANDS, ISSUE_COMMAND))
-    host = Host(node, "test", lambda now, name, what: lines.append(what))
+    host = Host(node, "short", lambda now, name, what: lines.append(what))
     host.handle(QueryArrived(LIST_COMMANDS, message(LIST_COMMANDS, NoParameters()), 7), 20)
     pause = Telecommand(command_id="c", kind=CommandKind.PAUSE)
     host.handle(QueryArrived(ISSUE_COMMAND, message(ISSUE_COMMAND, pause), 8), 20)
