@@ -1,6 +1,7 @@
 """Print or write the JSON Schema of every message on the wire: ``python -m schemas [FOLDER]``.
 
-``python -m schemas --table`` prints the table of topics that docs/zenoh.md contains.
+``python -m schemas --table`` prints the topics as docs/zenoh.md has them, ``--access`` who may do what with them, as in
+docs/lock-down.md.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from schemas.report import MissionReport
+from schemas.roles import PERSON_ROLES, Role
 from schemas.topics import KEY_ROOT, TOPICS, Crosses, Custody, Latest, Topic
 from schemas.wire import Envelope, Wire
 
-USAGE = """usage: python -m schemas [FOLDER | --table]
-without a folder: one JSON document on standard output; --table: the topics as Markdown"""
+USAGE = """usage: python -m schemas [FOLDER | --table | --access]
+without a folder: one JSON document on standard output; --table, --access: the topics as Markdown"""
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:
@@ -71,6 +73,28 @@ def _row(topic: Topic) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def access_table() -> str:
+    """Which roles may do what with each topic, as a Markdown table, one row a topic and side."""
+    rows = ["| side | key | publish | subscribe | query | answer |", "|---|---|---|---|---|---|"]
+    for topic in TOPICS:
+        for side in topic.sides:
+            given = topic.access_on(side)
+            cells = (
+                side.title(),
+                f"`{topic.name}`",
+                *map(_roles, (given.publish, given.subscribe, given.query, given.answer)),
+            )
+            rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows) + "\n"
+
+
+def _roles(roles: tuple[Role, ...]) -> str:
+    if set(PERSON_ROLES) <= set(roles):
+        roles = tuple(role for role in roles if role not in PERSON_ROLES)
+        return ", ".join([*roles, "people"])
+    return ", ".join(roles)
+
+
 def _size(count: int) -> str:
     return f"{count >> 20} MiB" if count >= 1 << 20 else f"{count >> 10} KiB"
 
@@ -81,6 +105,9 @@ def main(arguments: list[str]) -> int:
         return 0 if arguments[:1] in (["-h"], ["--help"]) else 2
     if arguments == ["--table"]:
         sys.stdout.write(topic_table())
+        return 0
+    if arguments == ["--access"]:
+        sys.stdout.write(access_table())
         return 0
     schemas = json_schemas()
     if not arguments:

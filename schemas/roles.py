@@ -1,4 +1,4 @@
-"""The roles of a mission: what a process or a person may do follows from the role in its certificate."""
+"""The roles of a mission: what a process or a person may do follows from its role."""
 
 from __future__ import annotations
 

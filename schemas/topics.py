@@ -24,6 +24,7 @@ from schemas.maps import (
 )
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
 from schemas.plans import MissionPlan
+from schemas.roles import PERSON_ROLES, Role
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
 from schemas.wire import Wire
 
@@ -33,6 +34,17 @@ KEY_ROOT = "he3"
 class Side(StrEnum):
     MOON = "moon"
     EARTH = "earth"
+
+
+SIDES: dict[Role, tuple[Side, ...]] = {
+    Role.FIELD: (Side.MOON,),
+    Role.ROVER: (Side.MOON,),
+    Role.LINK: (Side.MOON, Side.EARTH),
+    Role.GROUND: (Side.EARTH,),
+    Role.RECORDER: (Side.EARTH,),
+    **dict.fromkeys(PERSON_ROLES, (Side.EARTH,)),
+}
+"""The networks that each role may use."""
 
 
 class Crosses(Enum):
@@ -68,17 +80,31 @@ class Query:
 
 
 @dataclass(frozen=True, slots=True)
+class Access:
+    """Which roles may do what with a topic; every other role may not."""
+
+    publish: tuple[Role, ...] = ()
+    subscribe: tuple[Role, ...] = ()
+    query: tuple[Role, ...] = ()
+    answer: tuple[Role, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Topic:
     """One row of the table."""
 
     name: str
     payload: type[Wire]
+    access: Access = Access()
+    """End to end: the link, which carries what crosses, is not named for that."""
     crosses: Crosses = Crosses.NEVER
     service: Custody | Latest | Query = Latest()
     recorded: bool = False
     kept: bool = False
     """Whether the last message can be queried on the same key, for late subscribers."""
     reply: type[Wire] | None = None
+    per_process: bool = False
+    """Whether each subscriber has a key of its own, which ends with its name; see `addressed`."""
     max_bytes: int = 16_384
     max_reply_bytes: int = 1_048_576
 
@@ -98,63 +124,191 @@ class Topic:
             return Side.MOON, Side.EARTH
         return (Side(self.name.split("/", 1)[0]),)
 
+    def access_on(self, side: Side) -> Access:
+        """Which roles may do what with the topic on that side's network, the link as the carrier included."""
+        given = self.access
+        here = Access(
+            *(_standing_on(side, roles) for roles in (given.publish, given.subscribe, given.query, given.answer))
+        )
+        if self.crosses is Crosses.NEVER:
+            return here
+        departs = Side.EARTH if self.crosses is Crosses.UP else Side.MOON
+        if side is departs:
+            return replace(here, subscribe=(Role.LINK, *here.subscribe))
+        return replace(here, publish=(Role.LINK, *here.publish))
+
+
+def _standing_on(side: Side, roles: tuple[Role, ...]) -> tuple[Role, ...]:
+    return tuple(role for role in roles if side in SIDES[role])
+
+
+def _published(by: Role | tuple[Role, ...], to: tuple[Role, ...]) -> Access:
+    return Access(publish=by if isinstance(by, tuple) else (by,), subscribe=to)
+
+
+def _kept(by: Role, to: tuple[Role, ...], queried_by: tuple[Role, ...]) -> Access:
+    """Published, and answered for by its publisher on the same key."""
+    return Access(publish=(by,), subscribe=to, query=queried_by, answer=(by,))
+
+
+def _queried(by: tuple[Role, ...], of: Role) -> Access:
+    return Access(query=by, answer=(of,))
+
+
+_READERS = PERSON_ROLES
+_RECORDED_AND_READ = (Role.RECORDER, *_READERS)
+_DOWNLINK = _published(Role.ROVER, (Role.GROUND, *_RECORDED_AND_READ))
+_UPLINK = _published(Role.GROUND, (Role.ROVER, Role.RECORDER))
+_MAP = _queried(_READERS, Role.GROUND)
+_ON_MOON = (Role.FIELD, Role.ROVER)
+_TO_TIME_MANAGER = {Side.MOON: _published(_ON_MOON, (Role.LINK,)), Side.EARTH: _published(Role.GROUND, (Role.LINK,))}
+
 
 _OF_A_STREAM = Latest(priority=0, distinct=("stream", "source", "incarnation"))
 
-PLAN = Topic("tc/plan", MissionPlan, Crosses.UP, Custody(priority=1), recorded=True, max_bytes=1_048_576)
-COMMAND = Topic("tc/command", Telecommand, Crosses.UP, Custody(priority=0), recorded=True)
-ACK_UP = Topic("tc/ack", Acknowledgement, Crosses.UP, _OF_A_STREAM, recorded=True)
+PLAN = Topic("tc/plan", MissionPlan, _UPLINK, Crosses.UP, Custody(priority=1), recorded=True, max_bytes=1_048_576)
+COMMAND = Topic("tc/command", Telecommand, _UPLINK, Crosses.UP, Custody(priority=0), recorded=True)
+ACK_UP = Topic("tc/ack", Acknowledgement, _UPLINK, Crosses.UP, _OF_A_STREAM, recorded=True)
 
-SAMPLE = Topic("tm/sample", SampleReport, Crosses.DOWN, Custody(priority=2), recorded=True)
-EVENT = Topic("tm/event", RoverEvent, Crosses.DOWN, Custody(priority=1), recorded=True)
-COMMAND_REPORT = Topic("tm/command", CommandReport, Crosses.DOWN, Custody(priority=0), recorded=True)
-STATE = Topic("tm/state", RoverState, Crosses.DOWN, Latest(), recorded=True)
-ACK_DOWN = Topic("tm/ack", Acknowledgement, Crosses.DOWN, _OF_A_STREAM, recorded=True)
+SAMPLE = Topic("tm/sample", SampleReport, _DOWNLINK, Crosses.DOWN, Custody(priority=2), recorded=True)
+EVENT = Topic("tm/event", RoverEvent, _DOWNLINK, Crosses.DOWN, Custody(priority=1), recorded=True)
+COMMAND_REPORT = Topic("tm/command", CommandReport, _DOWNLINK, Crosses.DOWN, Custody(priority=0), recorded=True)
+STATE = Topic("tm/state", RoverState, _DOWNLINK, Crosses.DOWN, Latest(), recorded=True)
+ACK_DOWN = Topic(
+    "tm/ack",
+    Acknowledgement,
+    _published(Role.ROVER, (Role.GROUND, Role.RECORDER)),
+    Crosses.DOWN,
+    _OF_A_STREAM,
+    recorded=True,
+)
 
-MEASURE = Topic("moon/field/measure", MeasurementRequest, service=Query(), reply=MeasurementReply)
-TERRAIN = Topic("moon/field/terrain", TerrainRequest, service=Query(), reply=TerrainReply, max_bytes=65_536)
-MOON_CLOCK = Topic("moon/clock", ClockState)
-MOON_PRESENCE = Topic("moon/presence", Presence)
+MEASURE = Topic(
+    "moon/field/measure",
+    MeasurementRequest,
+    _queried((Role.ROVER,), Role.FIELD),
+    service=Query(),
+    reply=MeasurementReply,
+)
+TERRAIN = Topic(
+    "moon/field/terrain",
+    TerrainRequest,
+    _queried((Role.ROVER,), Role.FIELD),
+    service=Query(),
+    reply=TerrainReply,
+    max_bytes=65_536,
+)
+MOON_CLOCK = Topic("moon/clock", ClockState, _kept(Role.LINK, _ON_MOON, _ON_MOON))
+MOON_PRESENCE = Topic("moon/presence", Presence, _published((Role.LINK, *_ON_MOON), (Role.LINK,)))
 
-EARTH_CLOCK = Topic("earth/clock", ClockState, recorded=True)
-EARTH_PRESENCE = Topic("earth/presence", Presence)
-CLOCK_SET = Topic("earth/clock/set", ClockChange, service=Query(), reply=ClockState)
-LINK_STATUS = Topic("earth/link/status", LinkStatus, recorded=True, kept=True, max_bytes=262_144)
-LINK_SET = Topic("earth/link/set", LinkChange, service=Query(), reply=LinkStatus)
-GROUND_STATUS = Topic("earth/ground/status", GroundStatus, recorded=True, kept=True, max_bytes=65_536)
-ISSUE_COMMAND = Topic("earth/ground/command", Telecommand, service=Query(), reply=CommandStatus)
+EARTH_CLOCK = Topic(
+    "earth/clock",
+    ClockState,
+    _kept(Role.LINK, (Role.GROUND, *_RECORDED_AND_READ), (Role.GROUND, *_RECORDED_AND_READ)),
+    recorded=True,
+)
+EARTH_PRESENCE = Topic(
+    "earth/presence", Presence, _published((Role.LINK, Role.GROUND, Role.RECORDER), (Role.LINK, *_READERS))
+)
+CLOCK_SET = Topic(
+    "earth/clock/set", ClockChange, _queried((Role.CONTROLLER,), Role.LINK), service=Query(), reply=ClockState
+)
+LINK_STATUS = Topic(
+    "earth/link/status",
+    LinkStatus,
+    _kept(Role.LINK, _RECORDED_AND_READ, _READERS),
+    recorded=True,
+    kept=True,
+    max_bytes=262_144,
+)
+LINK_SET = Topic(
+    "earth/link/set", LinkChange, _queried((Role.CONTROLLER,), Role.LINK), service=Query(), reply=LinkStatus
+)
+LINK_SHOW = Topic(
+    "earth/link/show",
+    NoParameters,
+    _queried((Role.GROUND, *_READERS), Role.LINK),
+    service=Query(observes=True),
+    reply=LinkStatus,
+)
+GROUND_STATUS = Topic(
+    "earth/ground/status",
+    GroundStatus,
+    _kept(Role.GROUND, _RECORDED_AND_READ, _READERS),
+    recorded=True,
+    kept=True,
+    max_bytes=65_536,
+)
+ISSUE_COMMAND = Topic(
+    "earth/ground/command", Telecommand, _queried((Role.OPERATOR,), Role.GROUND), service=Query(), reply=CommandStatus
+)
 LIST_COMMANDS = Topic(
-    "earth/ground/commands", NoParameters, service=Query(observes=True), reply=CommandList, max_reply_bytes=4_194_304
+    "earth/ground/commands",
+    NoParameters,
+    _queried(_READERS, Role.GROUND),
+    service=Query(observes=True),
+    reply=CommandList,
+    max_reply_bytes=4_194_304,
 )
 SET_INTEREST = Topic(
-    "earth/ground/interest", InterestChange, service=Query(), reply=InterestList, max_reply_bytes=4_194_304
+    "earth/ground/interest",
+    InterestChange,
+    _queried((Role.OPERATOR,), Role.GROUND),
+    service=Query(),
+    reply=InterestList,
+    max_reply_bytes=4_194_304,
 )
-COMMAND_STATUS = Topic("earth/ground/command-status", CommandStatus, recorded=True, max_bytes=65_536)
-MAP_POINT = Topic("earth/map/point", MapPointQuery, service=Query(observes=True), reply=MapPoint)
+LIST_INTERESTS = Topic(
+    "earth/ground/interests",
+    NoParameters,
+    _queried(_READERS, Role.GROUND),
+    service=Query(observes=True),
+    reply=InterestList,
+    max_reply_bytes=4_194_304,
+)
+COMMAND_STATUS = Topic(
+    "earth/ground/command-status",
+    CommandStatus,
+    _published(Role.GROUND, _RECORDED_AND_READ),
+    recorded=True,
+    max_bytes=65_536,
+)
+MAP_POINT = Topic("earth/map/point", MapPointQuery, _MAP, service=Query(observes=True), reply=MapPoint)
 MAP_LAYER = Topic(
-    "earth/map/layer", MapLayerQuery, service=Query(observes=True), reply=MapRaster, max_reply_bytes=33_554_432
+    "earth/map/layer", MapLayerQuery, _MAP, service=Query(observes=True), reply=MapRaster, max_reply_bytes=33_554_432
 )
-MAP_SCORE = Topic("earth/map/score", NoParameters, service=Query(observes=True), reply=MapScore)
+MAP_SCORE = Topic("earth/map/score", NoParameters, _MAP, service=Query(observes=True), reply=MapScore)
 TRACK = Topic(
-    "earth/map/track", MapTrackQuery, service=Query(observes=True), reply=MissionTrack, max_reply_bytes=33_554_432
+    "earth/map/track", MapTrackQuery, _MAP, service=Query(observes=True), reply=MissionTrack, max_reply_bytes=33_554_432
 )
-MAP_BOX = Topic("earth/map/box", MapBoxQuery, service=Query(observes=True), reply=MapRaster, max_reply_bytes=33_554_432)
-MAP_RESOURCE = Topic("earth/map/resource", ResourceQuery, service=Query(observes=True), reply=ResourceEstimate)
-MAP_HISTORY = Topic("earth/map/history", NoParameters, service=Query(observes=True), reply=MapHistory)
-MAP_FEED = Topic("earth/map/feed", MapFrame, max_bytes=67_108_864)
+MAP_BOX = Topic(
+    "earth/map/box", MapBoxQuery, _MAP, service=Query(observes=True), reply=MapRaster, max_reply_bytes=33_554_432
+)
+MAP_RESOURCE = Topic("earth/map/resource", ResourceQuery, _MAP, service=Query(observes=True), reply=ResourceEstimate)
+MAP_HISTORY = Topic("earth/map/history", NoParameters, _MAP, service=Query(observes=True), reply=MapHistory)
+MAP_FEED = Topic("earth/map/feed", MapFrame, _kept(Role.GROUND, _READERS, _READERS), max_bytes=67_108_864)
 """Not an envelope: head and numbers, see services/ground/map/feed.py. A query on the same key returns a key frame."""
 
-MOON_JOIN = Topic("moon/time/join", Join, service=Query(), reply=Joined, max_bytes=65_536)
-MOON_GRANT = Topic("moon/time/grant", Grant)
-MOON_DONE = Topic("moon/time/done", StepDone)
-MOON_BUSY = Topic("moon/time/busy", StepBusy)
-MOON_POKE = Topic("moon/time/poke", Poke)
-EARTH_JOIN = Topic("earth/time/join", Join, service=Query(), reply=Joined, max_bytes=65_536)
-EARTH_GRANT = Topic("earth/time/grant", Grant)
-EARTH_DONE = Topic("earth/time/done", StepDone)
-EARTH_BUSY = Topic("earth/time/busy", StepBusy)
-EARTH_POKE = Topic("earth/time/poke", Poke)
-TIME_CONTROL = Topic("earth/time/control", TimeControl, service=Query(), reply=TimeStatus)
+MOON_JOIN = Topic(
+    "moon/time/join", Join, _queried(_ON_MOON, Role.LINK), service=Query(), reply=Joined, max_bytes=65_536
+)
+MOON_GRANT = Topic("moon/time/grant", Grant, _published(Role.LINK, _ON_MOON), per_process=True)
+MOON_DONE = Topic("moon/time/done", StepDone, _TO_TIME_MANAGER[Side.MOON])
+MOON_BUSY = Topic("moon/time/busy", StepBusy, _TO_TIME_MANAGER[Side.MOON])
+MOON_POKE = Topic("moon/time/poke", Poke, _TO_TIME_MANAGER[Side.MOON])
+EARTH_JOIN = Topic(
+    "earth/time/join", Join, _queried((Role.GROUND,), Role.LINK), service=Query(), reply=Joined, max_bytes=65_536
+)
+EARTH_GRANT = Topic("earth/time/grant", Grant, _published(Role.LINK, (Role.GROUND,)), per_process=True)
+EARTH_DONE = Topic("earth/time/done", StepDone, _TO_TIME_MANAGER[Side.EARTH])
+EARTH_BUSY = Topic("earth/time/busy", StepBusy, _TO_TIME_MANAGER[Side.EARTH])
+EARTH_POKE = Topic("earth/time/poke", Poke, _TO_TIME_MANAGER[Side.EARTH])
+TIME_CONTROL = Topic(
+    "earth/time/control", TimeControl, _queried((Role.CONTROLLER,), Role.LINK), service=Query(), reply=TimeStatus
+)
+TIME_SHOW = Topic(
+    "earth/time/show", NoParameters, _queried(_READERS, Role.LINK), service=Query(observes=True), reply=TimeStatus
+)
 
 TOPICS: tuple[Topic, ...] = (
     PLAN,
@@ -174,10 +328,12 @@ TOPICS: tuple[Topic, ...] = (
     CLOCK_SET,
     LINK_STATUS,
     LINK_SET,
+    LINK_SHOW,
     GROUND_STATUS,
     ISSUE_COMMAND,
     LIST_COMMANDS,
     SET_INTEREST,
+    LIST_INTERESTS,
     COMMAND_STATUS,
     MAP_POINT,
     MAP_LAYER,
@@ -198,6 +354,7 @@ TOPICS: tuple[Topic, ...] = (
     EARTH_BUSY,
     EARTH_POKE,
     TIME_CONTROL,
+    TIME_SHOW,
 )
 
 BY_NAME: dict[str, Topic] = {topic.name: topic for topic in TOPICS}

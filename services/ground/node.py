@@ -10,7 +10,7 @@ import numpy as np
 from he3.errors import He3Error, InvalidInput
 from he3.posterior.grid import expect_map_fits
 from he3.trend import OrbitalTrend
-from schemas.commands import CommandReport, Telecommand
+from schemas.commands import CommandReport, NoParameters, Telecommand
 from schemas.ground import InterestChange
 from schemas.link import LinkStatus
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
@@ -19,6 +19,7 @@ from schemas.topics import (
     EVENT,
     ISSUE_COMMAND,
     LIST_COMMANDS,
+    LIST_INTERESTS,
     SAMPLE,
     SET_INTEREST,
     STATE,
@@ -124,7 +125,7 @@ class GroundNode:
             name=NAME,
             sides=(Side.EARTH,),
             subscribes=(SAMPLE, EVENT, STATE, COMMAND_REPORT),
-            serves=(ISSUE_COMMAND, LIST_COMMANDS, SET_INTEREST, *MAP_TOPICS),
+            serves=(ISSUE_COMMAND, LIST_COMMANDS, SET_INTEREST, LIST_INTERESTS, *MAP_TOPICS),
         )
 
     @property
@@ -159,6 +160,8 @@ class GroundNode:
                 yield from self._telecommands.issue(command, token, now)
             case QueryReceived(topic, InterestChange() as change, token) if topic is SET_INTEREST:
                 yield from self._set_interest(change, token, now)
+            case QueryReceived(topic, NoParameters(), token) if topic is LIST_INTERESTS:
+                yield SendReply(token, self._interests.listed())
             case TimerFired(timer) if timer == STATUS_TIMER:
                 yield SetTimer(STATUS_TIMER, now + self._status_period)
                 yield from self._silence.check(now)

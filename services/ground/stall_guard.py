@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from schemas.link import LinkChange, LinkStatus
-from schemas.topics import LINK_SET
+from schemas.commands import NoParameters
+from schemas.link import LinkStatus
+from schemas.topics import LINK_SHOW
 from services.runtime.node import Effect, SendQuery
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class StallGuard:
             self._watch.progress(now)
         elif self._watch.tick(now) and not self._asked:
             self._asked = True
-            yield SendQuery(LINK_SET, LinkChange(), STALL_QUERY)
+            yield SendQuery(LINK_SHOW, NoParameters(), STALL_QUERY)
 
     def link_answered(self, link: LinkStatus | None, now: MissionTime) -> Iterable[Effect]:
         """End the mission, unless the link's conditions explain why it stands still; None: there is no answer."""

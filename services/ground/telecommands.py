@@ -10,9 +10,18 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
-from schemas.commands import ENDS, CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
-from schemas.link import LinkChange, LinkStatus
-from schemas.topics import COMMAND, COMMAND_STATUS, LINK_SET
+from schemas.commands import (
+    ENDS,
+    CommandKind,
+    CommandList,
+    CommandReport,
+    CommandStage,
+    CommandStatus,
+    NoParameters,
+    Telecommand,
+)
+from schemas.link import LinkStatus
+from schemas.topics import COMMAND, COMMAND_STATUS, LINK_SHOW
 from services.ground.command_history import LOOK_AGAIN_S, CommandHistory
 from services.mission.mission_time import MissionTime, seconds
 from services.runtime.node import Effect, RefuseQuery, Send, SendQuery, SendReply, SetTimer
@@ -78,7 +87,7 @@ class TelecommandHandler:
         yield Send(COMMAND_STATUS, status)
         passed = {known.stage for known in status.stages}
         if report.stage is CommandStage.RECEIVED and CommandStage.RADIATED not in passed:
-            yield SendQuery(LINK_SET, LinkChange(), LOOK_QUERY)  # it left between two looks
+            yield SendQuery(LINK_SHOW, NoParameters(), LOOK_QUERY)  # it left between two looks
         command = status.command
         if report.stage in ENDS:
             yield from self._set_keep_out(command, now)
@@ -88,7 +97,7 @@ class TelecommandHandler:
     def look(self) -> Iterable[Effect]:
         """Ask the link whether the commands that were sent have left the Earth, if there are any."""
         if self._history.leaving():
-            yield SendQuery(LINK_SET, LinkChange(), LOOK_QUERY)
+            yield SendQuery(LINK_SHOW, NoParameters(), LOOK_QUERY)
 
     def seen_on_link(self, link: LinkStatus, now: MissionTime) -> Iterable[Effect]:
         """The link has answered."""

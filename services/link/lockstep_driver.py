@@ -15,7 +15,7 @@ from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, encode
 from schemas.link import ClockMode, ClockState
 from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
-from schemas.topics import TIME_CONTROL, Side, Topic
+from schemas.topics import TIME_CONTROL, TIME_SHOW, Side, Topic
 from services.link.late import SignsOfLife
 from services.runtime.heartbeat import TOPICS as HEARTBEATS
 from services.runtime.lockstep.pace import Pace
@@ -82,7 +82,9 @@ class TimeManagerDriver:
             session.subscribe(HEARTBEATS[side], partial(self._on_participant, HEARTBEATS[side]))
             session.watch_alive(side, self._on_member, MEMBERS)
             session.watch_alive(side, self._on_onlooker, ONLOOKERS)
-        context.sessions[Side.EARTH].serve(TIME_CONTROL, lambda query: inbox.put(partial(self._control, query)))
+        earth = context.sessions[Side.EARTH]
+        earth.serve(TIME_CONTROL, lambda query: inbox.put(partial(self._control, query)))
+        earth.serve(TIME_SHOW, lambda query: inbox.put(partial(self._show, query)))
         missing = manager.missing()
         if missing:
             context.log.info("mission time waits", for_=", ".join(missing))
@@ -278,6 +280,14 @@ class TimeManagerDriver:
             self._change_pace(control)
             self._record_events(True)
             self._publish_time()
+        query.reply(encode_reply(query, self._io.header(), self._status()))
+
+    def _show(self, query: IncomingQuery) -> None:
+        try:
+            read_request(TIME_SHOW, query, self._context.mission)
+        except InvalidInput as error:
+            query.refuse(refusal_of(error))
+            return
         query.reply(encode_reply(query, self._io.header(), self._status()))
 
     def _change_pace(self, control: TimeControl) -> None:

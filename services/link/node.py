@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.link import Direction, LinkChange
-from schemas.topics import LINK_SET, LINK_STATUS, Side, crossing
+from schemas.topics import LINK_SET, LINK_SHOW, LINK_STATUS, Side, crossing
 from services.link.counts import DropReason
 from services.link.relay import Relay
 from services.mission.mission_time import SECOND, MissionTime
@@ -55,7 +55,7 @@ class LinkNode:
             name="link",
             sides=(Side.MOON, Side.EARTH),
             receives_raw=(*crossing(Direction.UP), *crossing(Direction.DOWN)),
-            serves=(LINK_SET,),
+            serves=(LINK_SET, LINK_SHOW),
             custody=False,
         )
         self._incarnation = 0
@@ -84,8 +84,10 @@ class LinkNode:
                     self._report_soon(now)
             case QueryReceived(topic=topic, request=LinkChange() as change, token=token):
                 yield from self._change(change, token, now)
+            case QueryReceived(topic=topic, token=token) if topic == LINK_SHOW:
+                yield SendReply(token, self._relay.status(now, self._incarnation))
             case QueryReceived(topic=topic, token=token):
-                yield RefuseQuery(token, f"expected a change of the link on {LINK_SET.name}, got {topic.name}")
+                yield RefuseQuery(token, f"expected a query on {LINK_SET.name} or {LINK_SHOW.name}, got {topic.name}")
             case TimerFired(timer=timer):
                 self._timers.pop(timer, None)
         yield from self._advance(now)

@@ -9,9 +9,10 @@ from pydantic import ValidationError
 
 from he3.errors import InvalidInput
 from schemas.codec import one_line
+from schemas.commands import NoParameters
 from schemas.link import ClockChange, ClockMode, ClockState
 from schemas.lockstep import TimeControl, TimeStatus
-from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL
+from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL, TIME_SHOW
 from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.clock import FollowedClock, mission_time
 
@@ -115,5 +116,7 @@ class ClockQueries:
             wanted = TimeControl(**change)
         except ValidationError as error:
             raise InvalidInput(f"time: {one_line(error)}") from None
-        status: TimeStatus = self._session.query(TIME_CONTROL, wanted)
+        status: TimeStatus = (
+            self._session.query(TIME_CONTROL, wanted) if change else self._session.query(TIME_SHOW, NoParameters())
+        )
         return status

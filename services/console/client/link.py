@@ -9,8 +9,9 @@ from pydantic import ValidationError
 
 from he3.errors import InvalidInput
 from schemas.codec import one_line
+from schemas.commands import NoParameters
 from schemas.link import LinkChange, LinkStatus
-from schemas.topics import LINK_SET
+from schemas.topics import LINK_SET, LINK_SHOW
 
 if TYPE_CHECKING:
     from services.runtime.transport.client import Client
@@ -23,7 +24,8 @@ class LinkControl:
 
     def link(self) -> LinkStatus:
         """The link as it is now, with the messages that are in flight."""
-        return self.change_link(LinkChange())
+        status: LinkStatus = self._session.query(LINK_SHOW, NoParameters())
+        return status
 
     def set_link(self, **change: Any) -> LinkStatus:
         """Change conditions, such as ``one_way_light_time_s=3`` or ``loss=0.1``; returns the link as it is then."""

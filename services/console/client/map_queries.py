@@ -26,6 +26,7 @@ from schemas.maps import (
     ResourceEstimate,
 )
 from schemas.topics import (
+    LIST_INTERESTS,
     MAP_BOX,
     MAP_HISTORY,
     MAP_LAYER,
@@ -226,7 +227,11 @@ class MapQueries:
             )
         except ValidationError as error:
             raise InvalidInput(f"interest: {one_line(error)}") from None
-        listed: InterestList = self._session.query(SET_INTEREST, change)
+        listed: InterestList = (
+            self._session.query(LIST_INTERESTS, NoParameters())
+            if area_id is None and polygon_m is None
+            else self._session.query(SET_INTEREST, change)
+        )
         return listed.areas
 
     def passed_on(self, topic: Topic, parameters: dict[str, str]) -> tuple[bytes, bytes]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from schemas.commands import NoParameters
-from schemas.link import LinkChange, LinkStatus
+from schemas.link import LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
-from schemas.topics import LINK_SET, MAP_LAYER, MAP_SCORE, TRACK
+from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
 from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, write_outcome
 from services.console.report.progress import Moment, Progress, moment_of
@@ -78,7 +78,7 @@ class _Asked:
         return track
 
     def link(self) -> LinkStatus:
-        status: LinkStatus = self._mission.ask(LINK_SET, LinkChange())
+        status: LinkStatus = self._mission.ask(LINK_SHOW, NoParameters())
         return status
 
     def raster(self, layer: MapLayer) -> MapRaster:

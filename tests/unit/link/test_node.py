@@ -15,7 +15,7 @@ from schemas.link import (
     LinkStatus,
     Window,
 )
-from schemas.topics import COMMAND, LINK_SET, LINK_STATUS, MEASURE, SAMPLE, STATE, Side, crossing
+from schemas.topics import COMMAND, LINK_SET, LINK_SHOW, LINK_STATUS, MEASURE, SAMPLE, STATE, Side, crossing
 from services.link.node import LinkNode, build_node
 from services.link.relay import Relay, apply_change
 from services.mission.link_presets import PRESETS, PROVENANCE, preset
@@ -92,7 +92,7 @@ class Endpoint:
 def test_the_link_receives_every_topic_that_crosses_and_no_other() -> None:
     interface = build_node(Scenario(name="m", region="t1")).interface
     assert set(interface.receives_raw) == {*crossing(Direction.UP), *crossing(Direction.DOWN)}
-    assert interface.serves == (LINK_SET,)
+    assert interface.serves == (LINK_SET, LINK_SHOW)
     assert interface.sides == (Side.MOON, Side.EARTH)
     assert not interface.custody
 

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from schemas.__main__ import json_schemas, main, topic_table
+from schemas.__main__ import access_table, json_schemas, main, topic_table
 from schemas.link import Direction
-from schemas.topics import BY_NAME, TOPICS, Crosses, Custody, Latest, Query, Side, crossing
+from schemas.roles import PERSON_ROLES, Role
+from schemas.topics import BY_NAME, SIDES, TOPICS, Crosses, Custody, Latest, Query, Side, crossing
 
 PAGE = Path(__file__).parents[3] / "docs" / "zenoh.md"
+LOCK_DOWN = PAGE.with_name("lock-down.md")
 
 
 def test_the_page_on_the_wire_shows_the_table_as_it_is():
@@ -80,3 +82,47 @@ def test_a_json_schema_is_there_for_every_message_and_every_answer(tmp_path, cap
     assert main(["--table"]) == 0
     assert capsys.readouterr().out == topic_table()
     assert main(["one", "two"]) == 2
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_what_one_role_may_send_another_may_receive_and_the_reverse_on_each_side(topic):
+    for side in topic.sides:
+        access = topic.access_on(side)
+        assert bool(access.publish) == bool(access.subscribe)
+        assert bool(access.query) == bool(access.answer)
+        assert access.publish or access.query, f"no role may use {topic.name} on the {side}"
+        assert (topic.reply is not None) == (not access.publish)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_a_role_has_rights_only_on_the_networks_that_it_stands_on(topic):
+    for side in topic.sides:
+        access = topic.access_on(side)
+        roles = {*access.publish, *access.subscribe, *access.query, *access.answer}
+        assert all(side in SIDES[role] for role in roles)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_only_the_link_carries_what_crosses(topic):
+    if topic.crosses is Crosses.NEVER:
+        return
+    departs, arrives = (Side.EARTH, Side.MOON) if topic.crosses is Crosses.UP else (Side.MOON, Side.EARTH)
+    assert Role.LINK in topic.access_on(departs).subscribe
+    assert topic.access_on(arrives).publish == (Role.LINK,)
+
+
+def test_a_person_commands_and_changes_only_in_the_role_for_it():
+    def changes(role):
+        return {topic.name for topic in TOPICS if role in topic.access.query} - reads
+
+    reads = {topic.name for topic in TOPICS if Role.VIEWER in topic.access.query}
+    assert changes(Role.OPERATOR) == {"earth/ground/command", "earth/ground/interest"}
+    assert changes(Role.CONTROLLER) == {"earth/link/set", "earth/clock/set", "earth/time/control"}
+    for role in PERSON_ROLES:
+        assert not [topic.name for topic in TOPICS if role in (*topic.access.publish, *topic.access.answer)]
+
+
+def test_the_page_on_lock_down_shows_who_may_do_what():
+    shown = re.search(r"<!-- access: begin -->\n(.*)<!-- access: end -->", LOCK_DOWN.read_text(), re.DOTALL)
+    assert shown is not None
+    assert shown[1] == access_table(), "expected the output of `python -m schemas --access` between the marks"
