@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import io
+import os
 import subprocess
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+from services.console.__main__ import main
 from services.runtime.child import ROOT, child_environment, python_command
 
 
@@ -29,6 +34,14 @@ def run(
 def he3(*words: str) -> list[str]:
     """The command ``he3`` with those words."""
     return python_command("services.console", *words)
+
+
+def he3_here(*words: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """What the command ``he3`` with those words prints and its exit code, without the time that a process takes."""
+    out, err = io.StringIO(), io.StringIO()
+    with patch.dict(os.environ, env or {}), redirect_stdout(out), redirect_stderr(err):
+        code = main(words)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
 
 def _with_defaults(env: dict[str, str] | None, options: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import pytest
 
 from schemas.report import MissionReport
 from services.recorder.reader import Recording
-from tests.processes import run, start
+from tests.processes import he3_here, run, start
 from tests.waiting import PATIENCE_S, expect_within, until
 
 HE3 = [sys.executable, "-m", "services.console"]
@@ -64,7 +64,7 @@ def until_answered(environment: dict[str, str], *words: str) -> str:
     """What the command prints once it succeeds."""
 
     def answered() -> str | None:
-        done = he3(*words, environment=environment)
+        done = he3_here(*words, env=environment)
         return done.stdout if done.returncode == 0 else None
 
     said = until(answered, f"he3 {' '.join(words)} to succeed")
@@ -110,24 +110,24 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
         point = json.loads(until_answered(environment, "map", "at", "120", "340", "--json"))
         assert (point["x_m"], point["y_m"]) == (120.0, 340.0)
         assert point["std_ppb"] > 0
-        outside = he3("map", "at", "900", "1", environment=environment)
+        outside = he3_here("map", "at", "900", "1", env=environment)
         assert outside.returncode == 2
         assert outside.stderr.startswith("he3: map: expected a place within")
-        astray = he3("command", "go-to", "9999", "1", environment=environment)
+        astray = he3_here("command", "go-to", "9999", "1", env=environment)
         assert astray.returncode == 2
         assert "expected a target within" in astray.stderr
 
-        changed = he3("link", "set", "--direction", "down", "--light-time", "2.5", "--json", environment=environment)
+        changed = he3_here("link", "set", "--direction", "down", "--light-time", "2.5", "--json", env=environment)
         conditions = json.loads(changed.stdout)["conditions"]
         assert (conditions["down"]["one_way_light_time_s"], conditions["up"]["one_way_light_time_s"]) == (2.5, 1.282)
 
         picture = tmp_path / "std.png"
-        assert he3("map", "show", "std", "--png", str(picture), environment=environment).returncode == 0
+        assert he3_here("map", "show", "std", "--png", str(picture), env=environment).returncode == 0
         assert picture.read_bytes().startswith(b"\x89PNG")
-        drawn = he3("map", "show", "traversable", "--width", "40", environment=environment).stdout.splitlines()
+        drawn = he3_here("map", "show", "traversable", "--width", "40", env=environment).stdout.splitlines()
         assert {len(line) for line in drawn[:-1]} == {40}
         table = tmp_path / "map.csv"
-        assert he3("map", "export", str(table), environment=environment).returncode == 0
+        assert he3_here("map", "export", str(table), env=environment).returncode == 0
         assert len(table.read_text().splitlines()) == 1 + 500 * 500
 
         refused = he3(

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.processes import run, start
+from tests.processes import he3_here, start
 from tests.waiting import until
 
 HE3 = [sys.executable, "-m", "services.console"]
@@ -33,7 +33,7 @@ class Up:
         assert "is up" in self.process.stderr.readline()
 
     def he3(self, *words: str) -> subprocess.CompletedProcess[str]:
-        return run([*HE3, *words], env=self._environment)
+        return he3_here(*words, env=self._environment)
 
     def time(self, *words: str) -> dict[str, Any]:
         done = self.he3("time", *words, "--json")

@@ -22,7 +22,7 @@ from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import Endpoints, free_endpoints
 from services.console.launch.launcher import Launcher
 from services.runtime.transport.opening import open_client
-from tests.processes import run
+from tests.processes import he3_here
 from tests.waiting import PATIENCE_S, until
 
 MISSION, RATE = "t1-paper", 120.0
@@ -163,8 +163,7 @@ def test_an_area_of_interest_is_kept_by_the_ground_until_it_is_taken_back(client
 
 
 def he3(endpoints: Endpoints, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "services.console", *words, "--mission", MISSION, "--earth", endpoints.earth]
-    return run(command)
+    return he3_here(*words, "--mission", MISSION, "--earth", endpoints.earth)
 
 
 def test_every_map_command_prints_text_and_json(running: tuple[Launcher, Endpoints], tmp_path: Path) -> None:
