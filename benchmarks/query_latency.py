@@ -64,7 +64,7 @@ def run(
 ) -> Row:
     """The figures of `queries` pairs asked while plans were being computed; printed, and written to ``json``.
 
-    rate: mission seconds a wall second. plans: no plan counts for more than its share of so many.
+    rate: mission seconds per wall second. plans: no plan counts for more than its share of so many.
     Raises InvalidInput for figures that make no sense, He3Error when the mission
     has not planned for long enough to ask that often.
     """

@@ -94,7 +94,7 @@ class Poke(Wire):
 
 
 class TimeControl(Wire):
-    """A change of how virtual time goes on; what it does not name stays."""
+    """A change of how virtual time advances; what it does not name stays."""
 
     paused: bool | None = None
     steps: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
@@ -102,7 +102,7 @@ class TimeControl(Wire):
     until: MissionTimeNs | None = None
     """Go on until this mission time, then pause."""
     rate: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    """No faster than this many mission seconds a wall second."""
+    """No faster than this many mission seconds per wall second."""
     unlimited: bool = False
     """As fast as the machine allows."""
 

@@ -147,7 +147,7 @@ class Belief:
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """All of it but the posterior, as named parts: that has up to a gigabyte, and is computed again to the byte."""
+        """The whole state but the posterior, as named parts. The posterior takes up to 1 GB and is recomputed."""
         return {
             "observations": dict(self._observations),
             "map": self._map,
@@ -156,7 +156,7 @@ class Belief:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the belief that had this state."""
+        """Restore the belief from this state."""
         self._observations, self._built = state["observations"], state["built"]
         self._map, self._process = state["map"], state["process"]
         self._posterior = None

@@ -123,11 +123,11 @@ class Budget:
         return RemainingBudget(samples, min(metres, least))
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "charge_wh": self._charge_wh,
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the budget that had this state."""
+        """Restore the budget from this state."""
         self._charge_wh = state["charge_wh"]

@@ -185,13 +185,13 @@ class CommandHistory:
         return tuple(self._statuses.values())[-MAX_LISTED:]
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "statuses": dict(self._statuses),
             "sent": list(self._sent),
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the history that had this state."""
+        """Restore the history from this state."""
         self._statuses = state["statuses"]
         self._sent = state["sent"]

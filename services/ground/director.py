@@ -219,7 +219,7 @@ class Director:
         self._planning.cancel()
 
     def excursion_ended(self, command_id: str, place_m: Place | None, now: MissionTime) -> list[Effect]:
-        """The rover is at that place, or with None where it was last heard of; what has not begun is planned anew."""
+        """The rover is at that place, or with None where it was last heard from; what has not begun is planned anew."""
         if not self._excursions.end(command_id):
             return []
         if not self.ended:
@@ -366,7 +366,7 @@ class Director:
         return {**parts, "next_start_m": self._next_start_m}
 
     def restore(self, state: SavedState) -> None:
-        """Become the director that had this state."""
+        """Restore the director from this state."""
         for name, part in self._stateful.items():
             part.restore(state[name])
         self._next_start_m = state["next_start_m"]

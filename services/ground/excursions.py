@@ -30,11 +30,11 @@ class Excursions:
         return True
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "commands": set(self._commands),
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the excursions that had this state."""
+        """Restore the excursions from this state."""
         self._commands = state["commands"]

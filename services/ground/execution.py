@@ -52,7 +52,7 @@ class ExecutionMonitor:
 
     @property
     def place_m(self) -> Place:
-        """Where the rover was last heard of (x, y) [m]."""
+        """Where the rover was last heard from (x, y) [m]."""
         return self._rover.place_m
 
     @property
@@ -177,7 +177,7 @@ class ExecutionMonitor:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the monitor that had this state."""
+        """Restore the monitor from this state."""
         self._samples.restore(state["samples"])
         self._rover.restore(state["rover"])
         self._obstacles.restore(state["obstacles"])

@@ -87,6 +87,6 @@ class InterestAreas:
         return {"areas": self._areas}
 
     def restore(self, state: SavedState) -> None:
-        """Become the areas that had this state."""
+        """Restore the areas from this state."""
         self._areas = state["areas"]
         self._weights = self._weights_of(self._areas)

@@ -15,7 +15,7 @@ class MissionEnd:
 
     def __init__(self) -> None:
         self.finish: Finish | None = None
-        """How the mission ended; None while it goes on."""
+        """How the mission ended; None while it runs."""
         self._last_sent = False
         self._completed = 0
         self._exhausted = ""
@@ -62,7 +62,7 @@ class MissionEnd:
         return self.finish
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "finish": self.finish,
             "last_sent": self._last_sent,
@@ -72,7 +72,7 @@ class MissionEnd:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the end that had this state."""
+        """Restore the end from this state."""
         self.finish = state["finish"]
         self._last_sent = state["last_sent"]
         self._completed = state["completed"]

@@ -248,7 +248,7 @@ class GroundNode:
         return {**{name: part.checkpoint() for name, part in self._stateful.items()}, "begun": self._begun}
 
     def restore(self, state: SavedState) -> None:
-        """Become the ground station that had this state."""
+        """Restore the ground station from this state."""
         for name, part in self._stateful.items():
             part.restore(state[name])
         self._begun = state["begun"]

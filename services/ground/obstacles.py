@@ -38,11 +38,11 @@ class MetObstacles:
         self._terrain.block(obstacle, MARGIN_M * min(2**before, LARGEST), (event.x_m, event.y_m))
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "met": list(self._met),
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the obstacles that had this state."""
+        """Restore the obstacles from this state."""
         self._met = state["met"]

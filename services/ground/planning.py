@@ -163,7 +163,7 @@ class RoundPlanning:
         return True
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "revision": self.revision,
             "task": self._task,
@@ -173,7 +173,7 @@ class RoundPlanning:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the planning that had this state."""
+        """Restore the planning from this state."""
         self.revision = state["revision"]
         self._task = state["task"]
         self._tasks = state["tasks"]

@@ -58,13 +58,13 @@ class RefitSchedule:
         return [LogRecord(Level.WARNING, f"{job}: the hyperparameters stay as they were: {error}")]
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "job": self._job,
             "rounds": self.rounds,
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the schedule that had this state."""
+        """Restore the schedule from this state."""
         self._job = state["job"]
         self.rounds = state["rounds"]

@@ -44,13 +44,13 @@ class PlanRejections:
         return now < self._not_before
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "in_a_row": self.in_a_row,
             "not_before": self._not_before,
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the rejections that had this state."""
+        """Restore the rejections from this state."""
         self.in_a_row = state["in_a_row"]
         self._not_before = state["not_before"]

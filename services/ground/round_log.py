@@ -153,7 +153,7 @@ class RoundLog:
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts; the chain as places in the list of all versions."""
+        """The whole state, as named parts; the chain as places in the list of all versions."""
         place = {id(record): number for number, record in enumerate(self._versions)}
         return {
             "versions": [record.checkpoint() for record in self._versions],
@@ -163,7 +163,7 @@ class RoundLog:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the round log that had this state."""
+        """Restore the round log from this state."""
         self._versions = [RoundRecord(**record) for record in state["versions"]]
         self.chain = [self._versions[number] for number in state["chain"]]
         self._paths_of, self._paths = state["paths_of"], state["paths"]

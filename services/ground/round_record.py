@@ -141,7 +141,7 @@ class RoundRecord:
         return whole, (x, y)
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "plan": self.plan,
             "introduced": self.introduced,

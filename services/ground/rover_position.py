@@ -1,4 +1,4 @@
-"""Where the rover was last heard of, and how far it has driven."""
+"""Where the rover was last heard from, and how far it has driven."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RoverPosition:
         self.place_m = place_m
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "place_m": self.place_m,
             "driven_m": self.driven_m,
@@ -46,7 +46,7 @@ class RoverPosition:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the position that had this state."""
+        """Restore the position from this state."""
         self.place_m = state["place_m"]
         self.driven_m = state["driven_m"]
         self._made_at = state["made_at"]

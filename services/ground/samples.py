@@ -81,13 +81,13 @@ class SampleIntake:
         return Taken(record)
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "refused": set(self._refused),
             "reports": list(self._reports),
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the intake that had this state."""
+        """Restore the intake from this state."""
         self._refused = state["refused"]
         self._reports = state["reports"]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class SilenceWatch:
-    """When the rover was last heard; a silence that is too long is reported once."""
+    """When the rover was last heard from; a silence that is too long is reported once."""
 
     def __init__(self, timeout_s: float) -> None:
         self._timeout = seconds(timeout_s)
@@ -25,7 +25,7 @@ class SilenceWatch:
         return self._heard_at is not None
 
     def lasts_s(self, now: MissionTime) -> float | None:
-        """Seconds since the rover was last heard; None if it never was."""
+        """Seconds since the rover was last heard from; None if it never was."""
         return None if self._heard_at is None else (now - self._heard_at) / SECOND
 
     def heard(self, now: MissionTime) -> None:
@@ -39,16 +39,16 @@ class SilenceWatch:
             return []
         self.silent = True
         since_s = (now - self._heard_at) / SECOND
-        return [LogRecord(Level.WARNING, f"nothing heard of the rover for {since_s:.0f} s")]
+        return [LogRecord(Level.WARNING, f"nothing heard from the rover for {since_s:.0f} s")]
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "heard_at": self._heard_at,
             "silent": self.silent,
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the watch that had this state."""
+        """Restore the watch from this state."""
         self._heard_at = state["heard_at"]
         self.silent = state["silent"]

@@ -61,10 +61,10 @@ class StallGuard:
             )
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {"watch": self._watch.checkpoint(), "rover": self._rover, "asked": self._asked}
 
     def restore(self, state: SavedState) -> None:
-        """Become the guard that had this state."""
+        """Restore the guard from this state."""
         self._watch.restore(state["watch"])
         self._rover, self._asked = state["rover"], state["asked"]

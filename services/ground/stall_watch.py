@@ -101,13 +101,13 @@ class StallWatch:
     ) -> str:
         """One line on what is known of the reason.
 
-        rover: its newest state; silent_s: for how long it was not heard [s], None if never; plan_revision: of the plan
+        rover: its newest state; silent_s: since it was last heard from [s], None if never; plan_revision: of the plan
         sent last; detail: what an operator was last told.
         """
         if silent_s is None:
-            reasons = ["the rover was never heard"]
+            reasons = ["the rover was never heard from"]
         elif silent_s > self.patience_s / 2:
-            reasons = [f"the rover was last heard {silent_s / 3600.0:.0f} h ago"]
+            reasons = [f"the rover was last heard from {silent_s / 3600.0:.0f} h ago"]
         elif rover is not None and rover.plan_revision < plan_revision:
             reasons = [f"plan {plan_revision} has not reached the rover"]
         else:
@@ -131,7 +131,7 @@ class StallWatch:
         return over >= CONTACT_PERIODS or all(each <= now for each in closes)
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "conditions": self._conditions,
             "ticked_at": self._ticked_at,
@@ -142,7 +142,7 @@ class StallWatch:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the watch that had this state."""
+        """Restore the watch from this state."""
         self._conditions, self._ticked_at = state["conditions"], state["ticked_at"]
         self._waited, self._since = state["waited"], state["since"]
         self._work, self._most_wh = state["work"], state["most_wh"]

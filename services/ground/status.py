@@ -89,7 +89,7 @@ class StatusReporter:
         return progress.detail
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "rover": self._rover,
             "rover_made_at": self._rover_made_at,
@@ -97,7 +97,7 @@ class StatusReporter:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the reporter that had this state."""
+        """Restore the reporter from this state."""
         self._rover = state["rover"]
         self._rover_made_at = state["rover_made_at"]
         self._sent = state["sent"]

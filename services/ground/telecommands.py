@@ -140,5 +140,5 @@ class TelecommandHandler:
         return self._history.checkpoint()
 
     def restore(self, state: SavedState) -> None:
-        """Become the handler that had this state."""
+        """Restore the handler from this state."""
         self._history.restore(state)

@@ -160,7 +160,7 @@ class GroundTerrain:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the terrain that had this state."""
+        """Restore the terrain from this state."""
         self._areas, self._obstacles, self._met = state["areas"], state["obstacles"], state["met"]
         self._bare, self._open = state["bare"], state["open"]
 

@@ -1,4 +1,4 @@
-"""The clock that survives a restart of the link: mission time goes on as if the link had never been away.
+"""The clock that survives a restart of the link: mission time continues as if the link had never been away.
 
 Within one boot of the machine the monotonic clock says how long that was; the wall clock may have been set meanwhile.
 After another boot only the wall clock can say it.

@@ -1,7 +1,7 @@
 """Whom virtual time waits for, and what is known of each: a slow process is not a dead one.
 
 A process that is gone is known at once, by its liveliness token. One that is there and does not finish its step may be
-slow, or hang: an operator is told when it was last heard of, and virtual time waits for it. Every process sends a
+slow, or hang: an operator is told when it was last heard from, and virtual time waits for it. Every process sends a
 heartbeat every two seconds.
 """
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from schemas.lockstep import StepBusy
 
 REPORT_AFTER_S = 5.0
-"""A process that has not finished a step for so long is reported."""
+"""A process that has not finished a step for this long is reported."""
 REPORT_COMPUTING_AFTER_S = 120.0
 """The same for a process that says that it computes."""
 
 
 class SignsOfLife:
-    """When each process was last heard of, and what it said of its step. Wall time comes from `now_s` [s]."""
+    """When each process was last heard from, and what it said of its step. Wall time comes from `now_s` [s]."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
@@ -64,4 +64,4 @@ class SignsOfLife:
         if busy is not None:
             return f"computing {', '.join(busy.computing)}"
         heard_at_s = self._heard_at_s.get(name)
-        return "not heard of yet" if heard_at_s is None else f"last heard of {self._now_s() - heard_at_s:.0f} s ago"
+        return "not heard from yet" if heard_at_s is None else f"last heard from {self._now_s() - heard_at_s:.0f} s ago"

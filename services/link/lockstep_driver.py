@@ -187,7 +187,7 @@ class TimeManagerDriver:
     def _all_is_well(self) -> None:
         if self._detail():
             self._gone, self._late = "", False
-            self._context.log.info("mission time goes on")
+            self._context.log.info("mission time continues")
 
     # --- who takes part -----------------------------------------------------------------------------------------
 
@@ -238,7 +238,7 @@ class TimeManagerDriver:
             return
         self._announced.discard(process)
         where = f" in step {manager.step}" if name in outstanding else ""
-        follows = "stands until it is back" if name in manager.required else "goes on without it"
+        follows = "stands until it is back" if name in manager.required else "continues without it"
         self._gone = f"{name} ({process}) is gone{where}; mission time {follows}"
         self._context.log.warning(self._gone)
 

@@ -36,7 +36,7 @@ def find_scenario(reference: str) -> Path:
     name = RENAMED.get(reference, reference)
     if name != reference:
         better = name.removesuffix("-paper")
-        sys.stderr.write(f"he3: {reference} is {name} now, the published protocol; {better} flies the best planner\n")
+        sys.stderr.write(f"he3: {reference} is {name} now, the published protocol; {better} runs the best planner\n")
     shipped = deployment("scenarios", f"{name}.toml")
     if shipped.is_file():
         return shipped

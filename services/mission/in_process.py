@@ -71,7 +71,7 @@ class InProcessMission:
 
     @property
     def end(self) -> MissionPhase | None:
-        """The phase in which the mission ended, completed or failed; None while it goes on."""
+        """The phase in which the mission ended, completed or failed; None while it runs."""
         return None if self.status is None or self.status.phase not in ENDED else self.status.phase
 
     def run(self, watch: Callable[[], None] = lambda: None, until_s: float | None = None) -> MissionPhase:

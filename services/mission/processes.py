@@ -100,7 +100,7 @@ def process_table() -> str:
     for each in (*PROCESSES, CONSOLE):
         sides = " and ".join(side.value.title() for side in each.sides)
         needs = ", ".join(f"`{name}`" for name in each.needs)
-        without = "fails" if each.vital else "goes on"
+        without = "fails" if each.vital else "continues"
         package = each.module.replace(".", "/")
         rows.append(f"| `{each.name}` | {sides} | {each.purpose} | {needs} | {without} | `{package}` |")
     return "\n".join(rows) + "\n"

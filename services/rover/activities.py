@@ -113,7 +113,7 @@ class Activity:
         return None
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "legs": self.legs,
             "round": self.round,
@@ -128,6 +128,6 @@ class Activity:
 
     @classmethod
     def restored(cls, state: SavedState) -> Activity:
-        """The activity that had this state."""
+        """The activity restored from this state."""
         borehole = state["borehole"]
         return cls(**{**state, "borehole": None if borehole is None else Borehole(**borehole)})

@@ -78,11 +78,11 @@ class CommandRegistry:
         return None
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {"waiting": deque(self.waiting), "known": dict(self._known), "newest": dict(self._newest)}
 
     def restore(self, state: SavedState) -> None:
-        """Become the registry that had this state."""
+        """Restore the registry from this state."""
         self.waiting = state["waiting"]
         self._known = OrderedDict(state["known"])
         self._newest = state["newest"]

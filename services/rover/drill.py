@@ -33,5 +33,5 @@ class Borehole:
         return cls(sample, list(bites_m(sample.depth_m, bite_m)))
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {"sample": self.sample, "bites_left_m": list(self.bites_left_m), "analysed": self.analysed}

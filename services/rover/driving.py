@@ -125,5 +125,5 @@ class Driving:
         return {"scan": self._scan}
 
     def restore(self, state: SavedState) -> None:
-        """Become the driving that had this state."""
+        """Restore the driving from this state."""
         self._scan = state["scan"]

@@ -254,6 +254,6 @@ class Executive:
         return {name: part.checkpoint() for name, part in self._stateful.items()}
 
     def restore(self, state: SavedState) -> None:
-        """Become the executive that had this state."""
+        """Restore the executive from this state."""
         for name, part in self._stateful.items():
             part.restore(state[name])

@@ -64,9 +64,9 @@ class Instruments:
         self._effects.append(SetTimer(RETRY, now + seconds(self._retry_s)))
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {"sent": self._sent, "pending": self._pending, "silent": set(self._silent)}
 
     def restore(self, state: SavedState) -> None:
-        """Become the instruments that had this state."""
+        """Restore the instruments from this state."""
         self._sent, self._pending, self._silent = state["sent"], state["pending"], state["silent"]

@@ -70,5 +70,5 @@ class KeepOuts:
         return {"areas": dict(self._areas)}
 
     def restore(self, state: SavedState) -> None:
-        """Become the keep-outs that had this state."""
+        """Restore the keep-outs from this state."""
         self._areas = state["areas"]

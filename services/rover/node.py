@@ -130,7 +130,7 @@ class RoverNode:
         return {}
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "executive": self._executive.checkpoint(),
             "queue_depth": self._queue_depth,
@@ -139,7 +139,7 @@ class RoverNode:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the rover that had this state."""
+        """Restore the rover from this state."""
         self._executive.restore(state["executive"])
         self._queue_depth, self._reported, self._running = state["queue_depth"], state["reported"], state["running"]
 

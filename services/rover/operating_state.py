@@ -93,9 +93,9 @@ class OperatingState:
             self._effects.append(SetTimer(CHARGED, None))
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {"state": self._state, "hold": self._hold}
 
     def restore(self, state: SavedState) -> None:
-        """Become the operating state that was kept."""
+        """Restore the operating state from this state."""
         self._state, self._hold = state["state"], state["hold"]

@@ -83,7 +83,7 @@ class PlanQueue:
         return first_time
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "plan": self.plan,
             "on_board": [activity.checkpoint() for activity in self.on_board],
@@ -94,7 +94,7 @@ class PlanQueue:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the queue that had this state."""
+        """Restore the queue from this state."""
         self.plan = state["plan"]
         self.on_board = deque(Activity.restored(activity) for activity in state["on_board"])
         self.round, self.measured = state["round"], state["measured"]

@@ -119,11 +119,11 @@ class Schedule:
         return begun
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {"current": None if self._current is None else self._current.checkpoint(), "begun": self._begun}
 
     def restore(self, state: SavedState) -> None:
-        """Become the schedule that had this state."""
+        """Restore the schedule from this state."""
         current = state["current"]
         self._current = None if current is None else Activity.restored(current)
         self._begun = state["begun"]

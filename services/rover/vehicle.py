@@ -88,7 +88,7 @@ class Vehicle:
         )
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "battery": self.battery,
             "drilled_m": self.drilled_m,
@@ -100,7 +100,7 @@ class Vehicle:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the vehicle that had this state."""
+        """Restore the vehicle from this state."""
         self.battery, self.drilled_m, self.track_m = state["battery"], state["drilled_m"], state["track_m"]
         self._place_m, self._heading_deg = state["place_m"], state["heading_deg"]
         self._driven_m, self._drive = state["driven_m"], state["drive"]

@@ -179,7 +179,7 @@ class Host:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the host that had this state."""
+        """Restore the host from this state."""
         self._durable().restore(state["node"])
         if self._custody is not None:
             self._custody.restore(state["custody"])

@@ -250,7 +250,7 @@ class Stateful(Protocol):
         """All that a new object of the same making needs to become this one."""
 
     def restore(self, state: SavedState) -> None:
-        """Become the object that had this state."""
+        """Restore the object from this state."""
 
 
 @runtime_checkable

@@ -37,7 +37,7 @@ class Options:
     stop_when: str | None
     """The link in lockstep: mission time is paused when this process has nothing left to do."""
     pace: float | None
-    """The link in lockstep: mission seconds a wall second at most, until an operator changes it; None: no limit."""
+    """The link in lockstep: mission seconds per wall second at most, until an operator changes it; None: no limit."""
     events: Path | None
     """File that gets a line for each event handled."""
 
@@ -59,7 +59,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, or the name of a shipped one")
     parser.add_argument("--seed", type=int, help="instead of the scenario's")
-    parser.add_argument("--rate", type=float, help="mission seconds a wall second; the link's value counts")
+    parser.add_argument("--rate", type=float, help="mission seconds per wall second; the link's value counts")
     parser.add_argument("--moon", metavar="ENDPOINT", help="the Moon router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--earth", metavar="ENDPOINT", help="the Earth router, e.g. tcp/127.0.0.1:7448")
     parser.add_argument(
@@ -79,7 +79,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         "--stop-when", metavar="NAME", help="link in lockstep: pause time when this process is finished"
     )
     parser.add_argument(
-        "--pace", type=float, metavar="R", help="link in lockstep: mission seconds a wall second at most"
+        "--pace", type=float, metavar="R", help="link in lockstep: mission seconds per wall second at most"
     )
     parser.add_argument("--events", type=Path, metavar="FILE", help="write a line for each event handled")
     given = parser.parse_args(arguments)

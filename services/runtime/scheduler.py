@@ -170,7 +170,7 @@ class NodeScheduler:
         }
 
     def _restore(self, state: SavedState) -> dict[str, tuple[MissionTime, Compute]]:
-        """Become the scheduler that had this state; returns the computations that were under way.
+        """Restore the scheduler from this state; returns the computations that were under way.
 
         Raises InvalidInput for a state that lacks a part.
         """

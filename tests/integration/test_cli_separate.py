@@ -214,7 +214,7 @@ def test_a_mission_goes_on_without_a_recorder_that_dies_and_says_so(
     ended = "the recorder service ended by itself, killed by SIGKILL"
     incomplete = f"{tmp_path / 'out' / 'mission.mcap'}: not complete: {ended}"
     assert (report.samples, report.output_problems) == (2, (incomplete,))
-    assert said.endswith(f"he3: {ended}; the mission goes on without it\nhe3: {incomplete}\n")
+    assert said.endswith(f"he3: {ended}; the mission continues without it\nhe3: {incomplete}\n")
 
 
 def test_services_that_are_up_stay_up_without_a_recorder_that_dies(tmp_path: Path, environment: dict[str, str]) -> None:
@@ -230,7 +230,7 @@ def test_services_that_are_up_stay_up_without_a_recorder_that_dies(tmp_path: Pat
         assert "is up" in process.stderr.readline()
         os.kill(pids["recorder"], signal.SIGKILL)
         ended = "the recorder service ended by itself, killed by SIGKILL"
-        assert process.stderr.readline() == f"he3: {ended}; the mission goes on without it\n"
+        assert process.stderr.readline() == f"he3: {ended}; the mission continues without it\n"
         until_answered(environment, "map", "score")
         assert "recorder" not in alive(pids)
         process.send_signal(signal.SIGINT)

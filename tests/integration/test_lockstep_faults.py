@@ -64,7 +64,7 @@ class Lockstep:
         )
 
     def moves_on(self) -> None:
-        """Fails unless time goes on."""
+        """Fails unless time advances."""
         step = self.control().step
         self.until(lambda status: status.step > step + 50)
 
@@ -194,7 +194,7 @@ def test_a_process_that_hangs_is_named_and_time_stands_until_it_goes_on(standing
         mission.control(paused=False)
         named = mission.until(lambda status: bool(status.detail))
         assert named.waits_for == ("rover",)
-        assert named.detail.startswith(f"step {named.step} waits for rover (last heard of ")
+        assert named.detail.startswith(f"step {named.step} waits for rover (last heard from ")
         assert mission.control().step == named.step
     finally:
         os.kill(rover.pid, signal.SIGCONT)

@@ -96,7 +96,7 @@ def test_a_query_process_that_hangs_is_waited_for_until_it_has_been_silent_for_l
         assert not answering.settle()
         assert not answering.settle()  # at once: it is known to hang
         assert [line for line in warnings if "silent" in line] == [
-            f"the query process (pid {pid}) has been silent for 3 s; going on"
+            f"the query process (pid {pid}) has been silent for 3 s; not waiting"
         ]
     finally:
         os.kill(pid, signal.SIGCONT)

@@ -14,7 +14,7 @@ import typer
 
 MAX_SEED = 2**63 - 1
 MAX_RATE = 100_000.0
-"""Mission seconds a wall second that a scenario accepts."""
+"""Mission seconds per wall second that a scenario accepts."""
 MAX_PPB = 1e6
 MAX_POSITION_M = 1e5
 MAX_WAIT_S = 86_400.0
@@ -79,7 +79,7 @@ Settings = Annotated[
 ]
 Rate = Annotated[
     float | None,
-    typer.Option("--rate", metavar="R", help=f"Simulation speed: mission seconds a wall second, up to {MAX_RATE:g}.",
+    typer.Option("--rate", metavar="R", help=f"Simulation speed: mission seconds per wall second, up to {MAX_RATE:g}.",
                  callback=within(0, MAX_RATE, above=True)),
 ]  # fmt: skip
 OutFolder = Annotated[

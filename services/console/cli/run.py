@@ -154,7 +154,7 @@ def demo(
         typer.Option(
             "--rate",
             metavar="R",
-            help="On the wall clock instead: mission seconds a wall second, such as 4000.",
+            help="On the wall clock instead: mission seconds per wall second, such as 4000.",
             callback=within(0, MAX_RATE, above=True),
         ),
     ] = None,

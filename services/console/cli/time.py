@@ -20,7 +20,7 @@ Examples, for a mission that runs in lockstep (he3 up t1 --lockstep):
   he3 time step 10
   he3 time until 2h           two hours after the mission's beginning, then pause
   he3 time until 2030-01-02T00:00:00
-  he3 time rate 100           at most 100 mission seconds a second
+  he3 time rate 100           at most 100 mission seconds per second
   he3 time unlimited          as fast as the machine allows
   he3 time resume
 On the wall clock there are show, pause, resume (in real time) and rate.
@@ -29,7 +29,7 @@ On the wall clock there are show, pause, resume (in real time) and rate.
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 MAX_PACE = 1e9
-"""Mission seconds a wall second that a mission in lockstep accepts as a limit."""
+"""Mission seconds per wall second that a mission in lockstep accepts as a limit."""
 
 
 def _moment(text: str) -> str:
@@ -53,7 +53,7 @@ def pause(mission: Mission = None, earth: Earth = None, json: AsJson = False) ->
 
 @app.command()
 def resume(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
-    """Let mission time go on."""
+    """Let mission time continue."""
     _change(mission, earth, json, clock_rate=1.0, paused=False)
 
 
@@ -89,13 +89,13 @@ def until(
 def rate(
     factor: Annotated[
         float,
-        typer.Argument(metavar="R", help="Mission seconds a wall second.", callback=within(0, MAX_PACE, above=True)),
+        typer.Argument(metavar="R", help="Mission seconds per wall second.", callback=within(0, MAX_PACE, above=True)),
     ],
     mission: Mission = None,
     earth: Earth = None,
     json: AsJson = False,
 ) -> None:
-    """Limit the simulation speed to R mission seconds a wall second."""
+    """Limit the simulation speed to R mission seconds per wall second."""
     _change(mission, earth, json, clock_rate=factor, rate=factor)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from services.runtime.transport.client import Client
 
 MAX_CLOCK_RATE = 100_000.0
-"""Mission seconds a wall second that a mission on the wall clock accepts."""
+"""Mission seconds per wall second that a mission on the wall clock accepts."""
 
 
 def time_shown(header: Header, clock: ClockState) -> MissionTime:
@@ -55,7 +55,7 @@ class MissionClock:
 
     @property
     def rate(self) -> float:
-        """Mission seconds a wall second; 0 in lockstep, 1 while it is not known."""
+        """Mission seconds per wall second; 0 in lockstep, 1 while it is not known."""
         if self.state is None:
             return 1.0
         return 0.0 if self.state.mode is ClockMode.LOCKSTEP else self.state.rate
@@ -98,7 +98,7 @@ class ClockQueries:
         return time_shown(*self._session.latest(EARTH_CLOCK))
 
     def set_clock_rate(self, rate: float) -> ClockState:
-        """Let mission time run at `rate` mission seconds a wall second (0 pauses it); for a mission on the wall clock.
+        """Let mission time run at `rate` mission seconds per wall second (0: paused); for a mission on the wall clock.
 
         Raises InvalidInput for a rate that the mission does not accept.
         """
@@ -108,7 +108,7 @@ class ClockQueries:
         return state
 
     def control_time(self, **change: Any) -> TimeStatus:
-        """Change how virtual time goes on, for a mission in lockstep; returns its status (without a change: only that).
+        """Change how virtual time advances, for a mission in lockstep. The status of virtual time after the change.
 
         change: fields of `TimeControl`, such as ``paused=True``, ``steps=10`` or ``until=...`` [ns].
         """

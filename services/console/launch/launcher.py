@@ -108,7 +108,7 @@ class Launcher:
     def check_vital(self) -> list[str]:
         """Raise He3Error, in one line, when a service has ended without which the mission fails.
 
-        Returns a line for each other service that has ended since the last call: the mission goes on without it.
+        Returns a line for each other service that has ended since the last call: the mission continues without it.
         """
         lines = []
         for name in self._processes.keys() - self._left_behind:
@@ -117,7 +117,7 @@ class Launcher:
             if name in VITAL:
                 raise He3Error(how)
             self._left_behind.add(name)
-            lines.append(f"{how}; the mission goes on without it")
+            lines.append(f"{how}; the mission continues without it")
         return lines
 
     def _ended(self, name: str) -> str | None:

@@ -105,7 +105,7 @@ def services_of(
 ) -> Iterator[tuple[Launcher, Endpoints]]:
     """All services of the scenario, running and announced on this machine; all gone afterwards.
 
-    pace: in lockstep, mission seconds a wall second at most. Their logs go to the terminal, beside the other files,
+    pace: in lockstep, mission seconds per wall second at most. Their logs go to the terminal, beside the other files,
     or into a temporary folder that an error's line quotes from.
     """
     with ExitStack() as stack:

@@ -84,7 +84,7 @@ def plain_line(moment: Moment, elapsed_s: float) -> str:
 
 
 class Progress(Protocol):
-    """Shows how a mission goes on; cheap to call in every pass of a loop."""
+    """Shows the progress of a mission; cheap to call in every pass of a loop."""
 
     def show(self, now: Callable[[], Moment]) -> None:
         """Show the moment, if it is time to redraw."""

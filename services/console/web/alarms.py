@@ -71,7 +71,7 @@ class Alarms:
     def look(self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float = 1.0) -> bool:
         """Compare conditions with what is known; whether an alarm has changed.
 
-        rate: mission seconds a wall second, see `stale_after_s`.
+        rate: mission seconds per wall second, see `stale_after_s`.
         """
         changes = [self._set(kind, text, now) for kind, text in self._conditions(status, link, now, rate).items()]
         return any(changes)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 BEAT_S: Final = 2.0  # between two beats
 END_S: Final = 0.2  # how long `end` waits for a frame that is being published
-WANTED_S: Final = 600.0  # frames are published for so long after a query for a key frame, with or without subscribers
+WANTED_S: Final = 600.0  # frames are published for this long after a query for a key frame, with or without subscribers
 
 
 def feed_of(snapshot: MapSnapshot) -> FeedMap:

@@ -114,7 +114,7 @@ class MapPublisher:
         self._rounds_scored = self._refits.rounds
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "map": self._map,
             "traversable": self._traversable,
@@ -129,7 +129,7 @@ class MapPublisher:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the publisher that had this state."""
+        """Restore the publisher from this state."""
         self._map = state["map"]
         self._traversable = state["traversable"]
         self._map_time = state["map_time"]

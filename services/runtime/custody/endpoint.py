@@ -159,7 +159,7 @@ class CustodyEndpoint:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the endpoint that had this state."""
+        """Restore the endpoint from this state."""
         self._mission, self._incarnation = state["mission"], state["incarnation"]
         self._sender.restore(state["sender"])
         self._receiver.restore(state["receiver"])

@@ -154,7 +154,7 @@ class CustodyReceiver:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the receiver that had this state."""
+        """Restore the receiver from this state."""
         self._streams = {key: _Stream(**parts) for key, parts in state["streams"].items()}
 
 

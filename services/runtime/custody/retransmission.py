@@ -44,7 +44,7 @@ class RoundTrip:
         return {"mean": self.mean, "variation": self._variation}
 
     def restore(self, state: SavedState) -> None:
-        """Become the round trip that had this state."""
+        """Restore the round trip from this state."""
         self.mean, self._variation = state["mean"], state["variation"]
 
 
@@ -122,6 +122,6 @@ class RetransmissionTimer:
         return {"round_trip": self._round_trip.checkpoint(), "idle_at": self._idle_at, "probe_at": self._probe_at}
 
     def restore(self, state: SavedState) -> None:
-        """Become the timer that had this state."""
+        """Restore the timer from this state."""
         self._round_trip.restore(state["round_trip"])
         self._idle_at, self._probe_at = state["idle_at"], state["probe_at"]

@@ -317,7 +317,7 @@ class CustodySender:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Become the sender that had this state."""
+        """Restore the sender from this state."""
         self._streams = {key: SendStream.restored(stream) for key, stream in state["streams"].items()}
         self._timer.restore(state["timer"])
         self._window.restore(self._streams.values())

@@ -122,7 +122,7 @@ class SendStream:
     # --- checkpoints --------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """All of it, as named parts."""
+        """The whole state, as named parts."""
         return {
             "kept": [_kept(message) for message in self.kept.values()],
             "sent": list(self.sent),
@@ -136,7 +136,7 @@ class SendStream:
 
     @classmethod
     def restored(cls, state: SavedState) -> SendStream:
-        """The stream that had this state."""
+        """The stream restored from this state."""
         kept = {message["sequence"]: KeptMessage(**message) for message in state["kept"]}
         return cls(
             kept=kept,

@@ -24,12 +24,12 @@ class Pace:
     until: MissionTime | None = None
     """Pause at this time."""
     rate: float | None = None
-    """Mission seconds a wall second at most; None: as fast as it goes."""
+    """Mission seconds per wall second at most; None: as fast as it goes."""
     _from_s: float = 0.0
     _from_ns: MissionTime = 0
 
     def control(self, change: TimeControl, now: MissionTime, wall_s: float) -> None:
-        """Change how time goes on, from that moment; what the change does not name stays."""
+        """Change how time advances, from that moment; what the change does not name stays."""
         if change.paused is not None:
             self.paused = change.paused
             self.steps_left = self.until = None

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from services.runtime.transport.session import IncomingQuery, Outcome
 
 LACKS_LONG_S = 1.0
-"""A process reports missing inputs when they have been missing for so long."""
+"""A process reports missing inputs when they have been missing for this long."""
 NO_TIMEOUT_S = 1e6
 """Queries between participants end with their reply or with the process that owes it, never by the wall clock."""
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from schemas.topics import Side
 
 SILENT_AFTER_S = 30 * ALIVE_EVERY_S
-"""A query process that has not said for so long that it lives hangs: nothing waits for it any more until it does."""
+"""A query process that has sent no sign of life for this long hangs: it is not waited for until it sends one."""
 REPORT_AFTER_S = 5.0
 """Waiting for a query process is reported after this time."""
 START_AGAIN_S = 1.0
@@ -90,7 +90,9 @@ class QueryProcess:
                 if not hanging and silent_s > SILENT_AFTER_S:
                     if not self._hangs:
                         self._hangs = True
-                        self._warn(f"the query process (pid {self.pid}) has been silent for {silent_s:.0f} s; going on")
+                        self._warn(
+                            f"the query process (pid {self.pid}) has been silent for {silent_s:.0f} s; not waiting"
+                        )
                     return False
                 self._changed.wait(0.05)
             return over()

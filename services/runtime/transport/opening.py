@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 RETRY_CONNECT_S = 0.3
 LOOK_EVERY_S = 0.05
 SILENT_AFTER_S = 3.0
-"""An endpoint that takes a connection and has not replied for so long is reported; a busy router may still reply."""
+"""An endpoint that takes a connection and has not replied for this long is reported; a busy router may still reply."""
 
 WhileWaiting = Callable[[float], None]
 """Called while a session is being opened, with how long was waited [s]; what it raises ends the waiting."""

@@ -60,12 +60,12 @@ def test_the_report_says_what_each_lacks_computes_or_when_it_was_last_heard_of(
     signs.busy(busy("link", lacks={"rover": 2, "ground": 1}))
     clock.s += 2.0
     assert signs.report(7, {"rover", "ground", "link", "field"}) == (
-        "step 7 waits for field (not heard of yet), ground (computing plan-3, score), "
-        "link (has not received 1 from ground, 2 from rover), rover (last heard of 6 s ago); mission time stands"
+        "step 7 waits for field (not heard from yet), ground (computing plan-3, score), "
+        "link (has not received 1 from ground, 2 from rover), rover (last heard from 6 s ago); mission time stands"
     )
 
 
 def test_what_was_said_of_an_earlier_step_is_forgotten(clock: Clock, signs: SignsOfLife) -> None:
     signs.busy(busy("ground", computing=("plan-3",)))
     signs.begin_step()
-    assert signs.report(8, {"ground"}) == "step 8 waits for ground (last heard of 0 s ago); mission time stands"
+    assert signs.report(8, {"ground"}) == "step 8 waits for ground (last heard from 0 s ago); mission time stands"

@@ -134,7 +134,7 @@ class Flown:
         self.simulation.restart(self._builds[name]())
 
     def completes(self) -> None:
-        """The mission goes on to its end, with every sample once."""
+        """The mission continues to its end, with every sample once."""
         if self.state is not None and self.state.mode in (RoverMode.PAUSED, RoverMode.SAFE):
             self.command("resume", "the-last-resume")
         assert self.mission.run(until_s=40 * 3600.0) is MissionPhase.COMPLETED, self.mission.why()

@@ -88,7 +88,7 @@ def test_an_earlier_name_of_a_scenario_still_works_and_one_line_gives_the_name_o
 ) -> None:
     assert choose(f"{region}-nominal").scenario == choose(f"{region}-paper").scenario
     assert capsys.readouterr().err == (
-        f"he3: {region}-nominal is {region}-paper now, the published protocol; {region} flies the best planner\n"
+        f"he3: {region}-nominal is {region}-paper now, the published protocol; {region} runs the best planner\n"
     )
 
 
