@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from schemas.topics import Topic
-from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire
+from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire, printable
 
 _OPENING = b'{"header":'
 _SEAL = re.compile(rb',"checksum":(\d{1,10})},"body":')
@@ -141,13 +141,6 @@ def one_line(error: ValidationError) -> str:
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     message = first["msg"].splitlines()[0].removeprefix("Value error, ")
     return f"{place}: {printable(message[0].lower() + message[1:])}{shown}{more}"
-
-
-def printable(text: str) -> str:
-    """The text on one line, control characters and lone surrogates as escapes: safe for a terminal and for a log."""
-    if text.isprintable():
-        return text
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
 
 
 def _short(value: object) -> str:

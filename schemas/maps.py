@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from schemas.wire import MissionTimeNs, PositionM, Wire
+from schemas.wire import MissionTimeNs, PositionM, Text, Wire
 
 MAX_CELLS: Final = 4_000_000
 """Of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
@@ -122,7 +122,7 @@ class MapRaster(Wire):
     resolution_m: Annotated[float, Field(gt=0)]
     dtype: Literal["<f4", "|u1"]
     data_base64: Annotated[str, Field(max_length=24_000_000)]
-    unit: str
+    unit: Text
     revision: Count
     samples: Count
     mission_time_ns: MissionTimeNs
@@ -143,7 +143,7 @@ class MapAbout(Wire):
     resolution_m: float
     x_min_m: float
     y_min_m: float
-    unit: str
+    unit: Text
     low: float
     high: float
     """Smallest and largest value."""

@@ -10,6 +10,8 @@ import json
 from dataclasses import dataclass
 from enum import StrEnum
 
+from schemas.wire import printable
+
 MAX_FOREIGN_CHARACTERS = 200
 """How much is shown of an error reply that is not in this form."""
 
@@ -53,6 +55,6 @@ def decode_refusal(payload: bytes) -> Refusal:
         body = json.loads(payload)
         error, code, stamp = body["error"], body.get("code"), body.get("stamp")
     except (ValueError, TypeError, KeyError, AttributeError):
-        return Refusal(payload.decode(errors="replace")[:MAX_FOREIGN_CHARACTERS], RefusalCode.INTERNAL)
+        return Refusal(printable(payload.decode(errors="replace")[:MAX_FOREIGN_CHARACTERS]), RefusalCode.INTERNAL)
     known = RefusalCode(code) if code in RefusalCode.__members__.values() else RefusalCode.INTERNAL
-    return Refusal(str(error), known, None if stamp is None else str(stamp))
+    return Refusal(printable(str(error)), known, None if stamp is None else str(stamp))

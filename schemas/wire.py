@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Generic, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 SCHEMA_VERSION = 1
 """Version of all schemas together; a message of another version is refused."""
@@ -27,7 +27,22 @@ MAX_POSITION_M = 1e5
 PositionM = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
 """A site coordinate [m]."""
 
-Text = Annotated[str, Field(max_length=500)]
+MAX_TEXT = 500
+
+
+def printable(text: str) -> str:
+    """The text on one line, control and direction characters and lone surrogates as escapes: safe to show anywhere."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
+def _harmless(text: str) -> str:
+    return text if text.isprintable() else printable(text)[:MAX_TEXT]
+
+
+Text = Annotated[str, Field(max_length=MAX_TEXT), AfterValidator(_harmless)]
+"""A text for people. What would steer a terminal or turn the direction of writing is escaped, in whatever comes in."""
 
 
 class Wire(BaseModel):

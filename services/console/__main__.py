@@ -107,7 +107,7 @@ def _usage(error: Any) -> int:
 
 
 def _say(message: str, code: int) -> int:
-    from schemas.codec import printable
+    from schemas.wire import printable
     from services.console.interruption import end_is_said
 
     first, *rest = message.splitlines() or [""]

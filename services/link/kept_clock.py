@@ -17,6 +17,7 @@ from pydantic import Field
 from schemas.link import ClockState  # of a model's field: pydantic reads it
 from schemas.wire import Text, Wire
 from services.runtime.clock import mission_time
+from services.runtime.output_files import replace_output
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
@@ -50,9 +51,7 @@ def keep(path: Path, clock: ClockState, machine: MachineTime) -> None:
     """Write the clock, which is anchored at this moment, in place of an earlier one, at once or not at all."""
     kept = _Kept(clock=clock, boot_id=machine.boot_id, monotonic_ns=machine.monotonic_ns())
     path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_suffix(".new")
-    scratch.write_text(kept.model_dump_json())
-    scratch.replace(path)
+    replace_output(path, kept.model_dump_json().encode())
 
 
 def kept_clock(path: Path, machine: MachineTime) -> ClockState:

@@ -12,6 +12,7 @@ from typing import Protocol, Self
 
 from he3.errors import He3Error
 from services.runtime.file_lock import FileLock, lock_beside
+from services.runtime.output_files import open_output
 
 BUFFER_BYTES = 65_536
 """Bytes that gather before they are written without a flush."""
@@ -96,7 +97,7 @@ def open_recording(path: Path) -> RecordingFile:
     try:
         if path.is_file() and path.stat().st_size > 0:
             path.rename(_free_name(path))
-        return RecordingFile(path, path.open("wb", buffering=0), lock)
+        return RecordingFile(path, open_output(path, buffering=0), lock)
     except OSError as error:
         lock.release()
         raise He3Error(f"{path}: cannot write the recording: {error.strerror}") from None

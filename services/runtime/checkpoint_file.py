@@ -17,6 +17,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from services.runtime.output_files import replace_output
+
 CRC_BYTES: Final = 4
 _LENGTH_BYTES: Final = 8
 
@@ -56,11 +58,7 @@ def write_checkpoint(path: Path, identity: Mapping[str, str], checkpoint: Checkp
     }
     text = json.dumps(head).encode()
     content = b"".join((len(text).to_bytes(_LENGTH_BYTES, "little"), text, checkpoint.state))
-    scratch = path.with_suffix(".new")
-    with scratch.open("wb") as stream:
-        stream.write(zlib.crc32(content).to_bytes(CRC_BYTES, "little"))
-        stream.write(content)
-    scratch.replace(path)
+    replace_output(path, zlib.crc32(content).to_bytes(CRC_BYTES, "little") + content)
 
 
 def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapping[str, int]) -> Checkpoint | str:

@@ -25,9 +25,13 @@ def python_command(module: str, *arguments: str) -> list[str]:
 def child_environment() -> dict[str, str]:
     """The environment of a child of this process."""
     environment = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **os.environ, PARENT: str(os.getpid())}
+    # An empty entry of the path would be the working directory, which any user may have written.
+    given = [entry for entry in environment.pop("PYTHONPATH", "").split(os.pathsep) if Path(entry).is_absolute()]
     if ROOT not in sys.path[1:]:
         # Our code was found in the working directory, in a checkout that is not installed: a child does not look there.
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, (ROOT, os.environ.get("PYTHONPATH"))))
+        given.insert(0, ROOT)
+    if given:
+        environment["PYTHONPATH"] = os.pathsep.join(given)
     return environment
 
 

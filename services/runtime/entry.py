@@ -28,6 +28,8 @@ def prepare_process() -> None:
     # 50 times as long as one thread. Where a second thread pays, on the map, he3.posterior.grid shares out the cells
     # itself. Results also stay the same bytes on machines with other numbers of cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # What a mission writes (journals, recordings, reports, logs) is for its owner alone.
+    os.umask(0o077)
     end_with_parent()
 
 
@@ -42,16 +44,18 @@ def prepare_service() -> None:
 
 
 def forget_working_directory() -> None:
-    """Take the working directory off the path, where `python -m` puts it first, unless our code lies there."""
-    if sys.flags.safe_path or not sys.path:
-        return
+    """Take the working directory off the path, unless our code lies there.
+
+    `python -m` puts it first, and an empty entry of PYTHONPATH (a colon too many) anywhere.
+    """
     try:
         here = os.getcwd()  # noqa: PTH109 - pathlib is not imported yet
     except FileNotFoundError:
         here = ""
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))  # noqa: PTH100, PTH120
-    if sys.path[0] in ("", here) and (here != root or root in sys.path[1:]):
-        del sys.path[0]
+    if not sys.flags.safe_path and sys.path and sys.path[0] in ("", here) and here == root not in sys.path[1:]:
+        sys.path[0] = root
+    sys.path[:] = [entry for entry in sys.path if entry == root or entry not in ("", ".", here)]
 
 
 def end_on_signals() -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
+from services.runtime.output_files import open_output
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
@@ -18,7 +20,7 @@ class EventLog:
     def __init__(self, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("w", encoding="utf-8")
+            self._file = TextIOWrapper(open_output(path), encoding="utf-8")
         except OSError as error:
             raise InvalidInput(f"{path}: cannot write the event log: {error.strerror}") from None
         self.active = True
@@ -50,7 +52,7 @@ def merge_event_logs(parts: Iterable[Path], into: Path) -> int:
     entries.sort(key=lambda entry: entry[:2])  # stable: events of one node and time stay in the order of handling
     try:
         into.parent.mkdir(parents=True, exist_ok=True)
-        with into.open("w", encoding="utf-8", newline="\n") as merged:
+        with TextIOWrapper(open_output(into), encoding="utf-8", newline="\n") as merged:
             merged.writelines(line for _, _, line in entries)
     except OSError as error:
         raise InvalidInput(f"{into}: cannot write the event log: {error.strerror}") from None

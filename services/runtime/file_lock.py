@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Self
 
 from he3.errors import He3Error, InvalidInput
+from services.runtime.output_files import require_own
 
 
 class FileLock:
@@ -62,9 +63,14 @@ def _locked(path: Path, expected: str) -> int | None:
     """The open and locked file; None where the file system has no locks."""
     while True:
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
         except OSError as error:
             raise He3Error(f"{path}: cannot make the lock file: {error.strerror}") from None
+        try:
+            require_own(os.fstat(descriptor), path)
+        except OSError as error:
+            os.close(descriptor)
+            raise He3Error(f"{path}: cannot use the lock file: {error.strerror}") from None
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if _is_at(descriptor, path):

@@ -38,6 +38,7 @@ from he3.errors import He3Error, InvalidInput
 from services.runtime.checkpoint_file import CRC_BYTES, Checkpoint, Mark, read_checkpoint, write_checkpoint
 from services.runtime.input_codec import decode_input, encode_input
 from services.runtime.inputs import Input, ProcessStarted
+from services.runtime.output_files import open_output
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
@@ -152,7 +153,7 @@ class JournalFolder:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._folder / f"{self._node}-{len(self._files()) + 1:04d}.mcap"
-            stream = path.open("xb")
+            stream = open_output(path, new=True)
         except OSError as error:
             raise InvalidInput(f"{self._folder}: cannot keep a journal there: {error.strerror}") from None
         if history is None:

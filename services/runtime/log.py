@@ -9,7 +9,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any, TextIO
 
-from schemas.codec import printable
+from schemas.wire import printable
 from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.node import Level, LogRecord
 

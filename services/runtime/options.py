@@ -65,6 +65,9 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     parser.add_argument(
         "--set", metavar="KEY=VALUE", action="append", default=[], help="another value, such as ground.pipeline=2"
     )
+    parser.add_argument(
+        "--allow-plugin", action="store_true", help="import the planner module:function that the scenario's file names"
+    )
     parser.add_argument("--log-level", choices=[level.value for level in Level], default="info")
     parser.add_argument("--log-json", action="store_true", help="log lines as JSON")
     parser.add_argument(
@@ -90,10 +93,12 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     for key, value in (("seed", given.seed), ("rate", given.rate)):
         if value is not None:
             changes.append(("top", key, value))
+    scenario = load_scenario(path)
+    require_plugin_allowed(scenario, changes, given.allow_plugin)
     endpoints = (("moon", given.moon), ("earth", given.earth))
     changes += [("network", key, endpoint) for key, endpoint in endpoints if endpoint is not None]
     return Options(
-        scenario=with_settings(load_scenario(path), changes),
+        scenario=with_settings(scenario, changes),
         level=Level(given.log_level),
         log_json=given.log_json,
         wait_for=tuple(part for part in given.wait_for.split(",") if part),
@@ -104,6 +109,20 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         pace=given.pace,
         events=given.events,
     )
+
+
+def require_plugin_allowed(scenario: Scenario, settings: Sequence[tuple[str, str, Any]], allowed: bool) -> None:
+    """Raise InvalidInput if the file of a scenario names a plug-in planner, whose code would run, and no user asked.
+
+    settings: those of the user; one that names a planner has asked for it.
+    """
+    if ":" not in scenario.ground.planner or allowed:
+        return
+    if not any(section == "ground" and key == "planner" for section, key, _ in settings):
+        raise InvalidInput(
+            f"scenario '{scenario.name}': names the plug-in planner '{scenario.ground.planner}', which is code that "
+            "would run: expected --allow-plugin, or another planner with --planner"
+        )
 
 
 def parse_setting(text: str) -> tuple[str, str, Any]:

@@ -17,6 +17,7 @@ import pytest
 
 from schemas.report import MissionReport
 from services.recorder.reader import Recording
+from services.runtime.child import ROOT
 from tests.processes import he3_here, run, start
 from tests.waiting import PATIENCE_S, expect_within, until
 
@@ -269,3 +270,20 @@ def free_ports() -> tuple[int, int]:
         one.bind(("127.0.0.1", 0))
         other.bind(("127.0.0.1", 0))
         return one.getsockname()[1], other.getsockname()[1]
+
+
+def test_no_process_of_a_mission_imports_a_module_that_lies_beside_the_user(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    """Also not what other packages try to import late, and not in the processes that the services start themselves."""
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    for name in ("zstandard", "random", "cbor2", "uvloop", "brotli", "orjson", "scipy", "PIL", "rasterio", "secrets"):
+        trap = f"open({str(tmp_path / 'imported')!r}, 'a').write({name!r} + chr(10))\nraise ImportError({name!r})\n"
+        (folder / f"{name}.py").write_text(trap)
+    words = ["run", "short", "--lockstep", "--quiet", "--set", "rounds=1", "--out", str(tmp_path / "out")]
+    done = run([*HE3, *words], env={**environment, "PYTHONPATH": f"{ROOT}{os.pathsep}"}, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "imported").exists()
+    modes = {path.stat().st_mode & 0o077 for path in (tmp_path / "out").rglob("*")}
+    assert modes == {0}

@@ -71,6 +71,14 @@ Planner = Annotated[
         help="rrt, rrtstar, informative, tour, or a plug-in as module:function, instead of the scenario's.",
     ),
 ]
+AllowPlugin = Annotated[
+    bool,
+    typer.Option(
+        "--allow-plugin",
+        help="Run the code of a planner module:function that the scenario's file names; "
+        "one that --planner or --set names needs no leave.",
+    ),
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option(

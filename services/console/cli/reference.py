@@ -113,6 +113,7 @@ def build(
 
     from he3.errors import He3Error, InvalidInput
     from services.mission.regions import MAX_PROVENANCE
+    from services.runtime.output_files import open_output
 
     if out.suffix != ".npz":
         raise InvalidInput(f"--out {out}: expected a file name that ends in .npz")
@@ -122,7 +123,7 @@ def build(
     degrees = {"origin_lat_deg": loaded.origin_lat_deg, "origin_lon_deg": loaded.origin_lon_deg}
     origin: dict[str, Any] = {key: np.float64(value) for key, value in degrees.items() if value is not None}
     try:
-        with out.open("wb") as stream:
+        with open_output(out) as stream:
             np.savez_compressed(
                 stream,
                 he3_ppb=loaded.he3_ppb,

@@ -54,8 +54,8 @@ def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> Non
     import json as json_format
 
     from he3.errors import InvalidInput
-    from schemas.codec import printable
     from schemas.topics import TOPICS
+    from schemas.wire import printable
     from services.recorder.reader import Recording
 
     names = [each.name for each in TOPICS if each.recorded]
@@ -65,7 +65,7 @@ def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> Non
     for message in recording.messages():
         seen.take(message)
         if topic == message.topic.name:
-            typer.echo(message.payload.decode())
+            typer.echo(printable(message.payload.decode()))
     problems = recording.problems()
     if topic is None:
         document = _document(recording, seen, problems)

@@ -11,6 +11,7 @@ import typer
 from he3.errors import He3Error, InvalidInput
 from services.console.cli.options import (
     MAX_RATE,
+    AllowPlugin,
     AsJson,
     Lockstep,
     OutFolder,
@@ -74,6 +75,7 @@ def run(
     seed: Seed = None,
     planner: Planner = None,
     settings: Settings = None,
+    allow_plugin: AllowPlugin = False,
     report: ReportFile = None,
     out: OutFolder = None,
     events: EventsFile = None,
@@ -89,7 +91,7 @@ def run(
         raise InvalidInput(
             "--events: expected it with --in-process or --lockstep, where every event has its exact time"
         )
-    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or (), allow_plugin=allow_plugin)
     driver = "in-process" if in_process else "lockstep" if lockstep else "zenoh"
     run_and_report(chosen, driver, out, report, json=json, quiet=quiet, events=events)
 
@@ -110,7 +112,7 @@ def run_and_report(
     after all of that, if the report could not be written, for a mission that failed, and for one that took no sample:
     its map says nothing about the site.
     """
-    from schemas.codec import printable
+    from schemas.wire import printable
     from services.console.client.time_format import speed
     from services.console.report.outputs import outputs
     from services.console.report.progress import progress_for

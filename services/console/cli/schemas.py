@@ -22,6 +22,7 @@ def schemas(
 
     from he3.errors import He3Error
     from schemas.__main__ import json_schemas
+    from services.runtime.output_files import write_output
 
     documents = json_schemas()
     if folder is None:
@@ -30,7 +31,7 @@ def schemas(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, document in documents.items():
-            (folder / f"{name}.schema.json").write_text(json_format.dumps(document, indent=2) + "\n")
+            write_output(folder / f"{name}.schema.json", f"{json_format.dumps(document, indent=2)}\n".encode())
     except OSError as error:
         raise He3Error(f"{folder}: cannot write the schemas: {error.strerror}") from None
     typer.echo(f"written to {folder}: {len(documents)} schemas")

@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from services.console.cli.options import Lockstep, OutFolder, Planner, Quiet, Rate, ScenarioRef, Seed, Settings
+from services.console.cli.options import (
+    AllowPlugin,
+    Lockstep,
+    OutFolder,
+    Planner,
+    Quiet,
+    Rate,
+    ScenarioRef,
+    Seed,
+    Settings,
+)
 
 EXAMPLES = """\b
 Examples:
@@ -32,6 +42,7 @@ def up(
     seed: Seed = None,
     planner: Planner = None,
     settings: Settings = None,
+    allow_plugin: AllowPlugin = False,
     out: OutFolder = None,
     journal: JournalFolder = None,
     quiet: Quiet = False,
@@ -45,7 +56,7 @@ def up(
     from services.console.launch.separate import checked_region, services_of
     from services.console.report.outputs import claimed, outputs
 
-    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or ())
+    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or (), allow_plugin=allow_plugin)
     mission = chosen.scenario
     endpoints = Endpoints(mission.network.moon, mission.network.earth)
     where = outputs(out, None)

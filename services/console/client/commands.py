@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from services.console.client.map_queries import Polygon
     from services.runtime.transport.client import Client
 
+MAX_EXPIRY_S = 1e9
+"""Longest time for which a command may stay valid [s]: 30 years."""
 ASK_AGAIN_S = 1.0
 """Wall time without a report after which the list of commands is asked for: a report may be lost on a busy session."""
 
@@ -107,8 +109,9 @@ class Commanding(ClockQueries):
         command = telecommand(
             kind, target_m=target_m, area_id=area_id, polygon_m=polygon_m, command_id=command_id
         )  # checked before the clock is asked
-        if expires_in_s is not None:
-            expires_at = self.now() + seconds(expires_in_s)
+        valid_s = None if expires_in_s is None else _duration_s(expires_in_s)
+        if valid_s is not None:
+            expires_at = self.now() + seconds(valid_s)
             command = _checked(command.model_dump() | {"expires_at": expires_at})
         return CommandHandle(self._session, self._session.query(ISSUE_COMMAND, command))
 
@@ -116,6 +119,15 @@ class Commanding(ClockQueries):
         """All commands with the stages they passed, oldest first."""
         listed: CommandList = self._session.query(LIST_COMMANDS, NoParameters())
         return listed.commands
+
+
+def _duration_s(value: object) -> float:
+    """The value, if it is a number of seconds; a list would be multiplied, too. Raises InvalidInput for another."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= MAX_EXPIRY_S:
+        raise InvalidInput(
+            f"command: expires_in_s: expected seconds over 0 and up to {MAX_EXPIRY_S:g}, got {value!r:.60}"
+        )
+    return value
 
 
 def telecommand(

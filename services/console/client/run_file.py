@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from services.runtime.output_files import replace_output
 
 MAX_FILE_BYTES = 65_536
 MAX_PORT = 65_535
@@ -34,16 +35,34 @@ class RunningMission:
 
 
 def folder() -> Path:
-    """The folder of the run files; only this user may read it."""
+    """The folder of the run files, which only this user may enter: in XDG_RUNTIME_DIR, else in the user's cache.
+
+    Raises He3Error if it is another user's, open to others, or no folder.
+    """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and Path(runtime).is_dir():
         place = Path(runtime) / "he3-seeker"
     else:
-        place = Path(tempfile.gettempdir()) / f"he3-seeker-{os.getuid()}"
-    place.mkdir(mode=0o700, exist_ok=True)
-    if place.stat().st_uid != os.getuid() or place.is_symlink():
-        raise He3Error(f"{place}: expected a folder of this user, got one of another user")
+        cache = os.environ.get("XDG_CACHE_HOME")
+        place = (Path(cache) if cache and Path(cache).is_absolute() else _home() / ".cache") / "he3-seeker"
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.mkdir(mode=0o700, exist_ok=True)
+        found = place.lstat()
+    except OSError as error:
+        raise He3Error(f"{place}: cannot make the folder of the run files: {error.strerror}") from None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        raise He3Error(f"{place}: expected a folder of this user, got a link, a file or another user's folder")
+    if found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise He3Error(f"{place}: expected mode 0700, got {stat.S_IMODE(found.st_mode):04o}: others may use it")
     return place
+
+
+def _home() -> Path:
+    try:
+        return Path.home()
+    except RuntimeError:
+        raise He3Error("expected a home folder or XDG_RUNTIME_DIR for run files, got neither") from None
 
 
 @contextmanager
@@ -52,9 +71,7 @@ def announced(running: RunningMission) -> Iterator[Path]:
     import json
 
     path = folder() / f"{running.mission}-{running.pid}.json"
-    scratch = path.with_suffix(".new")
-    scratch.write_text(json.dumps(asdict(running)))
-    scratch.replace(path)
+    replace_output(path, json.dumps(asdict(running)).encode())
     try:
         yield path
     finally:
@@ -68,12 +85,13 @@ def running_missions() -> list[RunningMission]:
     found: list[tuple[float, RunningMission]] = []
     for path in folder().glob("*.json"):
         with suppress(OSError):
-            if not path.is_file():
+            if (content := _own_content(path)) is None:
                 continue
             try:
-                with path.open("rb") as stream:
-                    running = RunningMission(**json.loads(stream.read(MAX_FILE_BYTES)))
+                running = RunningMission(**json.loads(content))
             except (ValueError, TypeError):
+                continue
+            if not (isinstance(running.pid, int) and _NAME.fullmatch(str(running.mission))):
                 continue
             if _alive(running.pid):
                 found.append((path.stat().st_mtime, running))
@@ -124,6 +142,16 @@ def _ambiguous(running: list[RunningMission]) -> InvalidInput:
     else:
         flag = "--earth and --mission"
     return InvalidInput(f"expected one mission, got {len(running)}: choose one with {flag} ({listed})")
+
+
+def _own_content(path: Path) -> bytes | None:
+    """The content of a file of this user; None for any other, and for a link."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(descriptor, "rb") as stream:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid():
+            return None
+        return stream.read(MAX_FILE_BYTES)
 
 
 def _alive(pid: int) -> bool:

@@ -12,10 +12,12 @@ from types import TracebackType
 from typing import Self
 
 from he3.errors import He3Error
+from schemas.wire import printable
 from services.console.interruption import uninterrupted
 from services.console.launch.endpoints import Endpoints
 from services.mission.processes import LINK, PROCESSES, RECORDER, VITAL, ProcessSpec, waited_for
 from services.runtime.child import child_environment, exit_in_words, python_command
+from services.runtime.output_files import open_output
 
 STOP_WITHIN_S = 1.5
 """How long a service may take to end before it is killed."""
@@ -82,7 +84,7 @@ class Launcher:
         if process is RECORDER and self._recording is not None:
             command += ["--out", str(self._recording)]
         command += self._service_flags.get(name, ())
-        log = None if self._logs is None else (self._logs / f"{name}.log").open("ab")
+        log = None if self._logs is None else open_output(self._logs / f"{name}.log", append=True)
         try:
             # A group of its own: Ctrl-C is for this process to judge, and to pass on in order.
             self._processes[name] = subprocess.Popen(
@@ -165,7 +167,7 @@ class Launcher:
         except OSError:
             return ""
         telling = [line for line in lines if _TELLING.match(line)] or lines
-        return f": {telling[-1]}" if telling else ""
+        return f": {printable(telling[-1])}" if telling else ""
 
 
 def _stops_within_s(name: str) -> float:

@@ -29,19 +29,25 @@ def choose(
     planner: str | None = None,
     rate: float | None = None,
     settings: Iterable[str] = (),
+    allow_plugin: bool = False,
 ) -> Chosen:
     """The scenario of a file or of a shipped name, with seed, planner, rate and ``section.key=value`` changed.
 
-    Raises InvalidInput with one line for a scenario, a key or a value that is not valid.
+    allow_plugin: import a plug-in planner that the scenario's file names. Raises InvalidInput with one line for a
+    scenario, a key or a value that is not valid.
     """
     from services.mission.deployment import find_scenario
     from services.mission.scenario import load_scenario
-    from services.runtime.options import parse_setting, with_settings
+    from services.runtime.options import parse_setting, require_plugin_allowed, with_settings
 
     path = find_scenario(reference)
     texts = [*settings]
     for key, value in (("seed", seed), ("ground.planner", planner), ("rate", rate)):
         if value is not None:
             texts.append(f"{key}={json.dumps(value)}")
-    scenario = with_settings(load_scenario(path), [parse_setting(text) for text in texts])
-    return Chosen(scenario, path.resolve(), tuple(word for text in texts for word in ("--set", text)))
+    changes, loaded = [parse_setting(text) for text in texts], load_scenario(path)
+    require_plugin_allowed(loaded, changes, allow_plugin)
+    flags = [word for text in texts for word in ("--set", text)]
+    return Chosen(
+        with_settings(loaded, changes), path.resolve(), (*flags, *(("--allow-plugin",) if allow_plugin else ()))
+    )

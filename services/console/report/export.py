@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from he3.errors import He3Error
 from he3.frames import SiteGrid
 from schemas.maps import MapLayer
+from services.runtime.output_files import open_output
 
 if TYPE_CHECKING:
     from schemas.telemetry import SampleReport
@@ -41,7 +43,7 @@ class Export:
 def write_npz(export: Export, path: Path) -> None:
     """All layers, coordinates [m] and samples as NumPy arrays."""
     grid = export.grid
-    with _writing(path), path.open("wb") as stream:
+    with _writing(path), open_output(path) as stream:
         np.savez_compressed(
             stream,
             mean_ppb=export.mean_ppb,
@@ -62,7 +64,7 @@ def write_csv(export: Export, path: Path) -> None:
     table = np.column_stack(
         (grid.points(), export.mean_ppb.ravel(), export.std_ppb.ravel(), export.traversable.ravel().astype(int))
     )
-    with _writing(path), path.open("w", encoding="utf-8") as stream:
+    with _writing(path), TextIOWrapper(open_output(path), encoding="utf-8") as stream:
         np.savetxt(
             stream,
             table,

@@ -18,6 +18,7 @@ from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MessageCounts, MissionReport, ReportSample
 from services.mission.mission_time import SECOND
 from services.runtime.heartbeat import software_version
+from services.runtime.output_files import write_output
 
 if TYPE_CHECKING:
     from schemas.link import LinkStatus
@@ -148,7 +149,7 @@ def array_of(raster: MapRaster) -> NDArray[Any]:
 def remove_part(path: Path) -> None:
     """Remove a file that could be written in part only, as far as that is possible."""
     with contextlib.suppress(OSError):
-        if path.is_file():
+        if path.is_file() and not path.is_symlink():
             path.unlink()
 
 
@@ -156,7 +157,7 @@ def write_report(report: MissionReport, path: Path) -> None:
     """Write the report as one JSON document; raises He3Error when that cannot be done."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(report.model_dump_json(indent=2) + "\n", encoding="utf-8")
+        write_output(path, f"{report.model_dump_json(indent=2)}\n".encode())
     except OSError as error:
         remove_part(path)
         raise He3Error(f"{path}: cannot write the report: {error.strerror}") from None

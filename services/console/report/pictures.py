@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from he3.errors import He3Error
 from schemas.maps import MapLayer, MapRaster, MapScore
 from services.console.report.mission_report import array_of, remove_part
+from services.runtime.output_files import open_output
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -325,7 +326,8 @@ def save(figure: Figure, path: Path) -> None:
     """Write the figure as PNG, the same bytes for the same figure; raises He3Error when that cannot be done."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, format="png", metadata={"Software": "he3-seeker"})
+        with open_output(path) as stream:
+            figure.savefig(stream, format="png", metadata={"Software": "he3-seeker"})
     except OSError as error:
         remove_part(path)
         raise He3Error(f"{path}: cannot write the picture: {error.strerror}") from None

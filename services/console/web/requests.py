@@ -11,8 +11,7 @@ from he3.errors import InvalidInput
 from schemas.codec import one_line
 from schemas.commands import CommandKind  # of a model's field: pydantic reads it
 from schemas.wire import Identifier, PositionM
-
-MAX_EXPIRY_S = 1e9
+from services.console.client.commands import MAX_EXPIRY_S
 
 Place = tuple[PositionM, PositionM]
 Corners = Annotated[tuple[Place, ...], Field(min_length=3, max_length=256)]

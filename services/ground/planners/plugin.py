@@ -1,7 +1,8 @@
 """Plug-in planners: functions that users write, found by name.
 
 ``module:function`` is a function of a module in the working directory or on Python's path, which takes a
-``PlanningRequest`` and returns a ``PlannedRound``. It is imported with its output sent to the log, and whatever it
+``PlanningRequest`` and returns a ``PlannedRound``. Only the user names one: one that a scenario's file names is refused
+without ``--allow-plugin`` (`services.runtime.options`). It is imported with its output sent to the log, and whatever it
 raises is reported in one line. Its answers are validated as ours are (``services.ground.planners.validation``).
 """
 
@@ -9,7 +10,8 @@ from __future__ import annotations
 
 import sys
 import traceback
-from contextlib import redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -32,8 +34,7 @@ def load_plugin(name: str) -> Planner:
     if not (module and function):
         raise InvalidInput(f"expected a planner as module:function, got {name!r}")
     try:
-        with redirect_stdout(sys.stderr):
-            _look_in_working_directory(module)
+        with redirect_stdout(sys.stderr), _working_directory_for(module):
             found = import_module(module)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - importing a plug-in may raise anything
         raise InvalidInput(f"planner {name}: expected a module to import from the working directory or Python's path, "
@@ -45,20 +46,37 @@ def load_plugin(name: str) -> Planner:
     return partial(_guarded, name, planner)
 
 
-def _look_in_working_directory(module: str) -> None:
+@contextmanager
+def _working_directory_for(module: str) -> Iterator[None]:
     """Let a module that is not on Python's path be found in the working directory, and with it what it imports there.
 
-    The directory is the last place: no module of ours, of Python's or of an installed package is taken from there.
+    The directory is the last place, and on the path for as long as the plug-in is imported or runs: no other module is
+    taken from there, not even one that is imported late and that no package provides.
     """
     here = str(Path.cwd())
-    if here not in sys.path and find_spec(module.partition(".")[0]) is None:
-        sys.path.append(here)
+    top = module.partition(".")[0]
+    if here in sys.path or (top not in sys.modules and find_spec(top) is not None) or _is_elsewhere(top, here):
+        yield
+        return
+    sys.path.append(here)
+    try:
+        yield
+    finally:
+        sys.path.remove(here)
+
+
+def _is_elsewhere(top: str, here: str) -> bool:
+    """Whether that module has been imported, and from another place than that folder."""
+    found = sys.modules.get(top)
+    places = [getattr(found, "__file__", None), *getattr(found, "__path__", ())]
+    return found is not None and not any(place and Path(place).is_relative_to(here) for place in places)
 
 
 def _guarded(name: str, planner: Planner, request: PlanningRequest) -> PlannedRound:
     """The planner's answer; raises NoRoute as the planner does, and InvalidInput for any other exception."""
     try:
-        return planner(request)
+        with _working_directory_for(name.partition(":")[0]):
+            return planner(request)
     except NoRoute:
         raise
     except (Exception, SystemExit) as error:

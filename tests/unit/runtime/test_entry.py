@@ -129,6 +129,19 @@ def test_a_service_started_by_hand_passes_over_modules_of_the_working_directory(
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("given", ["", os.pathsep, f".{os.pathsep}/nowhere", f"/nowhere{os.pathsep}"])
+def test_an_empty_entry_of_the_path_is_not_the_working_directory(
+    given: str, strange_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", given)
+    monkeypatch.chdir(strange_folder)
+    show = "import sys; from services.runtime.entry import forget_working_directory as f; f(); print(sys.path)"
+    for environment in (child_environment(), {**os.environ, "PYTHONPATH": os.pathsep.join((ROOT, given))}):
+        command = [sys.executable, "-P", "-c", show]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=strange_folder, env=environment, check=True)
+        assert not {"''", "'.'", repr(str(strange_folder))} & set(done.stdout.strip("[]\n").split(", "))
+
+
 def test_a_planner_task_imports_nothing_from_the_working_directory(
     strange_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from schemas.codec import printable
+from schemas.wire import printable
 from services.runtime.log import Log
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from he3.errors import InvalidInput
+from services.console.launch.scenarios import choose
 from services.runtime.node import Level
 from services.runtime.options import parse_options, parse_setting, with_settings
 
@@ -113,3 +114,26 @@ def test_settings_change_what_they_name_and_nothing_else():
     assert changed.ground.pipeline == 3
     assert changed.changed(ground={"pipeline": scenario.ground.pipeline}) == scenario
     assert with_settings(scenario, []) == scenario
+
+
+@pytest.fixture
+def with_plugin(tmp_path: Path) -> Path:
+    """A scenario file that names a plug-in planner, which may be another user's."""
+    path = tmp_path / "theirs.toml"
+    path.write_text('name = "theirs"\nregion = "t1"\n[ground]\nplanner = "evil:plan"\n')
+    return path
+
+
+def test_a_plug_in_planner_of_a_scenario_s_file_needs_the_user_s_leave(with_plugin: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"names the plug-in planner 'evil:plan'.* expected --allow-plugin"):
+        parse_options("ground", [str(with_plugin)])
+    with pytest.raises(InvalidInput, match="expected --allow-plugin"):
+        choose(str(with_plugin), seed=7)
+    assert parse_options("ground", [str(with_plugin), "--allow-plugin"]).scenario.ground.planner == "evil:plan"
+    chosen = choose(str(with_plugin), allow_plugin=True)
+    assert parse_options("ground", [str(with_plugin), *chosen.flags]).scenario == chosen.scenario
+
+
+def test_a_planner_that_the_user_names_needs_no_further_leave(with_plugin: Path) -> None:
+    for chosen in (choose("short", planner="my:plan"), choose(str(with_plugin), planner="tour")):
+        assert parse_options("ground", [str(chosen.path), *chosen.flags]).scenario == chosen.scenario

@@ -6,12 +6,14 @@ import json
 from random import Random
 
 import pytest
+from pydantic import TypeAdapter
 
 from schemas.codec import Damaged, Refused, decode, encode, restamped
 from schemas.plans import MissionPlan
+from schemas.refusal import decode_refusal
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, PLAN
-from schemas.wire import Header
+from schemas.wire import MAX_TEXT, Header, Text
 from services.link.impairments import corrupt
 
 HEADER = Header(mission="m", source="rover", incarnation=2, sequence=5, made_at=10**18)
@@ -63,3 +65,12 @@ def test_a_message_that_is_too_long_is_refused_before_it_is_read() -> None:
     with pytest.raises(Refused, match="at most 1048576 bytes"):
         decode(PLAN, b"x" * 1_048_577, "m")
     assert MissionPlan is PLAN.payload
+
+
+@pytest.mark.parametrize("text", ["\x1b[2Jcleared", "two\nlines", "\u202etxt.exe", "\x9b31m", "\u2028"])
+def test_a_text_of_a_message_is_shown_escaped_wherever_it_came_from(text: str) -> None:
+    assert TypeAdapter(Text).validate_python(text).isprintable()
+    assert TypeAdapter(Text).validate_json(json.dumps(text)).isprintable()
+    assert len(TypeAdapter(Text).validate_python(text * 20)) <= MAX_TEXT
+    assert decode_refusal(json.dumps({"error": text}).encode()).error.isprintable()
+    assert decode_refusal(text.encode()).error.isprintable()

@@ -78,9 +78,10 @@ def form_of(file: Path) -> str:
 def written(file: Path, payload: bytes) -> str:
     """Write the file; returns the line that says so. Raises He3Error when that cannot be done."""
     from he3.errors import He3Error
+    from services.runtime.output_files import write_output
 
     try:
-        file.write_bytes(payload)
+        write_output(file, payload)
     except OSError as error:
         raise He3Error(f"{file}: cannot write: {error.strerror}") from None
     return f"written to {file}: {len(payload):,} bytes"

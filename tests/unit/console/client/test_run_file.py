@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from he3.errors import InvalidInput, PeerUnreachable
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from services.console.client.run_file import RunningMission, announced, find, folder, running_missions
 
 
@@ -76,3 +76,38 @@ def test_a_file_that_is_no_run_file_is_passed_over() -> None:
 
 def test_the_folder_is_this_user_s_alone() -> None:
     assert folder().stat().st_mode & 0o077 == 0
+
+
+def test_without_a_runtime_folder_the_user_s_cache_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert folder() == tmp_path / "cache" / "he3-seeker"
+
+
+def test_a_folder_that_is_a_link_or_open_to_others_or_another_user_s_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "he3-seeker"
+    (tmp_path / "theirs").mkdir(mode=0o700)
+    place.symlink_to(tmp_path / "theirs")
+    with pytest.raises(He3Error, match="expected a folder of this user"):
+        folder()
+    place.unlink()
+    place.mkdir()
+    place.chmod(0o770)
+    with pytest.raises(He3Error, match="expected mode 0700, got 0770"):
+        folder()
+    place.chmod(0o700)
+    monkeypatch.setattr(os, "getuid", lambda: place.stat().st_uid + 1)
+    with pytest.raises(He3Error, match="expected a folder of this user"):
+        folder()
+
+
+def test_a_run_file_that_is_a_link_or_names_no_mission_is_passed_over(tmp_path: Path) -> None:
+    with announced(mission("a")) as path:
+        elsewhere = tmp_path / "elsewhere"
+        path.rename(elsewhere)
+        path.symlink_to(elsewhere)
+        assert running_missions() == []
+    with announced(mission("\x1b[2Jname")):
+        assert running_missions() == []

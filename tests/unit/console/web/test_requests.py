@@ -28,6 +28,8 @@ BAD = {
         {"kind": 3},
         {"kind": "pause", "expires_in_s": "soon"},
         {"kind": "pause", "expires_in_s": -1},
+        {"kind": "pause", "expires_in_s": [1]},
+        {"kind": "pause", "expires_in_s": {"s": 1}},
         {"kind": "pause", "expires_in_s": 1e300},
         {"kind": "pause", "expires_in_s": True},
         {"kind": "go_to", "target_m": [1]},

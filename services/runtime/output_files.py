@@ -1,0 +1,57 @@
+"""Files that a mission writes: for their owner alone, and never through a symbolic link that another user could plant.
+
+Processes run with a umask of 077 (`services.runtime.entry`), so files have mode 0600 and folders 0700. Here is how they
+are opened. Everything raises OSError; the caller says what could not be written.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import stat
+from pathlib import Path
+from typing import IO
+
+_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC
+
+
+def open_output(path: Path, *, append: bool = False, new: bool = False, buffering: int = -1) -> IO[bytes]:
+    """That file, opened for bytes: emptied, or to append to, or `new`: refused if it exists.
+
+    Raises OSError (ELOOP) for a symbolic link outside /dev.
+    """
+    flags = _FLAGS | (os.O_APPEND if append else os.O_EXCL if new else os.O_TRUNC)
+    if not _is_system_link(path):
+        flags |= os.O_NOFOLLOW
+    descriptor = os.open(path, flags, 0o600)
+    return os.fdopen(descriptor, "ab" if append else "wb", buffering=buffering)
+
+
+def write_output(path: Path, content: bytes) -> None:
+    """Write that file; an earlier one is emptied first."""
+    with open_output(path) as stream:
+        stream.write(content)
+
+
+def replace_output(path: Path, content: bytes) -> None:
+    """Put a file with that content in place of an earlier one, in one step: a reader sees the one or the other."""
+    scratch = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    try:
+        with open_output(scratch, new=True) as stream:
+            stream.write(content)
+        scratch.replace(path)
+    except BaseException:
+        scratch.unlink(missing_ok=True)
+        raise
+
+
+def require_own(found: os.stat_result, path: Path) -> None:
+    """Raise OSError unless that is a file or folder of this user with one name."""
+    if found.st_uid != os.getuid() or (stat.S_ISREG(found.st_mode) and found.st_nlink > 1):
+        raise OSError(errno.EPERM, "expected a file of this user with one name", str(path))
+
+
+def _is_system_link(path: Path) -> bool:
+    """Whether that is a link such as /dev/stdout, in a folder where only the administrator can make one."""
+    return path.parent == Path("/dev")
