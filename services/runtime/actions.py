@@ -23,7 +23,7 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class PutQuery:
-    """Send a query to the server of the topic on that side; `ReplyArrived` or `QueryUnanswered` is to name it."""
+    """Send a query to the server of the topic on that side. Its end comes as `ReplyArrived` or `QueryUnanswered`."""
 
     topic: Topic
     side: Side

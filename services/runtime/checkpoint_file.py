@@ -1,8 +1,8 @@
 """A checkpoint on disk: the state of a node, and the place in its journal to which it belongs.
 
 The file holds a CRC-32 of what follows (4 bytes, little endian), the length of the head (8 bytes), the head (JSON) and
-the state as the state codec wrote it. It replaces its predecessor in one step. A checkpoint is a short cut and no more:
-one that is damaged, of another mission, of another version of the program or ahead of the journal is passed over.
+the state as the state codec wrote it. It replaces its predecessor in one step. A checkpoint only saves time. It is
+ignored if it is damaged, of another mission, of another version of the program, or ahead of the journal.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Mark:
 
     offset: int = 0
     channels: dict[int, str] = field(default_factory=dict)
-    """Registered before it: number and name."""
+    """MCAP channels registered before this place: number and name."""
     records: int = 0
     """Inputs before it."""
 
@@ -46,7 +46,7 @@ class Checkpoint:
 
 
 def write_checkpoint(path: Path, identity: Mapping[str, str], checkpoint: Checkpoint) -> None:
-    """Put the checkpoint in place of an earlier one; a reader finds the one or the other."""
+    """Replace the checkpoint file in one step; a reader finds the old one or the new one."""
     head = {
         "identity": dict(identity),
         "program": program_digest(),
@@ -87,7 +87,7 @@ def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapp
 
 @cache
 def program_digest() -> str:
-    """A digest of this program's files: what a state means is known to the same files only."""
+    """A digest of this program's files; a checkpoint is valid only for the same files."""
     root = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256(sys.version.encode())
     for package in ("he3", "schemas", "services"):

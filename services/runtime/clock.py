@@ -2,9 +2,8 @@
 
 Two clocks of the machine take part. The wall clock is the one that all processes share, so they agree on an anchor by
 it. But it can be set, by NTP or by a user; so each process carries mission time forward from the anchor by its own
-monotonic clock, which cannot be set (`FollowedClock`). The time manager anchors its state anew whenever it sends it.
-
-Which of two states is newer is said by their revisions, never by the wall clock. Mission time does not run backwards:
+monotonic clock, which cannot be set (`FollowedClock`). The time manager sets a new anchor in each state that it sends.
+The revision, never the wall clock, tells which of two states is newer. Mission time does not run backwards:
 not within a process, and not by a change. While the machine is suspended, mission time stands.
 """
 
@@ -53,7 +52,7 @@ def mission_time(state: ClockState, wall_ns: int) -> MissionTime:
 
 
 def started(start_ns: MissionTime, rate: float, wall_ns: int) -> ClockState:
-    """A new clock that begins at the mission's start, now."""
+    """A new clock that starts now, at the mission's first instant."""
     return ClockState(
         mode=ClockMode.WALL,
         epoch=1 + secrets.randbits(_EPOCH_BITS - 1),
@@ -65,10 +64,10 @@ def started(start_ns: MissionTime, rate: float, wall_ns: int) -> ClockState:
 
 
 def at_rate(state: ClockState, rate: float, wall_ns: int) -> ClockState:
-    """The same clock with another rate from now on, at that wall time (0 stops it).
+    """The same clock with another rate from wall time `wall_ns` on (0 stops it).
 
-    It goes on at the latest mission time that this process has read of it: if the wall clock was set back since then,
-    mission time is not.
+    It continues from the latest mission time that this process has read, also if the wall clock was set back since
+    then.
     """
     now = _furthest.note(state, mission_time(state, wall_ns))
     changes = {"revision": state.revision + 1, "rate": rate, "anchor_wall_ns": wall_ns, "anchor_mission_ns": now}
@@ -76,7 +75,7 @@ def at_rate(state: ClockState, rate: float, wall_ns: int) -> ClockState:
 
 
 def newer(one: ClockState | None, other: ClockState) -> ClockState:
-    """The newer of two states. Of one clock that is the later change, else the later anchor; another clock is newer."""
+    """The newer state: of one clock the higher revision, then the later anchor; a state of another clock is newer."""
     if one is None or other.epoch != one.epoch:
         return other
     return other if _order(other) >= _order(one) else one
@@ -97,11 +96,11 @@ class FollowedClock:
 
     @property
     def state(self) -> ClockState | None:
-        """The newest state that was followed."""
+        """The clock state in force; None before the first."""
         return self._state
 
     def follow(self, state: ClockState) -> None:
-        """Run as that state says from now on, if it was sent just now and is newer than the one that is followed."""
+        """Follow this state from now on if it is newer than the one in force. It must have been received just now."""
         with self._lock:
             before = self._state
             if newer(before, state) is not state or (before is not None and _order(before) == _order(state)):
@@ -112,12 +111,12 @@ class FollowedClock:
             self._anchor = self._monotonic_ns(), _at(state, self._wall_ns())
 
     def now(self) -> MissionTime:
-        """Mission time [ns]; it never runs backwards. There must be a state to follow."""
+        """Mission time [ns]; it never runs backwards. A clock state must be in force."""
         with self._lock:
             return self._now()
 
     def seconds_until(self, mission_ns: MissionTime) -> float | None:
-        """Wall time [s] until it is that mission time; 0 if it is past, None if the clock stands."""
+        """Wall time [s] until that mission time; 0 if it is past, None if the clock is stopped."""
         with self._lock:
             ahead = mission_ns - self._now()
             rate = 0.0 if self._state is None else self._state.rate
@@ -126,7 +125,7 @@ class FollowedClock:
         return None if rate == 0 else ahead / rate / SECOND
 
     def anchored_now(self) -> ClockState:
-        """The state that is followed, anchored at this moment: what another process can follow from here on."""
+        """The state in force, anchored at this moment, for another process to follow."""
         with self._lock:
             now = self._now()
             assert self._state is not None

@@ -1,7 +1,7 @@
 """What a driver works with in a service's process: the node's scheduler, the sessions, the clock, the log.
 
-`services.runtime.process` makes it and hands it to a driver. A driver decides when the node acts; what is alike for all
-drivers is done here.
+`services.runtime.process` makes it and hands it to a driver. A driver decides when the node acts; what all drivers have
+in common is here.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ IDLE_S = 0.5
 
 
 class Traffic(Protocol):
-    """What a driver does with messages and queries that arrive. Called in Zenoh's threads: it may only hand over."""
+    """What a driver does with messages and queries that arrive. Called in Zenoh's threads: it may only enqueue them."""
 
     def received_as(self, topic: Topic) -> Topic:
         """The topic on whose key that topic's messages reach this process."""
@@ -48,7 +48,7 @@ class Driver(Protocol):
     def traffic(self) -> Traffic: ...
 
     def begin(self) -> bool:
-        """Learn or set mission time; the sessions are open. False when the process was told to stop first."""
+        """Learn or set mission time; the sessions are open. False if the process was stopped first."""
 
     def run(self) -> None:
         """Let the node act until the process is told to stop."""
@@ -100,7 +100,7 @@ class ProcessContext:
     incarnation: int = 1
     """Which start of the process this is."""
     resume: list[Action] = field(default_factory=list)
-    """What a replayed journal left to do."""
+    """Actions that the replay of the journal left to do."""
     open_queries: OpenQueries = field(default_factory=OpenQueries)
 
     @property

@@ -12,17 +12,17 @@ import sys
 from typing import NoReturn
 
 PARENT = "HE3_PARENT_PID"
-"""Environment variable with the process id of the process that starts this one, and with which it ends."""
+"""Environment variable: process id of the parent. This process ends when the parent ends."""
 WATCH_EVERY_S = 0.5
-"""How late the end of the parent may be noticed where the kernel does not tell of it."""
+"""How late the parent's end is noticed on systems whose kernel does not report it."""
 ENDS_WITHIN_S = 3.0
-"""From the end of the parent until this process ends, whatever it is doing."""
+"""Longest time from the parent's end to the end of this process."""
 
 _PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
 
 
 def prepare_process() -> None:
-    """Set what must be in force before the first import of numpy, and let this process end with its parent."""
+    """Set the environment that numpy reads at import, and let this process end with its parent."""
     # One BLAS thread, unless the user asked for more. It counts only before numpy is first imported. The matrices of
     # the belief are small: on cores that other processes use too, OpenBLAS's own threads wait for one another and take
     # 50 times as long as one thread. Where a second thread pays, on the map, he3.posterior.grid shares out the cells
@@ -36,7 +36,7 @@ def prepare_process() -> None:
 def prepare_service() -> None:
     """Prepare a process that was started as ``python -m services.NAME``, and end it at once on signals until it serves.
 
-    Python has put the working directory first on the path: it is taken off again.
+    The working directory, which Python puts first on the import path, is removed.
     """
     forget_working_directory()
     end_on_signals()
@@ -59,7 +59,7 @@ def forget_working_directory() -> None:
 
 
 def end_on_signals() -> None:
-    """End at once, in silence, on SIGINT and SIGTERM: for a process that has nothing to put in order yet."""
+    """End at once, without a message, on SIGINT and SIGTERM: for a process that has nothing to clean up yet."""
     import signal
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -71,7 +71,7 @@ def _end(*_: object) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process when the process dies that started it and named itself in `PARENT`, however it dies.
+    """End this process when its parent, whose id is in `PARENT`, ends for any reason.
 
     It gets SIGTERM then. The kernel sends it when the thread ends that started this process: start processes from a
     thread that lives as long as its own process.
@@ -108,7 +108,7 @@ def _watch(parent: int) -> None:
 
 
 def _exists(pid: int) -> bool:
-    """Whether that process runs; one that has ended and that its parent has not waited for does not."""
+    """Whether that process runs; a zombie counts as ended."""
     try:
         os.kill(pid, 0)
         with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as stat:  # noqa: PTH123
@@ -122,7 +122,7 @@ def _exists(pid: int) -> bool:
 def leave(code: int) -> NoReturn:
     """End this process now, with that exit code, once everything is closed.
 
-    Taking the interpreter and Zenoh's threads apart takes a second or more on a busy machine, to no purpose.
+    The orderly shutdown of the interpreter and of Zenoh's threads would take a second or more, without any use.
     """
     for stream in (sys.stdout, sys.stderr):
         try:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class EventLog:
-    """Writes 'mission time [ns], node, what' as lines of a file; buffered, complete once closed."""
+    """Writes lines of mission time [ns], node and event to a file; buffered, complete once closed."""
 
     def __init__(self, path: Path) -> None:
         try:

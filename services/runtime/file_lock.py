@@ -22,9 +22,9 @@ class FileLock:
     """Held from its making until `release`, or until this process ends. Use it in a `with` statement if it can end."""
 
     def __init__(self, path: Path, expected: str) -> None:
-        """path: the lock file. expected: what the user should have named, for the error's line.
+        """path: the lock file. expected: the beginning of the error message, such as "expected a folder that ...".
 
-        Raises InvalidInput, naming the owner, if another process holds the lock, He3Error if there cannot be one.
+        Raises InvalidInput, naming the owner, if another process holds the lock; He3Error if the file cannot be made.
         """
         self._path = path
         self._descriptor = _locked(path, expected)

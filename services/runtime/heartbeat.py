@@ -31,7 +31,7 @@ def software_version() -> str:
 
 
 class Heartbeat:
-    """Publishes the presence of a process on each of its sides, every two seconds."""
+    """Publishes a `Presence` message of the process on each of its sides, every two seconds."""
 
     def __init__(self, host: Host, publish: Callable[[Topic, Side, bytes], None]) -> None:
         self._host = host

@@ -74,7 +74,7 @@ EventSink = Callable[[MissionTime, str, str], None]
 """Called for each event handled with mission time, node and a line that describes it: the event log."""
 
 STATE_TYPES: Final[tuple[type, ...]] = (Compute, Finish, PublishSnapshot, PutQuery, Side, *CUSTODY_STATE_TYPES)
-"""What the state of a host and its scheduler is made of, beside plain values and the node's own types."""
+"""The types in the state of a host and its scheduler, beside plain values and the node's own types."""
 
 
 class Host:
@@ -165,7 +165,7 @@ class Host:
         return StateCodec((*STATE_TYPES, *node.state_types), node.functions)
 
     def checkpoint(self) -> SavedState:
-        """The node and all that the host knows of it, as named parts; not what this process alone has."""
+        """The state of node and host, as named parts, without what belongs to this process only."""
         return {
             "node": self._durable().checkpoint(),
             "custody": None if self._custody is None else self._custody.checkpoint(),
@@ -231,7 +231,7 @@ class Host:
         return self._handle(Started(incarnation), now, f"started {incarnation}")
 
     def _message(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
-        """A message that its topic does not admit is refused and counted."""
+        """The actions for an incoming message; one that its topic does not admit is refused and counted."""
         what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}"
         if topic in self._interface.receives_raw:
             return self._handle(ReceivedRaw(topic, payload), now, what)
@@ -250,7 +250,7 @@ class Host:
         return actions
 
     def _query(self, topic: Topic, payload: bytes, token: int, now: MissionTime) -> list[Action]:
-        """A query that its topic does not admit is answered with the refusal."""
+        """The actions for an incoming query; one that its topic does not admit is answered with a refusal."""
         try:
             _, body = decode(topic, payload, self._mission)
         except Refused as refusal:
@@ -263,7 +263,7 @@ class Host:
         return self._handle(QueryReceived(topic, request, token), now, None if observed else f"asked {topic.name}")
 
     def _reply(self, query: str, payload: bytes, now: MissionTime) -> list[Action]:
-        """A reply that its topic does not admit is a refused query; one to a query that has ended is ignored."""
+        """The actions for a reply; one that its topic does not admit is refused, one to an ended query is ignored."""
         put = self._queries.pop(query, None)
         if put is None:
             return []
@@ -297,7 +297,7 @@ class Host:
         return list(self._actions(self._node.handle(event, now), now))
 
     def _report_queue_depth(self, depth: int, now: MissionTime) -> list[Action]:
-        """At most one event an input; a replay of the same inputs yields the same events, so none is journalled."""
+        """Report a changed queue depth, at most once per input. A replay repeats it, so it is not journalled."""
         if not self._interface.reports_queue_depth or depth == self._reported_depth:
             return []
         self._reported_depth = depth

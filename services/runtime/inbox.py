@@ -1,4 +1,4 @@
-"""What other threads hand to the main loop of a process, and whether the process was told to stop."""
+"""The inbox of a process's main loop: calls from other threads, and whether the process was told to stop."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ class Inbox:
         self._waiting: queue.SimpleQueue[TakeIn] = queue.SimpleQueue()
 
     def put(self, take_in: TakeIn) -> None:
-        """Have that called in the main loop."""
+        """Queue a function for the main loop to call."""
         self._waiting.put(take_in)
 
     def wake(self, *_: Any) -> None:
-        """Let the main loop look around."""
+        """Wake the main loop so that it checks for work."""
         self._waiting.put(_nothing)
 
     def stop(self, *_: Any) -> None:
-        """Tell the process to stop: a signal handler."""
+        """Tell the process to stop; may be used as a signal handler."""
         self.stopped.set()
         self.wake()
 
     def next(self, timeout_s: float = 0.0) -> TakeIn | None:
-        """The next call that waits or comes within the timeout; None if there is none."""
+        """The next call that waits or arrives within the timeout; None if there is none."""
         try:
             return self._waiting.get(timeout=timeout_s) if timeout_s > 0 else self._waiting.get_nowait()
         except queue.Empty:
             return None
 
     def take(self, timeout_s: float = 0.0) -> bool:
-        """Make the next call that waits or comes within the timeout; whether there was one."""
+        """Run the next call that waits or arrives within the timeout; returns whether there was one."""
         take_in = self.next(timeout_s)
         if take_in is None:
             return False
@@ -48,4 +48,4 @@ class Inbox:
 
 
 def _nothing() -> None:
-    """Nothing to take in: it only wakes the loop."""
+    """Do nothing; the call only wakes the loop."""

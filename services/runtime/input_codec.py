@@ -27,7 +27,7 @@ ERRORS: Final[dict[str, type[He3Error]]] = {
     error.__name__: error
     for error in (He3Error, InvalidInput, NoRoute, NumericalFailure, OutsideRegion, PeerUnreachable)
 }
-"""Errors of a computation that come back as what they were; any other comes back as a He3Error of the same text."""
+"""Exceptions of a computation that keep their type in a journal; any other becomes a He3Error of the same text."""
 
 
 def encode_input(given: Input, codec: StateCodec) -> tuple[str, bytes]:

@@ -2,16 +2,16 @@
 
 Each start of a process writes a file of its own, ``NAME-0001.mcap``, ``NAME-0002.mcap``, ...; together, in order, they
 are the node's history. Each record is handed to the operating system before the node sees what it holds, so the end of
-the process loses nothing. A file may end in the middle of a record: that tail was never handled; it is passed over and
+the process loses nothing. A file may end in the middle of a record: that tail was never handled; it is ignored and
 reported. Beside them may lie a checkpoint, ``NAME.checkpoint``, so that a restart handles only the later inputs again.
 
 SQLite in WAL mode is not used, because it does not notice damage. [measured: ext4, 2 cores, records of 1 kB]
 
-- An append takes 6 us here and 13 us there (synchronous=NORMAL). Both survive the end of the process, neither the end
-  of the machine. With an fsync for each record, both take 0.2 ms or more.
+- An append takes 6 us to MCAP and 13 us to SQLite (synchronous=NORMAL). Both survive the end of the process, neither of
+  them a power failure. With an fsync for each record, both take 0.2 ms or more.
 - A file that is cut off loses the unfinished record in both.
-- A changed byte is reported here, wherever it is. There, one bit in the WAL ended the history at that place (28 of 60
-  records were left), and one bit in the database gave back another record, both without an error.
+- MCAP reports a changed byte, wherever it is. In SQLite, one changed bit in the WAL ended the history at that place (28
+  of 60 records were left), and one in the database returned a wrong record, both without an error.
 - An MCAP file is read by the tools that read recordings; it is not finished, so they read it as a stream.
 """
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 PROFILE: Final = "he3-journal"
 FORMAT: Final = "2"
-"""Of the records; a journal of another format is refused."""
+"""Format of the records; a journal of another format is refused."""
 
 
 _FRAME: Final = struct.Struct("<BQ")  # operation code and length of an MCAP record
@@ -57,27 +57,27 @@ _Parsed = TypeVar("_Parsed")
 
 
 class JournalDamaged(He3Error):
-    """A journal holds something that cannot have been written by a process that merely ended."""
+    """A journal is damaged: more is wrong than the unfinished last record of a process that ended."""
 
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What the journals of a node hold."""
+    """The content of a node's journals."""
 
     inputs: tuple[tuple[MissionTime, Input], ...]
     starts: int
     """How often the node has been started."""
     torn_bytes: int
-    """Length of the unfinished tails that were passed over."""
+    """Length of the unfinished tails that were ignored."""
     state: SavedState | None = None
-    """From a checkpoint: what everything before `inputs` had led to; None: `inputs` are all."""
+    """State from a checkpoint, after everything before `inputs`; None: `inputs` hold the whole history."""
     notice: str = ""
-    """One line on why a checkpoint was passed over."""
+    """One line on why a checkpoint was ignored."""
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """An input as it is kept."""
+    """An input as the journal keeps it."""
 
     now: MissionTime
     channel: str
@@ -94,7 +94,7 @@ class JournalWriter:
     def __init__(
         self, stream: IO[bytes], identity: dict[str, str], codec: StateCodec, keep: Keep = lambda *_: None
     ) -> None:
-        """keep: what is done with a checkpoint."""
+        """keep: called with each checkpoint."""
         self._stream = stream
         self._codec = codec
         self._keep = keep
@@ -106,7 +106,7 @@ class JournalWriter:
         self._count = 0
 
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
-        """Keep inputs that are about to be handled at that time."""
+        """Write inputs that are about to be handled at that time."""
         for given in inputs:
             name, data = encode_input(given, self._codec)
             channel = self._channels.get(name)
@@ -120,7 +120,7 @@ class JournalWriter:
         self._stream.flush()
 
     def checkpoint(self, state: SavedState) -> None:
-        """Keep the state after everything that was appended so far."""
+        """Write a checkpoint: the state after everything that was appended so far."""
         names = {number: name for name, number in self._channels.items()}
         self._keep(Mark(self._stream.tell(), names, self._count), self._starts, self._codec.encode(state))
 
@@ -136,9 +136,8 @@ class JournalFolder:
         self._checkpoint = folder / f"{node}.checkpoint"
 
     def history(self) -> History:
-        """Everything that was kept.
-
-        Raises InvalidInput if it is another mission's or not of this format, JournalDamaged if it is damaged.
+        """The history in this folder. Raises InvalidInput for another mission or another format, JournalDamaged for a
+        damaged file.
         """
         files = self._files()
         found = self._usable_checkpoint(files)
@@ -188,7 +187,7 @@ class JournalFolder:
         return History(tuple(inputs), starts, torn, state, notice)
 
     def _usable_checkpoint(self, files: Sequence[Path]) -> tuple[Checkpoint, SavedState] | str:
-        """The checkpoint with its state, or one line on why there is none to use; empty if there is none at all."""
+        """The checkpoint with its state, or one line on why it cannot be used; the line is empty if there is none."""
         if not self._checkpoint.is_file():
             return ""
         sizes = {path.name: path.stat().st_size for path in files}
@@ -274,7 +273,7 @@ def _checksum(number: int, now: MissionTime, channel: str, data: bytes) -> bytes
 
 
 def identity_of(scenario: Scenario) -> dict[str, str]:
-    """What two processes must agree on to share a history: everything in a scenario but where and how fast it runs."""
+    """The scenario's name and a digest of it, without endpoints, rate and description; equal ones can share journals."""
     document = scenario.model_dump(mode="json", exclude={"network", "rate", "description"})
     digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
     return {"mission": scenario.name, "scenario": digest[:16]}

@@ -35,7 +35,7 @@ class Log:
         self._lock = threading.Lock()
 
     def write(self, record: LogRecord, now: MissionTime | None = None) -> None:
-        """Write the record, with that mission time or the present one."""
+        """Write the record, with the given mission time or the present one."""
         if ORDER[record.level] < self._least:
             return
         mission_ns = now if now is not None else self._mission_time()

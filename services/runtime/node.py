@@ -102,7 +102,7 @@ class Computed:
 class QueueDepthChanged:
     """Now `depth` messages of this node await the other side's acknowledgement.
 
-    It follows from the events before it, so it is neither counted nor written to the event log.
+    Earlier events determine it, so it is neither counted nor written to the event log.
     """
 
     depth: int
@@ -194,7 +194,7 @@ class PublishSnapshot:
 
     snapshot: object
     awaited: bool = False
-    """Whether the effects that follow wait until queries are answered from it, so a query upon them finds it."""
+    """Whether later effects wait until queries are answered from it, so that a client that sees them can query it."""
 
 
 class Level(Enum):
@@ -233,21 +233,21 @@ class Node(Protocol):
 
     @property
     def interface(self) -> Interface:
-        """What it subscribes to and serves; it never changes."""
+        """Its subscriptions and the queries that it serves; constant."""
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
-        """Effects of the event, in order. Never blocks, and never raises for what came from outside."""
+        """Effects of the event, in order. Never blocks, and never raises because of input from outside."""
 
 
 SavedState = dict[str, Any]
-"""What an object keeps of itself: named parts, each of which the codec can encode."""
+"""The state of an object: named parts, each of which the codec can encode."""
 
 
 class Stateful(Protocol):
-    """An object that names what it keeps."""
+    """An object whose state can be saved and restored."""
 
     def checkpoint(self) -> SavedState:
-        """All that a new object of the same making needs to become this one."""
+        """The state, from which `restore` makes an equal object out of a newly built one."""
 
     def restore(self, state: SavedState) -> None:
         """Restore the object from this state."""
@@ -259,7 +259,7 @@ class DurableNode(Node, Stateful, Protocol):
 
     @property
     def state_types(self) -> tuple[type, ...]:
-        """What its state, its computations and their results are made of, beside plain values."""
+        """The types in its state, its computations and their results, beside plain values."""
 
     @property
     def functions(self) -> Mapping[str, Callable[..., Any]]:

@@ -53,7 +53,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     """The options of a service; raises InvalidInput with one line. ``--help`` prints and exits."""
     parser = _Parser(
         prog=f"python -m services.{name}",
-        description=f"The {name} service of a helium-3 mission, as a process of its own.",
+        description=f"The {name} service of a helium-3 mission, as a separate process.",
         epilog=EXAMPLES.format(name=name),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

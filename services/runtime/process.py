@@ -43,15 +43,15 @@ if TYPE_CHECKING:
     from services.runtime.service import Service
 
 ENDS_WITHIN_S = 1.4
-"""From the signal on: a call that hangs in the network then no longer keeps the process alive."""
+"""Time from the signal to the forced end of a process that hangs in a network call."""
 COMPLETES_WITHIN_S = 20.0
 """The same for a process that completes a file."""
 SWITCH_INTERVAL_S = 0.0005
-"""A thread that computes hands over after this time, so that a query waits no longer for it than for the network."""
+"""Python's thread switch interval: a query waits for a computing thread no longer than for the network."""
 
 MakeDriver = Callable[[ProcessContext], Driver]
 OpenSide = Callable[[ProcessContext, Side, str], Session | None]
-"""Opens the session of a side at that endpoint; None when the process was told to stop first."""
+"""Opens the session of a side at that endpoint; None if the process was stopped first."""
 
 
 def connect_side(context: ProcessContext, side: Side, endpoint: str) -> Session | None:
@@ -94,7 +94,7 @@ def run_process(
 
 
 def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack) -> ProcessContext:
-    """The parts of the process; the stack closes them."""
+    """The parts of the process; `stack` closes them at the end."""
     clock = ProcessClock()
     log = Log(service.name, clock.now_or_none, options.level, options.log_json)
     sessions: dict[Side, Session] = {}
@@ -143,7 +143,7 @@ def _executor(service: Service, inbox: Inbox, stack: ExitStack) -> Executor:
 
 
 def _go_on(context: ProcessContext, history: History) -> None:
-    """Replay what the journal of earlier starts holds."""
+    """Replay the journal of earlier starts."""
     if history.notice:
         context.log.warning(history.notice)
     began = time.monotonic()
@@ -160,7 +160,7 @@ def _go_on(context: ProcessContext, history: History) -> None:
 
 
 def _join(service: Service, context: ProcessContext, driver: Driver, open_side: OpenSide) -> bool:
-    """Open the sessions, learn the time, and show the process as alive; False when it was told to stop first."""
+    """Open the sessions, learn the time, and declare the process alive; False if it was stopped first."""
     interface = context.scheduler.host.interface
     network = context.options.scenario.network
     endpoints = {Side.MOON: network.moon, Side.EARTH: network.earth}
@@ -184,7 +184,7 @@ def _join(service: Service, context: ProcessContext, driver: Driver, open_side: 
 
 
 def _subscribe(service: Service, context: ProcessContext, driver: Driver, side: Side) -> None:
-    """Subscribe to what the node hears on that side, and serve what it answers itself."""
+    """Subscribe to the node's topics on that side, and serve the queries that it answers itself."""
     host, session, traffic = context.scheduler.host, context.sessions[side], driver.traffic
     elsewhere = () if service.queries is None else service.queries.topics
     for topic, where in host.received_topics():
@@ -209,7 +209,7 @@ class _WakingExecutor:
 
 
 def _end_in_time(within_s: float) -> None:
-    """See to it that a process that was told to end does, even where it hangs in a call that no signal interrupts."""
+    """Start a thread that ends a stopped process in time, even if it hangs in a call that no signal interrupts."""
     told, tell = socket.socketpair()
     tell.setblocking(False)
     signal.set_wakeup_fd(tell.fileno(), warn_on_full_buffer=False)

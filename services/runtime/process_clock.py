@@ -1,4 +1,4 @@
-"""Mission time as one process knows it: the mission's clock, and what the process has done by it."""
+"""Mission time in one process: the mission's clock, and the latest time at which the process acted."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CLOCKS = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
 
 
 class ProcessClock:
-    """The clock that is followed, and the latest mission time at which this process did something."""
+    """The mission's clock as this process received it, and the latest mission time at which the process acted."""
 
     def __init__(self) -> None:
         self.followed = FollowedClock()
@@ -24,26 +24,26 @@ class ProcessClock:
 
     @property
     def known(self) -> bool:
-        """Whether there is a clock to follow."""
+        """Whether a clock state has been received."""
         return self.followed.state is not None
 
     def follow(self, state: ClockState) -> None:
-        """Take in a state of the mission's clock that was sent just now."""
+        """Follow a state of the mission's clock, received just now."""
         self.followed.follow(state)
 
     def advance(self, to: MissionTime) -> MissionTime:
-        """Something happens at that time, or at the latest one if that is later; returns which."""
+        """Act at that time, or at the latest time so far if that is later; returns the time used."""
         self.latest = max(self.latest, to)
         return self.latest
 
     def now(self) -> MissionTime:
-        """Mission time, never before the latest; there must be a clock to follow."""
+        """Mission time, never before the latest time so far; a clock state must have been received."""
         return max(self.latest, self.followed.now())
 
     def now_or_none(self) -> MissionTime | None:
-        """Mission time, or without a clock to follow the latest; None if there is neither."""
+        """Mission time; before a clock state is received the latest time so far, None if there is none."""
         return self.now() if self.known else self.latest or None
 
     def wait_s(self, until: MissionTime) -> float | None:
-        """Wall time until then [s], 0 if it has passed; None if the clock stands or is not known."""
+        """Wall time [s] until that mission time, 0 if it has passed; None if the clock is stopped or unknown."""
         return self.followed.seconds_until(until) if self.known else None

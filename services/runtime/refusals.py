@@ -14,11 +14,11 @@ EXCEPTIONS: dict[RefusalCode, type[He3Error]] = {
     RefusalCode.BUSY: Busy,
     RefusalCode.INTERNAL: He3Error,
 }
-"""A class stands before its parents: the first that fits an error is its own."""
+"""A class stands before its parents, so the first match is the most specific."""
 
 
 def refusal_of(error: Exception) -> Refusal:
-    """How that error is said on the wire: `RefusalCode.INTERNAL` for one that no code stands for."""
+    """The refusal that reports that error on the wire; `RefusalCode.INTERNAL` for an error without a code."""
     if isinstance(error, Refused):
         return Refusal(str(error), RefusalCode.INVALID_INPUT)
     code = next((code for code, kind in EXCEPTIONS.items() if isinstance(error, kind)), RefusalCode.INTERNAL)

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from services.runtime.node import SavedState
 
 CHECKPOINT_EVERY: Final = 300
-"""Inputs between two checkpoints, at most: so many are handled again after a restart."""
+"""Inputs between two checkpoints, and so handled again after a restart, at most."""
 
 
 class Executor(Protocol):
-    """Runs pure functions, in a process of its own where the result would depend on what was run before."""
+    """Runs pure functions; in a separate process where the result would depend on earlier runs."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]: ...
 
@@ -152,7 +152,7 @@ class NodeScheduler:
         return outward
 
     def _keep_state(self, batch: Sequence[Input]) -> None:
-        """Make a checkpoint now and then, and after each result: those inputs take the longest to handle again."""
+        """Make a checkpoint every `CHECKPOINT_EVERY` inputs, and after each result: that takes longest to recompute."""
         self._since_checkpoint += len(batch)
         if self._since_checkpoint >= CHECKPOINT_EVERY or any(isinstance(given, ComputationEnded) for given in batch):
             assert self._journal is not None, "a checkpoint belongs to a journal"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class OwnedExecutor(Executor, Protocol):
-    """An executor with a process of its own to end."""
+    """An executor that owns a process and ends it."""
 
     def close(self) -> None: ...
 
@@ -40,7 +40,7 @@ class Service:
     """Where computations run; None: in the main loop."""
     queries: QueryModule | None = None
     journals: bool = False
-    """Whether it goes on from a journal after a restart; a service without one has nothing to remember."""
+    """Whether it continues from a journal after a restart; a service without a journal has no state to restore."""
     onlooker: bool = False
     """It only subscribes: in lockstep, virtual time never waits for it."""
     completes_file: bool = False

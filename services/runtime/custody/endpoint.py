@@ -35,7 +35,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     Transmission,
     *{topic.payload for topic in TOPICS if under_custody(topic)},
 )
-"""What the state of custody is made of, beside plain values."""
+"""The types in the state of custody, beside plain values."""
 
 
 def custody_config(link: LinkConditions, interface: Interface) -> CustodyConfig:
@@ -88,7 +88,7 @@ class CustodyEndpoint:
     def received(
         self, topic: Topic, header: Header, body: Any, size_bytes: int, now: MissionTime
     ) -> tuple[list[Delivery], list[Action]]:
-        """What to deliver upon a message that crossed the link, and what to do."""
+        """The messages to deliver after a message that crossed the link, and the actions to carry out."""
         actions = self._publish(self._sender.contact(now))
         if not under_custody(topic):
             return [Delivery(topic, header, body)] if self._is_newest(topic, header) else [], actions
@@ -96,7 +96,7 @@ class CustodyEndpoint:
         return deliveries, actions + self._acknowledge(acks, now)
 
     def _is_newest(self, topic: Topic, header: Header) -> bool:
-        """Of a topic that is never repeated only the newest message counts; one that was overtaken is dropped."""
+        """Whether the message is the newest of a topic that is never repeated; an overtaken one is dropped."""
         number = (header.incarnation, header.sequence)
         if number <= self._newest.get((topic.name, header.source), (-1, -1)):
             return False
@@ -104,7 +104,7 @@ class CustodyEndpoint:
         return True
 
     def acknowledged(self, ack: Acknowledgement, header: Header, now: MissionTime) -> list[Action]:
-        """Drop what the other side has, and repeat what it misses."""
+        """Drop the messages that the other side has, and repeat those that it lacks."""
         return self._publish(self._sender.acknowledged(ack, header, now))
 
     def timer_elapsed(self, now: MissionTime) -> list[Action]:

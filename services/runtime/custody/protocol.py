@@ -20,7 +20,7 @@ ACK_BITS: Final = 3_600  # bits of one acknowledgement on the wire, about 450 by
 
 
 class CustodyQueueFull(He3Error):
-    """More messages await acknowledgement than the sender may keep; none was dropped for the new one."""
+    """The sender keeps as many messages as it may. The new one was refused; none was dropped for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,15 +28,15 @@ class CustodyConfig:
     """How long to wait for an acknowledgement, and how much to keep. Times in seconds of mission time."""
 
     round_trip_s: float = 2.6
-    """The first estimate; it is measured from then on."""
+    """First estimate of the round trip; later ones are measured."""
     margin_s: float = MARGIN_S
     """Least wait beyond the round trip."""
     rate_bit_s: float | None = None
-    """Rate at which this side's messages leave, where it is known: the wait includes what is queued ahead."""
+    """Rate at which this side's messages leave, if known; the wait then includes the bytes queued ahead."""
     max_wait_s: float = 600.0
     """Longest time between two repetitions of a message while there is contact (or two round trips, if longer)."""
     silent_repetitions: int = 4
-    """After so many repetitions without any message from the other side the timers are suspended."""
+    """The timers are suspended after this many repetitions without any message from the other side."""
     probe_s: float = 300.0
     """While suspended, one message is sent this often (or every two round trips, if longer)."""
     max_messages: int = 100_000
@@ -44,7 +44,7 @@ class CustodyConfig:
     window_messages: int = 256
     """Messages sent and not yet acknowledged, at most; the others wait in order of priority."""
     window_bytes: int = 4 * 1024 * 1024
-    """Their size, at most. A single larger message is sent alone."""
+    """Total size of those messages, at most. A single larger message is sent alone."""
     ack_pause_s: float = 0.2
     """Least time between two acknowledgements of one stream."""
     max_held: int = 4_096
@@ -121,5 +121,5 @@ def next_state(state: MessageState, signal: Signal) -> MessageState:
 
 
 def transmission_time(size_bytes: int, rate_bit_s: float | None) -> MissionTime:
-    """How long [ns] the transmission of so many bytes takes at that rate; 0 if the rate is not known."""
+    """Time [ns] to transmit that many bytes at that rate; 0 if the rate is not known."""
     return 0 if rate_bit_s is None else round(8 * size_bytes * SECOND / rate_bit_s)

@@ -2,8 +2,8 @@
 
 A stream is a topic, its source and that source's incarnation. A message that comes out of turn is held until the
 missing ones have come; one that was delivered or is held already is a duplicate. Both are acknowledged, so the sender
-knows what to repeat. Only a delivered message is acknowledged for good: one that is held may be forgotten in a restart,
-so the sender keeps it.
+knows what to repeat. Only the acknowledgement of a delivered message is final. A held message is lost in a restart, so
+the sender keeps it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from services.runtime.node import SavedState
 
 MAX_STREAMS: Final = 1_024
-"""Streams that are remembered; the one unused for longest is forgotten first."""
+"""Streams whose state is kept; the least recently used one is dropped first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +70,9 @@ class _Stream:
         return ready
 
     def skip_to(self, held_from: int) -> list[Delivery]:
-        """The held messages that may be delivered, as the source no longer keeps what is missing below `held_from`.
+        """The held messages that may be delivered because the source keeps no message below `held_from` any more.
 
-        Those were acknowledged before a restart of which nothing is remembered here.
+        The missing ones were acknowledged by an earlier start of this receiver, whose state was lost.
         """
         ready = [self.release(sequence) for sequence in sorted(self.held) if sequence < held_from]
         self.next = held_from
@@ -90,7 +90,7 @@ class CustodyReceiver:
     def received(
         self, topic: Topic, header: Header, body: Wire | None, size_bytes: int, now: MissionTime
     ) -> tuple[list[Delivery], list[Acknowledgement]]:
-        """What is to be delivered now, in order, and the acknowledgements to send once that is in the journal."""
+        """The messages to deliver now, in order, and the acknowledgements to send once they are in the journal."""
         stream = self._stream(topic, header)
         ready: list[Delivery] = []
         if header.held_from is not None and header.held_from > stream.next:
@@ -116,7 +116,7 @@ class CustodyReceiver:
         return min((stream.ack_at for stream in self._streams.values() if stream.ack_at is not None), default=None)
 
     def timer_elapsed(self, now: MissionTime) -> list[Acknowledgement]:
-        """The acknowledgements whose pause is over."""
+        """The acknowledgements that are due."""
         return [
             _acknowledge(topic, source, incarnation, stream, now)
             for (topic, source, incarnation), stream in self._streams.items()
@@ -138,7 +138,7 @@ class CustodyReceiver:
     # --- checkpoints --------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """Every stream, the one unused for longest first, as named parts."""
+        """Every stream, the least recently used first, as named parts."""
         return {
             "streams": {
                 key: {
@@ -159,7 +159,7 @@ class CustodyReceiver:
 
 
 def _acknowledge(topic: Topic, source: str, incarnation: int, stream: _Stream, now: MissionTime) -> Acknowledgement:
-    """What the stream has, from now on acknowledged."""
+    """The acknowledgement of everything that the stream has received; no further one is due."""
     stream.acknowledged_at, stream.ack_at = now, None
     edges = [stream.next - 1, *sorted(stream.held)]
     gaps = [(before + 1, after - 1) for before, after in pairwise(edges) if after > before + 1]

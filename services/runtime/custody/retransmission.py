@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from services.runtime.node import SavedState
 
 MAX_DOUBLINGS: Final = 5
-"""A wait grows 32-fold at most: what is lost here is lost to noise more often than to a queue."""
+"""A wait grows 32-fold at most: on this link, noise loses more messages than full queues do."""
 MAX_SURPRISE: Final = 4
-"""A measured round trip counts for no more than so many waits: one that spans a blackout must not spoil the mean."""
+"""A measured round trip is limited to this many waits, so that one that spans a blackout does not spoil the mean."""
 
 
 class RoundTrip:
@@ -49,7 +49,7 @@ class RoundTrip:
 
 
 class RetransmissionTimer:
-    """The sender's timers: one a stream while there is contact, one for the probe while there is none."""
+    """The sender's timers: one for each stream while there is contact, one for the probe while there is none."""
 
     def __init__(self, config: CustodyConfig) -> None:
         self._round_trip = RoundTrip(seconds(config.round_trip_s), seconds(config.margin_s))
@@ -70,7 +70,7 @@ class RetransmissionTimer:
 
     @property
     def suspended(self) -> bool:
-        """Whether the timers are suspended, as nothing has been received for long."""
+        """Whether the timers are suspended because nothing has been received for a long time."""
         return self._probe_at is not None
 
     def suspend(self, now: MissionTime) -> None:
@@ -97,7 +97,7 @@ class RetransmissionTimer:
         return max(stream.waits_since, message.last_sent_at) + min(wait, longest)
 
     def elapsed(self, stream: SendStream) -> bool:
-        """Double the stream's next wait; returns whether it has been unanswered so often that contact is lost."""
+        """Double the stream's next wait; returns whether so many were unanswered that contact is lost."""
         stream.doublings = min(MAX_DOUBLINGS, stream.doublings + 1)
         stream.unanswered += 1
         return stream.unanswered > self._silent_repetitions

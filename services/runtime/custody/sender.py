@@ -1,4 +1,4 @@
-"""The sender's half of custody: keeps each message until it is acknowledged, and repeats it when it has to.
+"""The sender's half of custody: keeps each message until it is acknowledged, and repeats it when it was lost.
 
 Per stream (a topic and an incarnation of its source):
 
@@ -7,7 +7,7 @@ Per stream (a topic and an incarnation of its source):
 - A message is missing when one of its stream that was sent later has arrived and it has not; it is repeated at once.
   The last messages have no later one, so the one longest under way is repeated when its timer elapses.
 - After several repetitions without any message from the other side the timers are suspended, and one message is sent
-  now and then as a probe. Any message from the other side resumes the timers at once. No message is ever given up.
+  from time to time as a probe. Any message from the other side resumes the timers at once. No message is ever given up.
 - A receiver that restarts may forget the messages that it holds out of turn, so they stay here until acknowledged.
 """
 
@@ -63,7 +63,7 @@ class CustodySender:
 
     @property
     def suspended(self) -> bool:
-        """Whether the timers are suspended, as nothing has been received for long."""
+        """Whether the timers are suspended because nothing has been received for a long time."""
         return self._timer.suspended
 
     def held_from(self, topic: Topic, incarnation: int, sequence: int) -> int:
@@ -96,12 +96,12 @@ class CustodySender:
         return self._send(now)
 
     def contact(self, now: MissionTime) -> list[Transmit]:
-        """Any message has come from the other side."""
+        """Note contact: a message has come from the other side."""
         self._resume(now)
         return self._send(now)
 
     def acknowledged(self, ack: Acknowledgement, header: Header, now: MissionTime) -> list[Transmit]:
-        """An acknowledgement has come. One for another source, or an outdated one, shows only that there is contact."""
+        """Handle an acknowledgement. One for another source, or an outdated one, only proves contact."""
         stream = self._streams.get((ack.stream, ack.incarnation)) if ack.source == self._source else None
         number = (header.incarnation, header.sequence)
         if stream is None or number <= stream.newest_ack:
@@ -120,7 +120,7 @@ class CustodySender:
         return self._send(now)
 
     def timer_elapsed(self, now: MissionTime) -> list[Transmit]:
-        """The time that `next_timer` named has come."""
+        """Handle the end of the time that `next_timer` returned."""
         probe_at = self._timer.probe_at
         if probe_at is None:
             self._repeat_overdue(now)
@@ -165,7 +165,7 @@ class CustodySender:
         return stream
 
     def _begin_next_incarnation(self, name: str) -> None:
-        """All messages of an incarnation are acknowledged: those of the next one wait for their turn."""
+        """Queue the messages of the next incarnation once all of the earlier one are acknowledged."""
         left = [stream for key in sorted(self._streams) if key[0] == name and (stream := self._streams[key]).kept]
         if left and not left[0].in_turn:
             left[0].in_turn = True
@@ -175,7 +175,7 @@ class CustodySender:
     # --- sending ------------------------------------------------------------------------------------------------
 
     def _send(self, now: MissionTime) -> list[Transmit]:
-        """Send what waits: repetitions at once, the others in turn, as far as the window allows."""
+        """Send the waiting messages: repetitions at once, the others in turn, as far as the window allows."""
         transmits = []
         while (message := self._window.take_next()) is not None:
             transmits.append(self._transmit(message, now))
@@ -197,7 +197,7 @@ class CustodySender:
         return Transmit(message.topic, message.payload)
 
     def _restamp(self, message: KeptMessage, stream: SendStream) -> None:
-        """Number the repetition, and tell a receiver that forgot everything what was acknowledged before."""
+        """Write repetition count and `held_from` into the payload; a receiver that lost its state needs the latter."""
         before = len(message.payload)
         message.payload = restamped(message.payload, next(iter(stream.kept)), message.repetitions)
         self._bytes += len(message.payload) - before
@@ -256,7 +256,7 @@ class CustodySender:
             self._requeue_oldest(min(streams, key=lambda stream: next(iter(stream.kept.values())).turn), now)
 
     def _resume(self, now: MissionTime) -> None:
-        """There is contact: timers run, and each stream repeats its oldest message if they were suspended."""
+        """Resume the timers on contact; if they were suspended, each stream repeats its oldest message."""
         for stream in self._streams.values():
             stream.unanswered = 0
         if not self.suspended:
@@ -274,7 +274,7 @@ class CustodySender:
     # --- acknowledgements ---------------------------------------------------------------------------------------
 
     def _settle(self, stream: SendStream, ack: Acknowledgement) -> bool:
-        """Drop what is acknowledged and note what is held; whether anything was new."""
+        """Drop acknowledged messages and mark held ones; returns whether anything was new."""
         complete = ack.gaps[0][0] if ack.gaps else ack.next_sequence
         progress = False
         for sequence in list(below(stream.kept, ack.next_sequence)):
@@ -294,7 +294,7 @@ class CustodySender:
         return progress
 
     def _repeat_missing(self, stream: SendStream, ack: Acknowledgement, latest_arrival: int) -> None:
-        """Queue the messages that a later transmission has overtaken, and those that the receiver holds no longer."""
+        """Queue again the messages that a later one has overtaken, and those that the receiver no longer holds."""
         for message in [*stream.sent.values()]:
             if missing(ack, message.sequence) and message.last_transmission < latest_arrival:
                 if message.state is MessageState.SUSPENDED:

@@ -51,7 +51,7 @@ class KeptMessage:
 
     @property
     def turn(self) -> tuple[int, int]:
-        """Messages are sent in this order."""
+        """Sort key: messages are sent in this order."""
         return self.priority, self.order
 
     @property
@@ -64,7 +64,7 @@ class KeptMessage:
         return next(reversed(self.transmissions.values())).at if self.transmissions else 0
 
     def signal(self, signal: Signal) -> None:
-        """Make the transition of the table."""
+        """Move the message to its next state by the table of `protocol`."""
         self.state = next_state(self.state, signal)
 
     def transmitted(self, transmission: Transmission) -> None:
@@ -83,9 +83,9 @@ class SendStream:
     kept: dict[int, KeptMessage] = field(default_factory=dict)
     """By sequence, ascending."""
     sent: dict[int, KeptMessage] = field(default_factory=dict)
-    """Those under way, in the order of sending."""
+    """Messages under way, in the order of sending."""
     held: dict[int, KeptMessage] = field(default_factory=dict)
-    """Those that the receiver holds out of turn."""
+    """Messages that the receiver holds out of turn."""
     in_turn: bool = True
     """False while an earlier incarnation of the topic has messages left."""
     doublings: int = 0

@@ -33,17 +33,17 @@ CLOCK_TIMEOUT_S = 2.0
 
 
 class TimeSource(Protocol):
-    """Where a process on the wall clock has mission time from."""
+    """The source of mission time in a process on the wall clock."""
 
     def begin(self) -> bool:
-        """Learn or set mission time; False when the process was told to stop first."""
+        """Learn or set mission time; False if the process was stopped first."""
 
     def tend(self, monotonic_s: float) -> None:
-        """Do what is due now and then, whatever the mission does: called at least every `IDLE_S`."""
+        """Do periodic work; the driver calls this at least every `IDLE_S`, also while the mission is idle."""
 
 
 class ClockFollower:
-    """Mission time from the mission's clock, which the link publishes and answers for."""
+    """Mission time from the mission's clock, which the link publishes and serves."""
 
     def __init__(self, context: ProcessContext) -> None:
         self._context = context
@@ -64,7 +64,7 @@ class ClockFollower:
         return not inbox.stopped.is_set()
 
     def tend(self, monotonic_s: float) -> None:
-        """Nothing is due: the link announces the time."""
+        """Nothing: the link announces the time by itself."""
 
     def _replied(self, outcome: Outcome) -> None:
         if isinstance(outcome, Replied):
@@ -151,7 +151,7 @@ class WallClockDriver:
             self._time_source.tend(now_s)
 
     def _drain(self) -> None:
-        """Take in everything that waits, timers first: what is due is handled at the time at which it was due."""
+        """Handle everything that waits; timers first, each at the time at which it was due."""
         while not self._inbox.stopped.is_set():
             if self._scheduler.waiting:
                 self._act(self._clock.now())

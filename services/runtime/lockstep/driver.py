@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from schemas.wire import Wire
 
 ASKS_AGAIN_S = 1.0
-"""A process that has not been granted anything for this long asks whether it still takes part."""
+"""A process that has received no grant for this long asks whether it still takes part."""
 SILENT_AFTER_S = 5.0
-"""A time manager that neither grants anything nor tells the time for this long is reported."""
+"""A time manager that sends neither a grant nor its status for this long is reported."""
 
 
 class LockstepDriver:

@@ -1,4 +1,4 @@
-"""How virtual time may go on: paused, by single steps, until a time, no faster than a rate. It reads no clock."""
+"""The pace of virtual time: paused, single steps, until a time, or limited to a rate. It reads no clock."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ if TYPE_CHECKING:
     from schemas.lockstep import TimeControl
 
 CATCHES_UP_S = 0.5
-"""Wall time [s], lost to planning for example, that is made up for by going faster than the rate."""
+"""At most this much wall time [s], lost to planning for example, is recovered by running faster than the rate."""
 
 
 @dataclass(slots=True)
 class Pace:
-    """What the operator asked for. Wall time [s] and mission time [ns] are arguments."""
+    """The pace that the operator has set. Methods take wall time [s] and mission time [ns] as arguments."""
 
     paused: bool = False
     steps_left: int | None = None
-    """Pause after so many further instants; None: do not count."""
+    """Pause after this many further instants; None: no such limit."""
     until: MissionTime | None = None
     """Pause at this time."""
     rate: float | None = None
-    """Mission seconds per wall second at most; None: as fast as it goes."""
+    """Mission seconds per wall second at most; None: no limit."""
     _from_s: float = 0.0
     _from_ns: MissionTime = 0
 
     def control(self, change: TimeControl, now: MissionTime, wall_s: float) -> None:
-        """Change how time advances, from that moment; what the change does not name stays."""
+        """Apply the operator's change from now on; fields that it does not set keep their values."""
         if change.paused is not None:
             self.paused = change.paused
             self.steps_left = self.until = None
@@ -48,7 +48,7 @@ class Pace:
         self.paused, self.steps_left, self.until = True, None, None
 
     def latest(self, instant: MissionTime, now: MissionTime, wall_s: float) -> MissionTime:
-        """How far time may go from `now` towards the next instant at which something happens.
+        """The latest time [ns] to which time may advance now, at most the next instant at which something happens.
 
         Pauses where the operator asked for it.
         """
@@ -63,12 +63,12 @@ class Pace:
         return max(now, allowed)
 
     def stepped(self) -> None:
-        """Count a further instant."""
+        """Count one instant against `steps_left`."""
         if self.steps_left is not None:
             self.steps_left -= 1
 
     def wait_s(self, instant: MissionTime, wall_s: float, at_most_s: float) -> float:
-        """How long [s of wall time] there is nothing to do before that instant."""
+        """Wall time [s] to wait before that instant is due, at most `at_most_s`."""
         if self.paused or self.rate is None:
             return at_most_s
         return min(at_most_s, max(0.0, self._from_s + (instant - self._from_ns) / SECOND / self.rate - wall_s))

@@ -53,7 +53,7 @@ class Participant:
     """A scheduler whose clock is granted, step by step."""
 
     def __init__(self, scheduler: NodeScheduler, process: str, resume: Iterable[Action] = ()) -> None:
-        """process: identifies this start of the service. resume: the actions that a replayed journal left to do."""
+        """process: identifies this start of the service. resume: actions that the replay of the journal left to do."""
         self.scheduler = scheduler
         self.process = process
         self.now: MissionTime = 0
@@ -66,10 +66,10 @@ class Participant:
         self._uncounted_until = -1
         """Inputs that were sent up to this step are not counted by the time manager."""
         self.granted: Grant | None = None
-        """The step that it may act in as soon as it is `ready`."""
+        """The granted step, in which it acts as soon as it is `ready`."""
         self.finished: Finish | None = None
         self.hold_outside = False
-        """Whether inputs from outside wait, whatever steps are granted."""
+        """Whether inputs from outside the mission wait; no grant counts these."""
         self._resume = tuple(resume)
         self._waiting: list[_Waiting] = []
         self._from_outside = 0
@@ -106,7 +106,7 @@ class Participant:
             self.granted = None
 
     def joined(self, answer: Joined) -> None:
-        """The time manager has admitted it, at its own time or a later one. What was sent before is not counted."""
+        """Note the admission by the time manager, at its own time or a later one. Earlier inputs are not counted."""
         if answer.term != self._term or self._admitted:
             return
         self._admitted = True
@@ -158,13 +158,13 @@ class Participant:
     # --- acting -------------------------------------------------------------------------------------------------
 
     def grant(self, grant: Grant) -> None:
-        """Take in a grant; one of another term, of another process or of an earlier step is ignored."""
+        """Accept a grant; one of another term, of another process or of an earlier step is ignored."""
         if grant.term == self._term and grant.process == self.process and grant.step > self._last_granted:
             self.granted = grant
             self._last_granted = grant.step
 
     def lacks(self) -> dict[str, int]:
-        """How many of the inputs that the grant promises have not arrived, by sender."""
+        """How many of the inputs that the grant counts have not arrived, by sender."""
         if self.granted is None or not self.granted.expects:
             return {}
         before = self.granted.step - 1
@@ -172,7 +172,7 @@ class Participant:
         return {sender: count - here[sender] for sender, count in self.granted.expects.items() if here[sender] < count}
 
     def computing(self) -> tuple[str, ...]:
-        """Names of the computations under way, if one that is due has not ended."""
+        """Names of the running computations if one of them is due; else empty."""
         if self.granted is None:
             return ()
         due = self.scheduler.due_computations(self.granted.at)
@@ -184,7 +184,7 @@ class Participant:
         return any(each.sender == OUTSIDE for each in self._waiting)
 
     def ready(self) -> bool:
-        """Whether it is granted a step and has everything for it."""
+        """Whether it has a grant and every input that the grant counts."""
         return self.granted is not None and not self.lacks() and not self.computing()
 
     def act(self, transport: Transport) -> StepDone:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LACKS_LONG_S = 1.0
 """A process reports missing inputs when they have been missing for this long."""
 NO_TIMEOUT_S = 1e6
-"""Queries between participants end with their reply or with the process that owes it, never by the wall clock."""
+"""Queries between participants end with the reply or with the end of the server, never by a timeout."""
 
 
 class ToTimeManager(Protocol):
@@ -40,7 +40,7 @@ class ToTimeManager(Protocol):
         """Report why a step cannot be done yet."""
 
     def poke(self) -> None:
-        """Ask for a step: something is waiting that the time manager cannot know of."""
+        """Ask for a step because an input waits that the time manager does not know of."""
 
 
 class ParticipantIO:
@@ -50,7 +50,7 @@ class ParticipantIO:
         self._context = context
         self._manager = manager
         self.process_id = f"{context.name}.{os.getpid()}.{secrets.token_hex(4)}"
-        """Tells this start of the service from every other one."""
+        """Identifies this start of the service."""
         self.participant = Participant(context.scheduler, self.process_id, context.resume)
         self.participant.now = context.clock.latest
         self.joined = False
@@ -61,7 +61,7 @@ class ParticipantIO:
         self._early: list[tuple[Topic, IncomingQuery]] = []
 
     def start(self, incarnation: int) -> None:
-        """It takes part from now on: let its node begin, and take in the queries that arrived before."""
+        """Begin to take part: start the node, and handle the queries that arrived before."""
         self.joined = True
         self.participant.start(incarnation)
         early, self._early = self._early, []
@@ -79,7 +79,7 @@ class ParticipantIO:
         )
 
     def step(self) -> None:
-        """Act, if a step is granted and everything for it is there; else report what it waits for."""
+        """Act if a step is granted and all its inputs have arrived; else report what is missing."""
         participant = self.participant
         if participant.granted is None:
             return

@@ -56,7 +56,7 @@ class TimeManager:
         self.required = required
         self.members: dict[str, Member] = {}
         self.outstanding: set[str] = set()
-        """The processes that were granted the present step and have not finished it."""
+        """The processes that have a grant for the present step and have not finished it."""
         self._candidates: dict[str, Join] = {}
         self._starts: dict[str, list[str]] = {}
         self._given_up: Counter[str] = Counter()
@@ -64,7 +64,7 @@ class TimeManager:
     # --- members ------------------------------------------------------------------------------------------------
 
     def join(self, joining: Join) -> bool:
-        """A process asks to take part, or whether it still does; `admit` admits it between two steps.
+        """Handle a request to take part, or the question whether it still does; `admit` admits it between two steps.
 
         False if it obeys another term: that of a time manager that is gone, or from before it was given up. It may
         still act on a grant of that term, so what it says of itself may be out of date before it is admitted.
@@ -136,7 +136,7 @@ class TimeManager:
         )
 
     def leave(self, process: str) -> str | None:
-        """That process is gone, and is not waited for; returns its name, or None if it did not take part.
+        """Remove a process that is gone; returns its name, or None if it did not take part.
 
         What it sent in a step that it did not finish is not counted. It arrives before anything that is sent later, so
         every process acts in the next step and handles it then.
@@ -154,7 +154,7 @@ class TimeManager:
         return member.name
 
     def excuse(self, name: str) -> None:
-        """That process is an onlooker: time does not wait for it."""
+        """Make the process an onlooker: time does not wait for it."""
         self.required -= {name}
 
     def missing(self) -> list[str]:
@@ -164,13 +164,13 @@ class TimeManager:
     # --- steps --------------------------------------------------------------------------------------------------
 
     def poke(self, name: str, process: str) -> None:
-        """An input that is not counted waits for that process: let it act in the next step."""
+        """Let the process act in the next step, because an input waits for it that is not counted."""
         member = self.members.get(name)
         if member is not None and member.process == process:
             member.poked = True
 
     def done(self, report: StepDone) -> bool:
-        """Take in the report of a process on the present step; returns whether it was expected.
+        """Handle the report of a process on the present step; returns whether it was expected.
 
         If not, the process was given up before. Every process acts once more then, to handle what it sent all the same.
         """
@@ -234,5 +234,5 @@ class TimeManager:
         return grants
 
     def _server_of(self, query: tuple[str, str], asker: Member) -> Member:
-        """The process that gets an input from that query: its server, or without one its sender."""
+        """The process that receives an input from that query: its server, or its sender if there is no server."""
         return next((other for other in self.members.values() if query in other.serves), asker)

@@ -1,4 +1,4 @@
-"""Queries as inputs of a host: one that arrived, and how one of the node's own ended."""
+"""Queries as inputs of a host: an incoming query, and the end of a query that the node sent."""
 
 from __future__ import annotations
 

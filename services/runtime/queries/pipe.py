@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, Final
 READY: Final = b"ready\n"
 """It answers queries."""
 ALIVE: Final = b"alive\n"
-"""It lives; written from the beginning on, before it is ready."""
+"""Sign of life; written from the beginning on, before the process is ready."""
 ALIVE_EVERY_S: Final = 1.0
 
 _HEAD: Final = struct.Struct("<QQ")  # number and length of a snapshot
@@ -44,7 +44,7 @@ def read_snapshot(pipe: BinaryIO) -> tuple[int, Any] | None:
 
 
 def say(line: bytes) -> None:
-    """Write a line to the owner, whole; without effect when the owner is gone."""
+    """Write one whole line to the owner; no effect if the owner is gone."""
     try:
         os.write(_STDOUT, line)
     except BrokenPipeError:

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from services.runtime.transport.session import Session
 
 SWITCH_INTERVAL_S = 0.0005
-"""A thread that computes hands over after this time, so that a query waits no longer for it than for the network."""
+"""Python's thread switch interval: a query waits for a computing thread no longer than for the network."""
 
 
 class SnapshotPublisher(Protocol):
-    """Publishes what it likes of each snapshot, beside the replies to queries."""
+    """Publishes data from each snapshot, beside the replies to queries."""
 
     def begin(self, session: Session) -> None:
         """Publish on that session from now on."""
@@ -41,7 +41,7 @@ class SnapshotPublisher(Protocol):
 def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
     """Answer that service's queries from the snapshots that come in on standard input; returns when it ends.
 
-    name: of the owner, which stands in the headers of replies. arguments: side, endpoint and mission. publisher: is
+    name: of the owner, the source in the headers of replies. arguments: side, endpoint and mission. publisher: is
     shown each snapshot as well.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)

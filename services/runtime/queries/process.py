@@ -55,13 +55,13 @@ class QueryProcess:
         return None if self._process is None else self._process.pid
 
     def show(self, snapshot: object) -> None:
-        """Answer from that snapshot from now on."""
+        """Have queries answered from that snapshot from now on."""
         with self._changed:
             self._newest = (self._newest[0] + 1, snapshot)
             self._changed.notify_all()
 
     def settle(self) -> bool:
-        """Wait until queries are answered from what was shown last; False if the query process hangs, or was closed.
+        """Wait until queries are answered from the last snapshot shown; False if the query process hangs or was closed.
 
         A query process that dies meanwhile is replaced, and waited for.
         """

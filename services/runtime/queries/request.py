@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Query(Protocol):
-    """What is read of a query."""
+    """The fields of a query that are read."""
 
     @property
     def payload(self) -> bytes | None: ...

@@ -29,7 +29,7 @@ MAX_WAITING = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """A reply in a format of its own, with what it shows (JSON) as its attachment."""
+    """A reply in another format than JSON; its attachment describes it in JSON."""
 
     payload: bytes
     media_type: str
@@ -41,7 +41,7 @@ def _no_rendering(_topic: Topic, _request: Any, _snapshot: Any) -> Encoded | Non
 
 
 class Snapshot(Protocol):
-    """What queries are answered from; immutable."""
+    """The data from which queries are answered; immutable."""
 
     @property
     def mission_time_ns(self) -> MissionTime:

@@ -1,6 +1,6 @@
 """An operator's session: queries that wait for their reply, and subscriptions to checked messages.
 
-It declares nothing that a service waits for, so it cannot hold a mission up.
+It declares nothing that a service waits for, so it cannot delay a mission.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from services.runtime.transport.opening import WhileWaiting, open_client
 from services.runtime.transport.session import NotReplied, Outcome, Replied, Session
 
 QUERY_TIMEOUT_S = 30.0
-"""A process that is gone ends its queries at once: only one that is slow, or that hangs, is waited for."""
+"""Longest wait for a reply. Queries to an ended process end at once; only a slow or hanging one is waited for."""
 
 
 class Client:
@@ -68,7 +68,7 @@ class Client:
     def fetch(
         self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = QUERY_TIMEOUT_S
     ) -> tuple[bytes, bytes]:
-        """The reply as it came, and its attachment, to a query by selector parameters, as a stock client sends it.
+        """The raw reply and its attachment to a query by selector parameters, as a stock Zenoh client sends it.
 
         Raises PeerUnreachable when there is no reply, InvalidInput for parameters that no selector can hold, else the
         exception of the refusal's code.
@@ -76,7 +76,7 @@ class Client:
         return self._reply(topic, None, timeout_s, selector_text(parameters))
 
     def latest(self, topic: Topic, timeout_s: float = QUERY_TIMEOUT_S) -> tuple[Header, Any]:
-        """Header and body of the last message of a topic that its sender keeps, or of a clock.
+        """Header and body of the last message of a topic whose sender keeps it, such as the clock.
 
         Raises PeerUnreachable when there is no reply.
         """

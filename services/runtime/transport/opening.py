@@ -1,4 +1,4 @@
-"""How a Zenoh session is configured and opened, and what is said while that takes long."""
+"""Configures and opens Zenoh sessions, and reports when that takes long."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SILENT_AFTER_S = 3.0
 """An endpoint that takes a connection and has not replied for this long is reported; a busy router may still reply."""
 
 WhileWaiting = Callable[[float], None]
-"""Called while a session is being opened, with how long was waited [s]; what it raises ends the waiting."""
+"""Called while a session is being opened, with the time waited so far [s]; an exception from it ends the wait."""
 
 
 def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
@@ -51,8 +51,8 @@ def open_router(side: Side, endpoint: str) -> zenoh.Session:
 def open_client(side: Side, endpoint: str, while_waiting: WhileWaiting = lambda _: None) -> zenoh.Session:
     """A session that is connected to that side's router; raises PeerUnreachable when no router listens there.
 
-    Zenoh waits up to a minute for the reply of a program that takes the connection and says nothing, in a call that no
-    signal interrupts. So the call runs in a thread. while_waiting: called meanwhile, again and again, with how long was
+    Zenoh waits up to a minute for a program that accepts the connection and sends nothing, in a call that no signal
+    interrupts. So the call runs in a thread. while_waiting: called meanwhile, again and again, with how long was
     waited [s]; what it raises ends the waiting.
     """
     config = session_config(side, "client", endpoint)
@@ -84,9 +84,9 @@ def open_client(side: Side, endpoint: str, while_waiting: WhileWaiting = lambda 
 def connect_client(
     side: Side, endpoint: str, mission: str, stop: threading.Event, on_waiting: Callable[[str], None]
 ) -> Session | None:
-    """A client session on that side, as soon as its router is there; None when `stop` is set first.
+    """A client session on that side, once its router answers; None if `stop` is set first.
 
-    on_waiting: called with one line when the router is not there at once, and when something else seems to be.
+    on_waiting: called with one line if the router does not answer at once, or if another program seems to listen.
     """
     silence = SilenceReport(side, endpoint, on_waiting)
     reported = False

@@ -1,6 +1,6 @@
 """A Zenoh session on one side of a mission: publish, subscribe, query, serve, liveliness.
 
-Zenoh's callbacks run in its own threads. They only hand over what came; nothing may block inside one. A session that
+Zenoh's callbacks run in its own threads. They only pass on what arrived; nothing may block inside one. A session that
 loses its router reconnects by itself.
 """
 
@@ -48,9 +48,9 @@ class NotReplied:
 
     why: NoReply
     detail: str = ""
-    """Text of the refusal, or how long was waited."""
+    """Text of the refusal, or the time waited."""
     code: RefusalCode = RefusalCode.INTERNAL
-    """Of the refusal, when it was refused."""
+    """Code of the refusal, if the query was refused."""
     attachment: bytes = b""
 
 
@@ -74,7 +74,7 @@ class IncomingQuery:
 
     @property
     def parameters(self) -> dict[str, str]:
-        """The selector's parameters: what stands behind its '?'."""
+        """The selector's parameters: the part after its '?'."""
         parameters: Any = self.query.parameters
         return dict(parameters)
 

@@ -26,7 +26,7 @@ from he3.errors import InvalidInput
 from schemas.roles import Role
 
 CLOCK_SKEW = timedelta(minutes=5)
-"""A certificate is valid from so long before it was made: clocks of two machines differ."""
+"""A certificate is valid from this long before it was made, because clocks of two machines differ."""
 LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "::1")
 
 PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey

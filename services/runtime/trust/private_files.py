@@ -13,7 +13,7 @@ from pathlib import Path
 from he3.errors import He3Error, InvalidInput
 
 MAX_BYTES = 8_388_608
-"""A longer file is none of ours."""
+"""Longest file that this system writes; a longer one is refused."""
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
