@@ -273,7 +273,7 @@ def _checksum(number: int, now: MissionTime, channel: str, data: bytes) -> bytes
 
 
 def identity_of(scenario: Scenario) -> dict[str, str]:
-    """The scenario's name and a digest of it, without endpoints, rate and description; equal ones can share journals."""
+    """Name and digest of the scenario without endpoints, rate and description; equal ones can share journals."""
     document = scenario.model_dump(mode="json", exclude={"network", "rate", "description"})
     digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
     return {"mission": scenario.name, "scenario": digest[:16]}
