@@ -97,6 +97,7 @@ def test_a_mission_that_fails_does_not_take_the_others_with_it(quarter_of_t1, tm
     assert (tmp_path / "paper-maps.png").stat().st_size > 10_000
 
 
+@pytest.mark.exhaustive
 def test_missions_are_in_the_order_in_which_they_were_asked_for(quarter_of_t1):
     region = str(quarter_of_t1)
     slow, quick = Flight(region, "rrtstar", "matern52", 1), Flight(region, "rrt", "matern52", 1)

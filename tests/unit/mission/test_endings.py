@@ -99,7 +99,7 @@ too_short = {"up": {"rate_bit_s": 10.0}, "duty_cycle": {"period_s": 10 * HOUR_S,
         ({"link": {"up": {"corrupt": 1.0}}}, 0, "plan 1 has not reached the rover"),
         ({"link": {"down": {"loss": 1.0}}}, 0, "the rover was never heard from"),
         ({"link": {"down": {"corrupt": 1.0}}}, 0, "the rover was never heard from"),
-        ({"link": too_short}, 0, "plan 1 has not reached the rover"),
+        pytest.param({"link": too_short}, 0, "plan 1 has not reached the rover", marks=pytest.mark.exhaustive),
         ({"rover": {"solar_w": 0.0, "capacity_wh": 120.0}}, 1, "the rover is safe; safe mode entered: a step needs"),
         ({"rover": {"solar_w": 150.0, "capacity_wh": 100.0}}, 2, "the rover is safe; safe mode entered: a step needs"),
         ({"rover": {"initial_charge": 0.0, "solar_w": 150.0}}, 0, "the rover is safe; safe mode entered: a step needs"),
@@ -174,14 +174,22 @@ def test_the_patience_is_the_scenario_s() -> None:
     "sections",
     [
         {"link": {"windows": [{"opens_s": 0.0, "closes_s": 600.0}, {"opens_s": DAY_S, "closes_s": 2 * DAY_S}]}},
-        {"link": {"duty_cycle": {"period_s": DAY_S, "contact_s": HOUR_S}}, "ground": {"pipeline": 1}},
-        {"link": {"up": {"one_way_light_time_s": 6 * HOUR_S}, "down": {"one_way_light_time_s": 6 * HOUR_S}}},
+        pytest.param(
+            {"link": {"duty_cycle": {"period_s": DAY_S, "contact_s": HOUR_S}}, "ground": {"pipeline": 1}},
+            marks=pytest.mark.exhaustive,
+        ),
+        pytest.param(
+            {"link": {"up": {"one_way_light_time_s": 6 * HOUR_S}, "down": {"one_way_light_time_s": 6 * HOUR_S}}},
+            marks=pytest.mark.exhaustive,
+        ),
         {"link": {"up": {"rate_bit_s": 1.0}}},
-        {"link": {"up": {"loss": 0.9}, "down": {"loss": 0.9}}},
+        pytest.param({"link": {"up": {"loss": 0.9}, "down": {"loss": 0.9}}}, marks=pytest.mark.exhaustive),
         {"rover": {"analysis_s": DAY_S, "analysis_w": 0.0}},
         {"rover": {"bite_m": 0.1, "drill_s_per_m": 10 * DAY_S, "drill_w": 0.0}},
-        {"rover": {"speed_m_s": 1e-4, "traction_j_per_m": 0.0}},
-        {"rover": {"solar_w": 151.0, "initial_charge": 0.0, "capacity_wh": 500.0}},
+        pytest.param({"rover": {"speed_m_s": 1e-4, "traction_j_per_m": 0.0}}, marks=pytest.mark.exhaustive),
+        pytest.param(
+            {"rover": {"solar_w": 151.0, "initial_charge": 0.0, "capacity_wh": 500.0}}, marks=pytest.mark.exhaustive
+        ),
         {"ground": {"planning_s": DAY_S}},
     ],
 )
