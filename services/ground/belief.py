@@ -2,8 +2,8 @@
 
 The map depends on the history of events alone. Samples are added in the order in which they arrive; after each refit
 the whole map is rebuilt with the samples in the order in which they were planned. The fit of round k sees exactly the
-samples of rounds 1 to k, and the fit before it. So once all samples are in the map, it is the same to the byte,
-whatever the order and the delays of their arrival.
+samples of rounds 1 to k, and the fit before it. So once all samples are in the map, it is the same to the byte for any
+order and any delays of their arrival.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ NOISE_STDS = 10.0  # or so many standard deviations of its noise: of honest read
 
 
 MAP_THREADS = 2
-"""Threads among which the map's cells are divided; the map is the same to the byte whatever their number."""
+"""Threads among which the map's cells are divided; the map does not depend on their number."""
 
 
 class Belief:
@@ -134,7 +134,7 @@ class Belief:
         return GridPosterior.build(self.grid, hyperparameters, places, values, threads=MAP_THREADS)
 
     def _standing(self) -> GridPosterior:
-        """The posterior that the next sample is added to; after a restart it is computed again in the same steps."""
+        """The present posterior, to which the next sample is added; a restart recomputes it in the same steps."""
         if self._posterior is None:
             self._posterior = self._rebuilt(self.hyperparameters)
             for observed in list(self._observations.values())[len(self._built) :]:

@@ -1,4 +1,4 @@
-"""A task with a limit on the wall clock, for code whose end nothing else ensures."""
+"""A task with a limit on wall-clock time, for code that may never end by itself."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class BoundedTask:
-    """The function, to be ended when it has computed for that long.
+    """A function with its time limit; it is ended when it exceeds the limit.
 
     The planner process ends it. Where a function is called in the caller's own process, nothing can.
     """

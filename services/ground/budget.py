@@ -23,12 +23,12 @@ MIN_M = 1e-6
 """Precision to which the metres that fit into the hours are computed [m]."""
 
 ROUNDING_M = 0.05
-"""Paths are sent rounded to the millimetre; a round may become longer by so much [m]."""
+"""Reserve per round [m], because paths are sent rounded to the millimetre and may become longer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Committed:
-    """What the rounds that are planned and not over will still take."""
+    """Metres and samples that the planned and unfinished rounds will still take."""
 
     metres: float
     samples: int
@@ -37,7 +37,7 @@ class Committed:
 
 @dataclass(frozen=True, slots=True)
 class RemainingBudget:
-    """What may still be planned beyond that; without samples, `why` says which budget is used up."""
+    """What may still be planned besides committed rounds; if no sample may, `why` says which budget is used up."""
 
     samples: int
     metres: float
@@ -71,11 +71,11 @@ class Budget:
         self._round_s = idle if ground.pipeline == 0 else 0.0
 
     def heard(self, charge_wh: float) -> None:
-        """The rover's battery holds that much [Wh], as last heard."""
+        """Note the battery charge [Wh] that the rover has reported."""
         self._charge_wh = min(charge_wh, self._capacity_wh)
 
     def lasts_s(self, committed: Committed) -> float:
-        """How long that is expected to take on this terrain [s], charging included.
+        """Expected duration [s] of the committed rounds on this terrain, charging included.
 
         When the battery is down to its reserve the rover stands and charges, each time up to the same level; infinite
         if the sun never charges it.

@@ -43,7 +43,7 @@ class CommandHistory:
     _sent: list[str] = field(default_factory=list)
 
     def restarted(self) -> None:
-        """The process has started: its messages are numbered from 0 again."""
+        """Note a start of the process: its messages are numbered from 0 again."""
         self._sent = []
 
     def issue(self, command: Telecommand, now: MissionTime) -> tuple[CommandStatus, bool]:
@@ -80,7 +80,7 @@ class CommandHistory:
         return status, True
 
     def report(self, report: CommandReport) -> CommandStatus | None:
-        """The command's status after a report on it; None if nothing is new or the command is not known here."""
+        """The command's status after a report on it; None if the report is not new or the command is unknown."""
         known = self._statuses.get(report.command_id)
         if known is None or any(passed.stage is report.stage for passed in known.stages):
             return None
@@ -98,7 +98,7 @@ class CommandHistory:
         ]
 
     def _not_radiated(self) -> list[str]:
-        """Commands sent since the start without a report that they left the Earth, whatever their other reports."""
+        """Commands sent since the start without a report that they left the Earth."""
         return [
             name
             for name in self._sent
@@ -144,14 +144,14 @@ class CommandHistory:
         known = self._statuses.get(command_id)
         if known is None or any(_ORDER[passed.stage] >= _ORDER[CommandStage.RECEIVED] for passed in known.stages):
             return None
-        why = "its time has passed without word from the rover"
+        why = "it has expired without a report from the rover"
         return self.report(CommandReport(command_id=command_id, stage=CommandStage.LOST, at=now, why=why))
 
     def closed_by(self, area_id: str, at_first: Sequence[Polygon] = ()) -> list[Polygon]:
-        """The polygons that the rover may keep out of under that id, and the one that the operator set last.
+        """The polygons that the rover may have in force under that id, and the one that the operator set last.
 
-        at_first: those in force before any command. A polygon is dropped only when the rover has carried out a later
-        command on the area; that of a rejected or expired command, as soon as another is issued.
+        at_first: those in force before any command. A polygon is dropped when the rover has carried out a later command
+        on the area. The polygon of a rejected or expired command is dropped when another command is issued.
         """
         issued = [status for status in self._statuses.values() if status.command.area_id == area_id]
         closed = list(at_first)
@@ -166,7 +166,7 @@ class CommandHistory:
 
     @property
     def holds_rover(self) -> bool:
-        """Whether the rover stands still because a command told it to, as far as its reports say."""
+        """Whether a command holds the rover still, according to its reports."""
         done = [
             (report.at, status.command.kind)
             for status in self._statuses.values()

@@ -1,10 +1,10 @@
-"""The director decides the order of things: what is fitted, planned and sent next, and when the mission is over.
+"""The director decides what is fitted, planned and sent next, and when the mission is over.
 
 With pipeline = h, 1 + h rounds are planned that are not over: one being executed and h on board behind it. A round is
 planned from where the rover will be when it begins, with the places of the measurements that are still under way
 counted in; the plan names them. With h = 0 the rover waits for each round until the samples of the last are in the map.
 
-The director itself knows little: belief, terrain, round log, budget and its other parts keep what is known.
+The director itself has little state: belief, terrain, round log, budget and its other parts have the rest.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ REPLAN_TIMER = "replan"
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress:
-    """How far the mission is, for those who report it."""
+    """The progress of the mission, as it is reported."""
 
     rounds_completed: int
     samples: int
@@ -61,7 +61,7 @@ class MissionProgress:
     executing: bool
     """Whether samples of a round that was sent are still to come."""
     detail: str
-    """What an operator should know of it; may be empty."""
+    """A note for the operator; may be empty."""
     ended: Finish | None
 
 
@@ -93,7 +93,7 @@ class Director:
         self._rejections = PlanRejections()
         self._end = MissionEnd()
         self._next_start_m: Place | None = scenario.start_m
-        """Where the next round begins if not at the end of the chain."""
+        """Where the next round begins; None: at the end of the chain."""
         self._stateful: dict[str, Stateful] = {
             "belief": belief,
             "terrain": terrain,
@@ -122,7 +122,7 @@ class Director:
         return self._refits.busy or self._planning.busy
 
     def progress(self) -> MissionProgress:
-        """How far the mission is."""
+        """The progress of the mission."""
         finish = self._end.finish
         return MissionProgress(
             rounds_completed=self._round_log.completed,
@@ -136,7 +136,7 @@ class Director:
         )
 
     def plan_ends(self, now: MissionTime) -> MissionTime | None:
-        """When the rover will have done what is planned, at the pace to be expected; None if nothing is, or never."""
+        """Expected time at which the rover has done all planned rounds; None if there are none, or if it never will."""
         if not self._round_log.open_rounds:
             return None
         lasts_s = self._budget.lasts_s(self._round_log.committed())
@@ -145,11 +145,11 @@ class Director:
     # --- events -----------------------------------------------------------------------------------------------------
 
     def go_on(self, now: MissionTime) -> list[Effect]:
-        """The mission begins, or what had to wait need not wait any longer."""
+        """Continue: the mission begins, or a wait is over."""
         return self._advance(now)
 
     def state(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> list[Effect]:
-        """The rover has reported its state. If it has dropped the rounds on board, they are planned again."""
+        """Handle a report of the rover's state. If it has dropped the rounds on board, they are planned again."""
         if not self._execution.heard((state.x_m, state.y_m), state.driven_m, made_at):
             return []
         self._budget.heard(state.energy_wh)
@@ -161,11 +161,11 @@ class Director:
         return [LogRecord(Level.INFO, text), *self._advance(now)]
 
     def sample(self, report: SampleReport, now: MissionTime) -> list[Effect]:
-        """A measurement has arrived; a repeated or unplanned one changes nothing."""
+        """Handle a measurement; a repeated or unplanned one changes nothing."""
         return self._follow(self._execution.sample(report), now)
 
     def event(self, event: RoverEvent, now: MissionTime) -> list[Effect]:
-        """The rover has reported an event; a repeated one changes nothing."""
+        """Handle an event of the rover; a repeated one changes nothing."""
         objection = self._execution.objection(event)
         if objection is not None:
             return [objection]
@@ -183,7 +183,7 @@ class Director:
                 return self._follow(self._execution.event(event, self._planning.revision), now)
 
     def computed(self, job: str, result: Any, error: Exception | None, now: MissionTime) -> list[Effect]:
-        """A fit or a plan is there; one that is no longer wanted is dropped."""
+        """Handle the result of a fit or a plan; an outdated one is dropped."""
         if self._refits.waits_for(job):
             return [*self._refits.finish(result, error), *self._advance(now)]
         task = self._planning.answered(job)
@@ -194,7 +194,7 @@ class Director:
         return self._plan_made(task, result, now)
 
     def keep_out(self, area_id: str, polygons_m: Iterable[Sequence[Place]], now: MissionTime) -> list[Effect]:
-        """An area is what those polygons cover; rounds that lead through it and have not begun are planned anew."""
+        """Close the area of these polygons. Rounds that lead through it and have not begun are planned anew."""
         if not self._terrain.set_keep_out(area_id, polygons_m):
             return self._advance(now)
         area = self._terrain.areas[area_id]
@@ -207,19 +207,19 @@ class Director:
         return self._advance(now)
 
     def set_interest(self, change: InterestChange, now: MissionTime) -> list[Effect]:
-        """An area of interest is set or removed; rounds that have not begun are planned anew."""
+        """Set or remove an area of interest; rounds that have not begun are planned anew."""
         if not self._interests.change(change) or self.ended:
             return []
         self._take_back(self._round_log.not_begun)
         return self._advance(now)
 
     def excursion_begun(self, command_id: str) -> None:
-        """The operator sends the rover elsewhere: nothing is planned until it is there."""
+        """Note that the operator moves the rover: no round is planned until it has arrived."""
         self._excursions.begin(command_id)
         self._planning.cancel()
 
     def excursion_ended(self, command_id: str, place_m: Place | None, now: MissionTime) -> list[Effect]:
-        """The rover is at that place, or with None where it was last heard from; what has not begun is planned anew."""
+        """End a move at that place (None: the last known place); rounds that have not begun are planned anew."""
         if not self._excursions.end(command_id):
             return []
         if not self.ended:
@@ -233,7 +233,7 @@ class Director:
     # --- plans ------------------------------------------------------------------------------------------------------
 
     def _follow(self, outcome: Outcome, now: MissionTime) -> list[Effect]:
-        """Plan on from what the rover has reported."""
+        """Apply the outcome of a rover's report to the plans."""
         if outcome.begun_outdated:
             self._end.plan_outdated()
             self._planning.cancel()
@@ -262,7 +262,7 @@ class Director:
         return [*effects, *self._advance(now)]
 
     def _take_back(self, records: Sequence[RoundRecord], start_m: Place | None = None) -> None:
-        """Take rounds that have not begun out of the chain, to be planned again from that place or from its end."""
+        """Remove rounds that have not begun; they are planned again from that place, or from the chain's end."""
         self._round_log.drop(records)
         self._planning.take_back(records)
         self._end.reopen()
@@ -271,7 +271,7 @@ class Director:
     # --- what comes next --------------------------------------------------------------------------------------------
 
     def _advance(self, now: MissionTime) -> list[Effect]:
-        """Whatever can be begun now: the next refit, else the next plan, else the end."""
+        """Begin what is possible now: the next refit, else the next plan, else the end of the mission."""
         if self.ended or self._refits.busy:
             return []
         fit = self._refits.next()
@@ -338,7 +338,7 @@ class Director:
         return [_warning(why), *self._advance(now)]
 
     def give_up(self, why: str) -> list[Effect]:
-        """The mission ends with what it has: nothing that it waits for will come."""
+        """End the mission with the samples it has, because nothing more will arrive."""
         if self.ended:
             return []
         self._end.give_up_planning(why, failed=self._samples_missing > 0)

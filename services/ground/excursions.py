@@ -19,11 +19,11 @@ class Excursions:
         return bool(self._commands)
 
     def begin(self, command_id: str) -> None:
-        """The rover has begun that command."""
+        """Note that the rover has begun that command."""
         self._commands.add(command_id)
 
     def end(self, command_id: str) -> bool:
-        """Whether that command was under way; it no longer is."""
+        """Note the end of that command; returns whether it was under way."""
         if command_id not in self._commands:
             return False
         self._commands.discard(command_id)

@@ -1,4 +1,4 @@
-"""What the rover's reports say of the execution of its rounds, and what they change for planning."""
+"""Follows the execution of rounds in the rover's reports, and says what changes for planning."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Outcome:
     """What a report changes for planning."""
 
     changed: bool = False
-    """Whether something has changed at all, so that the next step may be due."""
+    """Whether anything has changed, so that the next step may be due."""
     notes: tuple[LogRecord, ...] = ()
     begun_outdated: bool = False
-    """The rover has begun a version of a round that was to be replaced: what follows must fit its end."""
+    """Whether the rover has begun a replaced version of a round; the next round must then begin at its end."""
     take_back: bool = False
     """The rounds that have not begun are to be planned again, from `start_m` on."""
     start_m: Place | None = None
@@ -48,7 +48,7 @@ class ExecutionMonitor:
         self._rover = RoverPosition(start_m)
         self._obstacles = MetObstacles(terrain)
         self.detail = ""
-        """What an operator should know of the rover; may be empty."""
+        """A note on the rover for the operator; may be empty."""
 
     @property
     def place_m(self) -> Place:
@@ -61,11 +61,11 @@ class ExecutionMonitor:
         return self._rover.driven_m
 
     def sent_to(self, place_m: Place) -> None:
-        """The operator has sent the rover to that place, and it has arrived."""
+        """Note that the rover has arrived where the operator sent it."""
         self._rover.sent_to(place_m)
 
     def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> bool:
-        """Whether the message that says so, made at that time, is the newest so far."""
+        """Note a reported place; returns whether the message, made at that time, is the newest so far."""
         newest = self._rover.heard(place_m, driven_m, made_at)
         if newest:
             self._round_log.note_place(place_m)
@@ -78,7 +78,7 @@ class ExecutionMonitor:
         return waiting if idle and waiting and state.round < waiting[0].number else []
 
     def sample(self, report: SampleReport) -> Outcome:
-        """A measurement has arrived; a repeated or unplanned one changes nothing."""
+        """The outcome of a measurement; a repeated or unplanned one changes nothing."""
         match self._samples.take(report):
             case Repeated():
                 return Outcome()
@@ -94,14 +94,14 @@ class ExecutionMonitor:
                 return Outcome(True, notes, outdated)
 
     def objection(self, event: RoverEvent) -> LogRecord | None:
-        """A warning if the event is from outside the region, and so cannot be right."""
+        """A warning if the event's place is outside the region."""
         if self._grid.contains(np.array([(event.x_m, event.y_m)]))[0]:
             return None
         where = f"({event.x_m:g}, {event.y_m:g})"
         return _warning(f"event {event.kind.value}: expected a place in the region, got {where}")
 
     def event(self, event: RoverEvent, revision: int) -> Outcome:
-        """The rover has reported an event that is not about a plan; revision: of the plan sent last."""
+        """The outcome of a rover's event that is not about a plan; revision: of the plan sent last."""
         match event.kind:
             case EventKind.BLOCKED if event.round == 0:  # on a move that the operator commanded
                 self._obstacles.close_off(event)
@@ -146,7 +146,7 @@ class ExecutionMonitor:
         return Outcome(True, notes, outdated)
 
     def _begun(self, record: RoundRecord) -> tuple[bool, tuple[LogRecord, ...]]:
-        """Whether the round that has begun was to be replaced, and the note that says so."""
+        """Whether the round that has begun had been replaced, with a note on it."""
         if not self._round_log.begin(record):
             return False, ()
         text = f"round {record.number} of revision {record.introduced} had begun; planning on from it"

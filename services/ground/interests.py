@@ -63,7 +63,7 @@ class InterestAreas:
         return None
 
     def change(self, change: InterestChange) -> bool:
-        """Whether there was something to change: an area is set, or without a polygon removed."""
+        """Set an area, or remove it if there is no polygon; returns whether anything changed."""
         if change.area_id is None or (change.polygon_m is None and change.area_id not in self._areas):
             return False
         self._areas = self._changed(change)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class MissionEnd:
-    """What speaks for the end: the last plan is sent, the rover has completed it, nothing more can be planned."""
+    """The facts that decide the end: the last plan is sent, the rover has completed it, nothing more can be planned."""
 
     def __init__(self) -> None:
         self.finish: Finish | None = None
@@ -27,34 +27,34 @@ class MissionEnd:
         return bool(self._exhausted)
 
     def plan_sent(self, last: bool) -> None:
-        """A plan has been sent; last: after it no sample is left to be planned."""
+        """Note that a plan was sent; last: no sample is left to plan after it."""
         self._last_sent = last
 
     def plan_outdated(self) -> None:
-        """The rover has begun something else than the last plan says."""
+        """Note that the rover follows another plan than the last one."""
         self._last_sent = False
 
     def plan_completed(self, revision: int) -> None:
-        """The rover says that it has completed the plan of that revision."""
+        """Note the rover's report that it has completed the plan of that revision."""
         self._completed = max(self._completed, revision)
 
     def give_up_planning(self, why: str, failed: bool = False) -> None:
-        """No round can be planned any more: the mission ends with what is under way; failed: it should not have."""
+        """Note that no further round can be planned; the mission ends after the present ones. failed: as a failure."""
         self._exhausted = why
         self._failed = failed
 
     def reopen(self) -> None:
-        """Rounds were taken back: they are to be planned anew."""
+        """Undo `give_up_planning`, because rounds were taken back and are planned anew."""
         self._last_sent = False
         self._exhausted = ""
         self._failed = False
 
     def awaits_completion(self, introduced: int) -> bool:
-        """Whether the rover has still to say that it has completed its plan, whose last round has that revision."""
+        """Whether the rover's report of completion is still missing for the plan whose last round has that revision."""
         return self._last_sent and not self._exhausted and self._completed < introduced
 
     def over(self, samples: int, samples_total: int, detail: str) -> Finish:
-        """The mission ends now, with so many samples in the map; detail: what an operator was last told."""
+        """End the mission with that number of samples in the map; detail: the last note for the operator."""
         why = f"{samples} of {samples_total} samples are in the map"
         if samples < samples_total:
             why += f"; {self._exhausted or detail or 'the rover has completed its plan'}"

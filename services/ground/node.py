@@ -117,7 +117,7 @@ class GroundNode:
             "silence": silence,
             "stall": stall,
         }
-        """The parts with a state of their own; what else there is belongs to the director."""
+        """The parts that have a state, apart from the director's own."""
 
     @property
     def interface(self) -> Interface:
@@ -208,7 +208,7 @@ class GroundNode:
                 yield _nothing_to_do(event)
 
     def _heard(self, now: MissionTime) -> None:
-        """Something has happened on the Moon."""
+        """Handle a message from the rover."""
         self._silence.heard(now)
         self._stall.progress(now)
 
@@ -235,7 +235,7 @@ class GroundNode:
 
     @property
     def state_types(self) -> tuple[type, ...]:
-        """What the state is made of, beside plain values."""
+        """The types in the state, beside plain values."""
         return STATE_TYPES
 
     @property
@@ -261,7 +261,7 @@ def _nothing_to_do(event: Event) -> LogRecord:
 def build_node(scenario: Scenario, region: Region | None = None, planner: Planner | None = None) -> GroundNode:
     """The ground station of that scenario; region and planner are read and chosen from it unless they are given.
 
-    Of the region, belief and director are given what is known from orbit; the reference field goes to the scorer alone.
+    Belief and director receive only what is known from orbit; the reference field goes to the scorer alone.
     Raises InvalidInput for a scenario that does not fit its region.
     """
     if region is None:

@@ -1,4 +1,4 @@
-"""A process that computes for its owner: each task in a child of its own, fresh, killable, its answer a Future.
+"""A process that computes for its owner: each task runs in a new child, can be killed, and returns a Future.
 
     with PlannerProcess() as planners:
         future = planners.plan("rrtstar", request)          # at once; the caller's threads stay free
@@ -49,7 +49,7 @@ T = TypeVar("T")
 
 MAX_WAITING = 1000
 CLOSE_S = 0.5
-"""How long the owner waits for the server to end before it kills it, and its children with it [s]."""
+"""Time [s] that the server has to end before the owner kills it and its children."""
 
 
 class PlannerProcess:
@@ -112,7 +112,7 @@ class PlannerProcess:
             future.cancel()
 
     def close(self) -> None:
-        """Cancel what is left and end the server; returns when it has ended. Further tasks are refused."""
+        """Cancel open tasks and end the server; returns when it has ended. Further tasks are refused."""
         with self._lock:
             self._closed = True
             server, channel, reader = self._server, self._socket, self._reader
@@ -164,7 +164,7 @@ class PlannerProcess:
         return ours
 
     def _read(self, channel: socket.socket, server: subprocess.Popen[bytes]) -> None:
-        """Give answers to their futures until the server ends; then fail whatever is pending."""
+        """Pass answers to their futures until the server ends; then fail all open futures."""
         while (message := receive(channel)) is not None:
             number, kind, payload = message
             with self._lock:

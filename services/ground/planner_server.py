@@ -1,6 +1,6 @@
 """The server of the planner process: one thread that forks a child for each task, and makes only system calls between.
 
-It runs in an interpreter of its own (`services.ground.planner_process` starts it), imports what planning needs once,
+It runs in an interpreter of its own (`services.ground.planner_process` starts it), imports the planning modules once,
 and then only waits. A child computes one task and exits: a result depends on the task alone, never on what ran before,
 and a task can be killed at any instant without harm to the others. A child leads a process group, so that what a
 plug-in planner started ends with it, and dies with the server.
@@ -30,7 +30,7 @@ from services.ground.planner_channel import DIED, ERROR, EXIT_CODE, LATE, LIMIT_
 from services.ground.planners import PLANNERS
 
 PRELOADED: Final = ("scipy.optimize", "he3.gp", *sorted(set(PLANNERS.values())))
-"""What the server imports before the first fork, so that no child spends its time on it."""
+"""Modules that the server imports before the first fork, so that no child has to import them."""
 
 EXIT_S: Final = 1.0  # how long a child that has closed its output may take to exit by itself
 
@@ -45,12 +45,12 @@ class _Child:
     output: int
     limit_s: float
     ends_at: float
-    """When its time is up, on the monotonic clock [s]."""
+    """Deadline on the monotonic clock [s]."""
     answer: bytearray = field(default_factory=bytearray)
 
     @property
     def has_answered(self) -> bool:
-        """Whether all of the answer, which tells its own length, has come."""
+        """Whether the whole answer, which begins with its length, has arrived."""
         read = len(self.answer) - _LENGTH.size
         return read >= 0 and read >= _LENGTH.unpack_from(self.answer)[0]
 
@@ -97,7 +97,7 @@ class _Server:
                 _kill(child)
 
     def _take_message(self) -> bool:
-        """Take in a task, or kill one; False when the owner is gone."""
+        """Receive a task, or kill one; False if the owner is gone."""
         message = receive(self._channel)
         if message is None:
             return False
@@ -111,7 +111,7 @@ class _Server:
         return True
 
     def _read(self, child: _Child) -> None:
-        """Take in what a child has written; a process that it started may hold the pipe open beyond the answer."""
+        """Read what a child has written; a process that the child started may keep the pipe open after the answer."""
         chunk = os.read(child.output, 1 << 20)
         child.answer += chunk
         if child.has_answered:
@@ -123,7 +123,7 @@ class _Server:
             send(self._channel, child.number, DIED, EXIT_CODE.pack(status))
 
     def _end(self, child: _Child, patience_s: float = 0.0) -> int:
-        """The exit code of a child, which is killed, with all that it started, if it does not exit by itself first."""
+        """The exit code of a child; one that does not exit by itself is killed with every process that it started."""
         self._selector.unregister(child.output)
         del self._children[child.output]
         os.close(child.output)
@@ -135,7 +135,7 @@ class _Server:
         return os.waitstatus_to_exitcode(os.waitpid(child.pid, 0)[1])
 
     def _until_next_limit(self) -> float | None:
-        """Seconds until the time of a child is up; None if no child has a limit."""
+        """Seconds until the next deadline of a child; None if no child has a limit."""
         ends_at = min((child.ends_at for child in self._children.values()), default=inf)
         return None if ends_at == inf else max(0.0, ends_at - time.monotonic())
 
@@ -147,7 +147,7 @@ class _Server:
 
 
 def _kill(child: _Child) -> None:
-    """Kill a child that has not been reaped, with all that it started."""
+    """Kill a running child with every process that it started."""
     with suppress(ProcessLookupError):  # it does not lead a group yet
         os.killpg(child.pid, signal.SIGKILL)
     os.kill(child.pid, signal.SIGKILL)
@@ -190,7 +190,7 @@ def _computed(payload: bytes) -> bytes:
 
 
 def _die_with(server: int) -> None:
-    """Have the kernel kill this process when the server is gone; on systems other than Linux it finishes its task."""
+    """Have the kernel kill this process when the server ends; on systems other than Linux it finishes its task."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != server:

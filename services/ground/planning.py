@@ -60,7 +60,7 @@ class RoundPlanning:
             # Ours end by iterations; a limit on their time would let the speed of the machine decide on the mission.
             self._run = BoundedTask(run_planner, scenario.ground.planner_limit_s)
         self.revision = 0
-        """Of the last plan made."""
+        """Revision of the last plan made."""
         self._task: PlanningTask | None = None
         self._tasks = 0
         self._attempt = 0
@@ -125,11 +125,11 @@ class RoundPlanning:
         )
 
     def cancel(self) -> None:
-        """The round being planned is no longer wanted: its answer is dropped when it comes."""
+        """Cancel the round being planned; its answer is dropped when it arrives."""
         self._task = None
 
     def take_back(self, records: Iterable[RoundRecord]) -> None:
-        """Those rounds are to be planned again; their places are still to be sampled."""
+        """Take back rounds that are to be planned again; their places join the outlook."""
         if self._outlook_m is not None:
             samples = [planned for record in records for planned in record.plan.samples]
             self._outlook_m = np.vstack((_places(samples), self._outlook_m))
@@ -137,14 +137,14 @@ class RoundPlanning:
         self._attempt = 0
 
     def answered(self, job: str) -> PlanningTask | None:
-        """The task whose answer that computation is; None if it is no longer wanted. Nothing is being planned then."""
+        """The task of that computation, which is then closed; None if it was cancelled."""
         if self._task is None or self._task.job != job:
             return None
         task, self._task = self._task, None
         return task
 
     def plan_of(self, task: PlanningTask, planned: PlannedRound) -> RoundPlan:
-        """The planned round as it goes up, in a new revision."""
+        """The plan message for the planned round, with a new revision."""
         # The first plan of a round has the plain ids; they are never used for another place.
         known = self._round_log.of_sample(sample_id(task.number, "", 1)) is not None
         version = f"v{self.revision + 1}" if known else ""
@@ -155,7 +155,7 @@ class RoundPlanning:
         return plan
 
     def failed(self, task: PlanningTask) -> bool:
-        """Whether the round is given up; else it is planned again with another seed."""
+        """Note that planning failed; returns whether to give up, else the round is planned again with another seed."""
         self._attempt = task.attempt + 1
         if self._attempt < MAX_ATTEMPTS:
             return False

@@ -17,7 +17,7 @@ _SEED = 1  # tells the seeds of fits from those of plans
 
 
 class RefitSchedule:
-    """Asks for the fit of each round that is closed, and gives the belief what comes of it. One fit at a time."""
+    """Requests one fit for each closed round, one at a time, and passes the result to the belief."""
 
     def __init__(self, belief: Belief, round_log: RoundLog, seed: int) -> None:
         self._belief = belief
@@ -25,7 +25,7 @@ class RefitSchedule:
         self._seed = seed
         self._job: str | None = None
         self.rounds = 0
-        """Rounds that the hyperparameters have seen."""
+        """Number of rounds that the hyperparameters are fitted to."""
 
     @property
     def busy(self) -> bool:
@@ -33,7 +33,7 @@ class RefitSchedule:
         return self._job is not None
 
     def next(self) -> Compute | None:
-        """The fit of the next round that is closed; None if there is none. A round without samples needs none."""
+        """The fit request for the next closed round; None if there is none. A round without samples is skipped."""
         chain = self._round_log.chain
         while self.rounds < len(chain) and chain[self.rounds].closed:
             number, record = self.rounds + 1, chain[self.rounds]
@@ -49,7 +49,7 @@ class RefitSchedule:
         return job == self._job
 
     def finish(self, result: Any, error: Exception | None) -> list[Effect]:
-        """The fit has ended: the belief adopts its result; without one the hyperparameters stay as they were."""
+        """End the fit: the belief adopts its result; if it failed, the hyperparameters stay as they were."""
         job, self._job = self._job, None
         self.rounds += 1
         if isinstance(result, Hyperparameters):

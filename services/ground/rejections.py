@@ -25,13 +25,13 @@ class PlanRejections:
         return self.in_a_row > MAX_REJECTIONS
 
     def accepted(self) -> None:
-        """The rover has accepted a plan."""
+        """Reset the count, because the rover has accepted a plan."""
         self.in_a_row, self._not_before = 0, 0
 
     def rejected(self, now: MissionTime) -> MissionTime | None:
-        """Count one more; when planning may go on, or None for at once.
+        """Count a rejection; returns when planning may continue, None for at once.
 
-        A rover that rejects twice in a row knows something that has not come down yet: the next plan waits for it.
+        A rover that rejects twice in a row knows something that the ground does not know yet; the next plan waits for it.
         """
         self.in_a_row += 1
         if self.in_a_row == 1:

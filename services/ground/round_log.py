@@ -29,7 +29,7 @@ class RoundLog:
         self._of_sample: dict[str, tuple[RoundRecord, int]] = {}
 
     def append(self, plan: RoundPlan, revision: int) -> RoundRecord:
-        """Enter the round that follows the chain, first sent with that revision."""
+        """Append a round to the chain, first sent with that revision."""
         record = RoundRecord(plan, revision)
         self.chain.append(record)
         self._versions.append(record)
@@ -79,23 +79,23 @@ class RoundLog:
 
     @property
     def fruitless(self) -> int:
-        """How many of the last rounds that are over brought no sample."""
+        """Number of consecutive finished rounds, up to the last one, that returned no sample."""
         over = [record for record in self.chain if record.begun and record.closed]
         return next((n for n, record in enumerate(reversed(over)) if record.arrived), len(over))
 
     def committed(self) -> Committed:
-        """What the rounds of the chain will still take."""
+        """Metres and samples that the rounds of the chain will still take."""
         metres = sum(record.to_drive_m for record in self.chain)
         return Committed(metres, len(self.pending), len(self.open_rounds))
 
     def note_place(self, place_m: Place) -> None:
-        """The rover was at that place, which tells how far it has come in the round that it executes."""
+        """Note a place of the rover, which shows its progress in the present round."""
         executing = next((record for record in reversed(self.chain) if record.begun), None)
         if executing is not None and not executing.ended:
             executing.note_place(place_m)
 
     def paths(self) -> tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]]:
-        """Where the rover is known to have driven, joined over the rounds, and what is planned beyond that.
+        """The path driven so far, joined over the rounds, and the planned path beyond it.
 
         The same objects as before as long as neither has changed.
         """
@@ -113,7 +113,7 @@ class RoundLog:
         return self._of_sample.get(sample_id)
 
     def goes_on_after(self, record: RoundRecord) -> bool:
-        """Whether the rover is known to have begun something after that round, or never to have got to it."""
+        """Whether the rover has begun a later round, or is known never to execute that round."""
         if record not in self.chain:
             return True
         return any(later.begun for later in self.chain[self.chain.index(record) + 1 :])
@@ -124,12 +124,12 @@ class RoundLog:
         return max(known, key=lambda record: record.introduced) if known else None
 
     def drop(self, records: Iterable[RoundRecord]) -> None:
-        """Take rounds out of the chain; their samples count if they come nevertheless."""
+        """Remove rounds from the chain; their samples still count if they arrive."""
         dropped = {id(record) for record in records}
         self.chain = [record for record in self.chain if id(record) not in dropped]
 
     def begin(self, record: RoundRecord) -> bool:
-        """The rover has begun that round. True if that version had been replaced: the chain then ends with it.
+        """Note the begin of a round; returns whether that version had been replaced. The chain then ends with it.
 
         Of two versions that were both begun the rover gave up the older one.
         """

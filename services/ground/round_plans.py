@@ -1,4 +1,4 @@
-"""From a planner's answer to the round as it goes up.
+"""Makes the plan message of a round from a planner's answer.
 
 Four types describe a round, each in its place: `PlannedRound` is a planner's answer, `PlanningTask` a round that is
 being planned, `RoundPlan` the message to the rover, `RoundRecord` the entry of a round that was sent in the round log.
@@ -27,7 +27,7 @@ class PlanningTask:
     samples_left: int
     """How many samples the rest of the mission takes, this round included."""
     attempt: int
-    """How many plannings of this round have failed before."""
+    """Number of failed attempts to plan this round."""
     known: int
     """Measurements in the map when planning began."""
     pending: tuple[str, ...]

@@ -22,11 +22,11 @@ class RoundRecord:
     introduced: int
     begun: bool = False
     ended: bool = False
-    """The rover reported its end; samples of it may still be under way."""
+    """Whether the rover has reported its end; samples may still be under way."""
     ended_early: bool = False
-    """It was broken off: samples that are not reported as done will not come."""
+    """Whether it was aborted: samples that are not reported as measured will not arrive."""
     ended_at: MissionTime = 0
-    """When it was broken off."""
+    """When it was aborted."""
     settled: set[str] = field(default_factory=set)
     """Samples that arrived or were skipped."""
     arrived: int = 0
@@ -79,27 +79,27 @@ class RoundRecord:
         return not self.pending
 
     def start(self, at: MissionTime) -> None:
-        """The rover started it at that time: again, if it was broken off before, from an older plan."""
+        """Note the start at that time; a round aborted before may start again from an older plan."""
         if self.ended_early and at > self.ended_at:
             self.ended = self.ended_early = False
 
     def complete(self) -> None:
-        """The rover has driven it to its end."""
+        """Note that the rover has completed it."""
         if not self.ended:
             self.ended = True
             self.reached_m = self.length_m
 
     def break_off(self, at: MissionTime) -> None:
-        """The rover ended it early, at that time."""
+        """Note that the rover aborted it at that time."""
         self.ended = self.ended_early = True
         self.ended_at = at
 
     def give_up(self) -> None:
-        """The rover is known to execute another version of it."""
+        """Give it up: the rover executes another version of the round."""
         self.ended = self.ended_early = True
 
     def settle(self, sample_id: str, arrived: bool = False) -> bool:
-        """Whether the sample was still to come; it arrived, or never will."""
+        """Close a sample, which arrived or never will; returns whether it was open."""
         if sample_id in self.settled:
             return False
         self.settled.add(sample_id)
@@ -107,7 +107,7 @@ class RoundRecord:
         return True
 
     def note_place(self, place_m: Place, tolerance_m: float = 2.0) -> None:
-        """Remember how far along the path the rover has come, if that place is on the part of it still ahead."""
+        """Note the progress along the path, if the place is on the part still ahead."""
         if len(self._path_m) < 2:
             return
         a, b = self._path_m[:-1], self._path_m[1:]
@@ -133,7 +133,7 @@ class RoundRecord:
         return (here, *self.plan.path_m[whole:])
 
     def _reached(self) -> tuple[int, Waypoint]:
-        """How many vertices the rover is known to have passed, and the place that it is known to have come to."""
+        """The number of vertices passed so far, and the farthest place reached."""
         if self.reached_m >= self.length_m:
             return len(self.plan.path_m), self.end_m
         whole = int(np.searchsorted(self._arc_m, self.reached_m, side="right"))

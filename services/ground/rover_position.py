@@ -21,7 +21,7 @@ class RoverPosition:
         self._made_at: MissionTime = -1
 
     def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> bool:
-        """Whether the message that says so, made at that time, is the newest so far."""
+        """Note a reported place; returns whether the message, made at that time, is the newest so far."""
         self.drove(driven_m)
         if made_at < self._made_at:
             return False
@@ -30,11 +30,11 @@ class RoverPosition:
         return True
 
     def drove(self, driven_m: float) -> None:
-        """The odometer has shown that many metres."""
+        """Note an odometer reading [m]."""
         self.driven_m = max(self.driven_m, driven_m)
 
     def sent_to(self, place_m: Place) -> None:
-        """The operator has sent the rover to that place, and it has arrived."""
+        """Note that the rover has arrived where the operator sent it."""
         self.place_m = place_m
 
     def checkpoint(self) -> SavedState:

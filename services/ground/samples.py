@@ -44,7 +44,7 @@ class Repeated:
 
 
 class SampleIntake:
-    """Gives the belief every measurement that was planned, whatever the order and however often it arrives."""
+    """Adds every planned measurement to the belief once, in any order of arrival."""
 
     def __init__(self, belief: Belief, round_log: RoundLog) -> None:
         self._belief = belief

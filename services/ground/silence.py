@@ -29,12 +29,12 @@ class SilenceWatch:
         return None if self._heard_at is None else (now - self._heard_at) / SECOND
 
     def heard(self, now: MissionTime) -> None:
-        """A message of the rover has arrived."""
+        """Note the arrival of a rover's message."""
         self._heard_at = now
         self.silent = False
 
     def check(self, now: MissionTime) -> list[LogRecord]:
-        """A warning when the silence has just become too long."""
+        """A warning, once, when the silence exceeds the limit."""
         if self._heard_at is None or self.silent or now - self._heard_at <= self._timeout:
             return []
         self.silent = True

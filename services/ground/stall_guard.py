@@ -36,7 +36,7 @@ class StallGuard:
         self._watch.progress(now)
 
     def state(self, state: RoverState, held: bool, now: MissionTime) -> None:
-        """The rover has reported its state; held: whether the operator has told it to stand still."""
+        """Note the rover's state; held: whether a command of the operator holds it still."""
         self._rover = state
         self._watch.state(state, held, now)
 
@@ -49,7 +49,7 @@ class StallGuard:
             yield SendQuery(LINK_SHOW, NoParameters(), STALL_QUERY)
 
     def link_answered(self, link: LinkStatus | None, now: MissionTime) -> Iterable[Effect]:
-        """End the mission, unless the link's conditions explain why it stands still; None: there is no answer."""
+        """End the mission, unless the link's conditions explain the stall; None: the link did not answer."""
         self._asked = False
         if link is not None:
             self._watch.link(link, now)

@@ -1,10 +1,10 @@
 """Recognises a mission that stands still: a mission in which nothing can change any more must end.
 
 Contact may be over, every message lost or damaged, the battery empty with no sun to charge it: the ground then waits
-for what never comes. It cannot see the reason, but it sees that there is no progress. Progress is a sample, an event or
-a command report that arrives, metres driven or drilled, energy gained, and whatever the operator does. All but the
-operator's part can happen a finite number of times only: rounds, rejections and fruitless rounds are bounded, and so is
-the energy between two steps. So every wait ends.
+for reports that never come. It cannot see the reason, but it sees that there is no progress. Progress is a sample, an event or
+a command report that arrives, metres driven or drilled, energy gained, and any action of the operator. All of these but
+the operator's actions can happen only a finite number of times, because rounds, rejections and rounds without samples
+are bounded, and so is the energy between two steps. So every wait ends.
 
 The time without progress that is waited for, in mission time while this process runs, is the scenario's patience, and
 on top of it what the light, the link's rate and the rover's own steps may take. At least three contact periods must
@@ -63,7 +63,7 @@ class StallWatch:
         self._most_wh = 0.0
 
     def state(self, state: RoverState, held: bool, now: MissionTime) -> None:
-        """The rover has reported its state; held: whether the operator has told it to stand still."""
+        """Note the rover's state; held: whether a command of the operator holds it still."""
         work = (state.driven_m, state.drilled_m)
         before = self._work
         self._work = (max(before[0], work[0]), max(before[1], work[1]))
@@ -76,7 +76,7 @@ class StallWatch:
                 self._since, self._waited = now, 0
 
     def link(self, status: LinkStatus, now: MissionTime) -> None:
-        """The link has told its conditions, which the operator may have changed."""
+        """Note the link's conditions, which the operator may have changed."""
         self._conditions = status.conditions
         if status.contact_forced is not None:
             self._conditions = status.conditions.model_copy(update={"windows": (), "duty_cycle": None})
@@ -99,10 +99,10 @@ class StallWatch:
     def why(
         self, now: MissionTime, rover: RoverState | None, silent_s: float | None, plan_revision: int, detail: str
     ) -> str:
-        """One line on what is known of the reason.
+        """The known reasons of the stall, in one line.
 
         rover: its newest state; silent_s: since it was last heard from [s], None if never; plan_revision: of the plan
-        sent last; detail: what an operator was last told.
+        sent last; detail: the last note for the operator.
         """
         if silent_s is None:
             reasons = ["the rover was never heard from"]
@@ -111,7 +111,7 @@ class StallWatch:
         elif rover is not None and rover.plan_revision < plan_revision:
             reasons = [f"plan {plan_revision} has not reached the rover"]
         else:
-            reasons = ["the rover is heard and does nothing" if rover is None else f"the rover is {rover.mode.value}"]
+            reasons = ["the rover reports but does nothing" if rover is None else f"the rover is {rover.mode.value}"]
         windows = self._conditions.windows
         if windows and self._start + seconds(windows[-1].closes_s) <= now:
             reasons.append(f"the last contact window closed {windows[-1].closes_s:g} s after the mission began")
@@ -149,7 +149,7 @@ class StallWatch:
 
 
 def _link_s(direction: DirectionConditions) -> float:
-    """What messages of that direction may need on their way [s], repeated a few times."""
+    """Longest delivery time [s] in that direction, a few repetitions included."""
     light_s = 2.0 * direction.one_way_light_time_s + direction.jitter_s
     sending_s = 0.0 if direction.rate_bit_s is None else LARGEST_PLAN_BITS / direction.rate_bit_s
     return ROUND_TRIPS * light_s + sending_s

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class StatusReporter:
-    """Sends the status whenever it has changed, and when its time has come."""
+    """Sends the status whenever it has changed, and once per period."""
 
     def __init__(
         self, scenario: Scenario, belief: Belief, director: Director, publisher: MapPublisher, silence: SilenceWatch
@@ -36,12 +36,12 @@ class StatusReporter:
         self._sent: GroundStatus | None = None
 
     def heard(self, state: RoverState, made_at: MissionTime) -> None:
-        """The rover has reported its state; an older one does not replace a newer one."""
+        """Note the rover's state; an older one does not replace a newer one."""
         if self._rover_made_at is None or made_at >= self._rover_made_at:
             self._rover, self._rover_made_at = state, made_at
 
     def send(self, anyway: bool) -> Iterable[Send]:
-        """The status, if it has changed; anyway: whether or not."""
+        """The status if it has changed; with `anyway`, also if it has not."""
         status = self._status()
         if anyway or status != self._sent:
             self._sent = status

@@ -41,7 +41,7 @@ class TelecommandHandler:
     """Issues telecommands, follows them, and tells the director of those that change what is planned."""
 
     def __init__(self, scenario: Scenario, source: str, history: CommandHistory, director: Director) -> None:
-        """source: under which name this service sends."""
+        """source: name of this service in message headers."""
         self._start_m = scenario.start_m
         self._keep_outs = scenario.ground.keep_outs
         self._source = source
@@ -49,7 +49,7 @@ class TelecommandHandler:
         self._director = director
 
     def restarted(self) -> None:
-        """The process has started."""
+        """Note a start of the process."""
         self._history.restarted()
 
     def listed(self) -> CommandList:
@@ -58,7 +58,7 @@ class TelecommandHandler:
 
     @property
     def holds_rover(self) -> bool:
-        """Whether the rover stands still because the operator told it to."""
+        """Whether a command of the operator holds the rover still."""
         return self._history.holds_rover
 
     def issue(self, command: Telecommand, token: int, now: MissionTime) -> Iterable[Effect]:
@@ -80,7 +80,7 @@ class TelecommandHandler:
         yield from self._set_keep_out(command, now)
 
     def reported(self, report: CommandReport, now: MissionTime) -> Iterable[Effect]:
-        """The rover has reported a stage of a command."""
+        """Handle a rover's report on a command."""
         status = self._history.report(report)
         if status is None:
             return
@@ -100,7 +100,7 @@ class TelecommandHandler:
             yield SendQuery(LINK_SHOW, NoParameters(), LOOK_QUERY)
 
     def seen_on_link(self, link: LinkStatus, now: MissionTime) -> Iterable[Effect]:
-        """The link has answered."""
+        """Handle the link's answer."""
         left, again = self._history.seen_on_link(link, self._source, now)
         for departed in left:
             yield Send(COMMAND_STATUS, departed)
@@ -108,17 +108,17 @@ class TelecommandHandler:
             yield SetTimer(LOOK_TIMER, again)
 
     def look_failed(self, now: MissionTime) -> Iterable[Effect]:
-        """The link has not answered."""
+        """Handle a missing answer of the link."""
         yield SetTimer(LOOK_TIMER, now + seconds(LOOK_AGAIN_S))
 
     def overdue(self, command_id: str, now: MissionTime) -> Iterable[Effect]:
-        """The time of that command has passed: without a report it is lost."""
+        """Handle the expiry of a command: without a report it counts as lost."""
         status = self._history.give_up(command_id, now)
         if status is not None:
             yield Send(COMMAND_STATUS, status)
 
     def _set_keep_out(self, command: Telecommand, now: MissionTime) -> Iterable[Effect]:
-        """Close at once what the command closes; what it opens is open when the rover has carried it out."""
+        """Close the area of a command at once; open an area when the rover has carried out the command."""
         if command.kind is CommandKind.SET_KEEP_OUT and command.area_id is not None:
             at_first = self._keep_outs.get(command.area_id)
             polygons = self._history.closed_by(command.area_id, () if at_first is None else (at_first,))

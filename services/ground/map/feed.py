@@ -70,7 +70,7 @@ class FeedWriter:
         self._key: bytes | None = None
 
     def take(self, current: FeedMap, wanted: bool) -> bytes | None:
-        """The frame that takes readers to that map; None if none is wanted or the map has not changed."""
+        """The frame that updates readers to that map; None if no frame is needed or the map has not changed."""
         before, planes = self._map, self._planes
         if before is not None and before.revision == current.revision:
             return None
@@ -131,7 +131,7 @@ class FeedReader:
     """Deltas that came before the key frame that they build on."""
 
     def take(self, frame: bytes) -> bool:
-        """Whether the frame has changed the map. Raises InvalidInput, without a change, for other bytes."""
+        """Apply a frame; returns whether the map changed. Raises InvalidInput, without a change, for other bytes."""
         head, packed = read_head(frame)
         at = (head.epoch, head.sequence)
         if head.kind is FrameKind.BEAT:

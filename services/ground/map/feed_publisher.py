@@ -50,7 +50,7 @@ class FeedPublisher:
         self._thread.start()
 
     def end(self) -> None:
-        """Stop publishing, after the frame under way."""
+        """Stop publishing after the present frame."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""The earlier maps that are held, and the one that `as_of` names."""
+"""Earlier maps: which ones are kept, and which one `as_of` names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from services.ground.map.snapshot import MapSnapshot
 
 MAX_BYTES = 256 * 1024 * 1024
-"""Of the arrays held. When it is exceeded, every second revision of the older half is dropped."""
+"""Size of the arrays that are kept. Above it, every second revision of the older half is dropped."""
 MIN_HELD = 4
 
 MAX_REVISION = 10**12

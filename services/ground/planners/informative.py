@@ -9,8 +9,8 @@ determinants.
 Two additions keep u useful, and both matter more than alpha.
 
 *The cost of a round besides its metres*, c0. With c0 = 0 the shortest path always wins: I grows with the logarithm of
-the variance, c from zero, and 150 samples end within 230 m of the start. But a sample takes an hour or more of
-drilling, whatever it tells; at 0.1 m/s an hour is worth 360 m. So c0 is ``sample_cost_m`` for each of the round's
+the variance, c from zero, and 150 samples end within 230 m of the start. But each sample takes an hour or more of
+drilling; at 0.1 m/s an hour is worth 360 m. So c0 is ``sample_cost_m`` for each of the round's
 samples. Means of 3 or 4 seeds, Matern 5/2, over 30 rounds of 5 samples (t1, then t2; `rrtstar`: 0.81 at 14.5 km, 0.50
 at 14.9):
 
@@ -24,7 +24,7 @@ at 14.4), RMSE and metres were below those of `rrtstar` with every kernel; at 15
 
 *The least length scale.* Samples along short paths make the fitted length scale short; with a short length scale
 places 20 m apart are almost independent, and the paths get shorter still: 150 samples in one corner. But n samples have
-to represent the whole region whatever the length scale, each the s x s metres around it, s^2 = area / n. So for the
+to represent the whole region for any length scale, each of them s x s metres around it, s^2 = area / n. So for the
 choice of a path, and for that alone, no correlation falls to a half before ``least_scale`` s. (For the squared
 exponential at 1,000 m a sample, that reduced the RMSE on t1 from 0.847 to 0.785 ppb.)
 

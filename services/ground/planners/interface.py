@@ -36,7 +36,7 @@ class PlannerOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlanningRequest:
-    """Everything a planner may know when it plans one round."""
+    """The input of a planner for one round."""
 
     grid: SiteGrid
     traversable: NDArray[np.bool_]

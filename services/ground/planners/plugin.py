@@ -2,8 +2,8 @@
 
 ``module:function`` is a function of a module in the working directory or on Python's path, which takes a
 ``PlanningRequest`` and returns a ``PlannedRound``. Only the user names one: one that a scenario's file names is refused
-without ``--allow-plugin`` (`services.runtime.options`). It is imported with its output sent to the log, and whatever it
-raises is reported in one line. Its answers are validated as ours are (``services.ground.planners.validation``).
+without ``--allow-plugin`` (`services.runtime.options`). It is imported with its output sent to the log, and any
+exception is reported in one line. Its answers are validated as ours are (``services.ground.planners.validation``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def load_plugin(name: str) -> Planner:
     """The planner of that name; raises InvalidInput if there is none.
 
-    What it prints goes to the log. Whatever it raises but NoRoute, an exit included, becomes InvalidInput in one line.
+    Its output goes to the log. Any exception but NoRoute, SystemExit included, becomes InvalidInput with one line.
     """
     module, _, function = name.partition(":")
     if not (module and function):
@@ -50,8 +50,8 @@ def load_plugin(name: str) -> Planner:
 def _working_directory_for(module: str) -> Iterator[None]:
     """Let a module that is not on Python's path be found in the working directory, and with it what it imports there.
 
-    The directory is the last place, and on the path for as long as the plug-in is imported or runs: no other module is
-    taken from there, not even one that is imported late and that no package provides.
+    The directory comes last on the path, and only while the plug-in is imported or runs. No other module is imported
+    from there, not even one that no package provides.
     """
     here = str(Path.cwd())
     top = module.partition(".")[0]

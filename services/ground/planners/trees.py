@@ -2,7 +2,7 @@
 
 Determinism. OMPL draws from generators that take their seeds from one process-wide source. The source is seeded before
 each tree, and every OMPL object that owns a generator is made after that and dropped with the tree; so a tree depends
-on its arguments alone, whatever was planned before in the same process. (At the second seeding OMPL logs an error,
+on its arguments alone, not on earlier plans of the same process. (At the second seeding OMPL logs an error,
 because existing generators would not be affected; none of ours exist then. Its log is silenced.) Growth ends after a
 number of iterations, never after a time. A lock keeps two threads from seeding each other's trees.
 """

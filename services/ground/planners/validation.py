@@ -1,4 +1,4 @@
-"""Validation of planners' answers, ours and plug-ins' alike: what it lets through, a rover can drive.
+"""Validation of planners' answers, ours and plug-ins' alike: a rover can drive every accepted answer.
 
 A round starts where it was asked to, stays on open ground and within the budget, and takes its samples on its path in
 the order in which the path reaches them.

@@ -384,7 +384,7 @@ def test_a_command_whose_window_passes_without_contact_is_lost_and_never_execute
     flown.command("safe", expires_in_s=300.0)
     flown.simulation.run_for(3600.0)
     assert flown.stages() == ["queued", "released", "lost"]
-    assert "without word from the rover" in flown.told()
+    assert "without a report from the rover" in flown.told()
 
     flown.link(contact=True)
     flown.simulation.run_for(3600.0)

@@ -7,8 +7,8 @@ start from the outlook of the plan before and adapt it to the refitted hyperpara
 another and leave no gaps. A request without an outlook is planned from scratch.
 
 A mission without a budget is given one: metres beyond those of a tour through an even lattice gain almost nothing.
-Length scales that say nothing about where to sample, because a sample would tell of its own place only or of the whole
-site, are clamped to the nearest that do.
+Length scales so short that a sample informs about its own place only, or so long that it informs about the whole site,
+do not guide a design: they are clamped.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from services.ground.planners.tour.route import route_through
 from services.ground.planners.tour.site import Site, reachable_site
 
 LENGTH_PRICE = 0.03
-"""Per cent of variance that one per cent of the tour must be worth, whatever the budget."""
+"""Least per cent of variance that one per cent of the tour must gain, for any budget."""
 LEG_SPACINGS = 1.02
 """Straight metres per sample of a mission without a budget, in units of sqrt(reachable area / samples), the spacing of
 a square lattice. The shortest tour through random places takes 0.7124 (Beardwood, Halton & Hammersley 1959), one
