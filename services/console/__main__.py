@@ -23,8 +23,8 @@ TRACEBACK = "HE3_TRACEBACK"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code of the command line: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated.
 
-    Without arguments it is the command of this process, and ends the process: a session that a bad link keeps from
-    closing leaves threads behind, for which Python's own end would wait for ever.
+    Without arguments it runs this process's command line and ends the process, because a session that cannot close on a
+    bad link leaves threads for which Python would wait for ever.
     """
     if arguments is None:
         leave(_ended(sys.argv[1:]))
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _ended(words: list[str]) -> int:
-    """Exit code of the command, after everything that may end it."""
+    """Exit code of the command; every exception that may end it becomes one line."""
     try:
         prepare_process()
         from services.console.interruption import Terminated, ending_on_signals, told_to_end
@@ -91,7 +91,7 @@ def _run(words: list[str]) -> int:
 
 
 def _enough_read() -> int:
-    """Exit code when the reader of the output, such as `head`, closes it: that is no failure."""
+    """Exit code when the reader of the output, such as `head`, closes it: 0."""
     # The interpreter flushes once more at its end.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0

@@ -14,13 +14,13 @@ from types import FrameType
 from typing import Any
 
 ENDS_WITHIN_S = 1.6
-"""From the signal on; 2 s are promised."""
+"""Time from a signal to the forced end of the process; the documentation promises 2 s."""
 EXIT_CODES = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "terminated")}
 """Exit code and last line of a process that a signal ends."""
 
 
 class Terminated(BaseException):
-    """SIGTERM came; like KeyboardInterrupt, to be caught at the process's edge only."""
+    """Raised on SIGTERM; like KeyboardInterrupt, it is caught only in the process's entry point."""
 
 
 _came: list[int] = []
@@ -29,40 +29,40 @@ _came: list[int] = []
 
 @contextmanager
 def ending_on_signals() -> Iterator[None]:
-    """Within, SIGTERM unwinds the main thread as Ctrl-C does, and Ctrl-C itself even where a shell had it ignored."""
+    """Within this context SIGTERM unwinds the main thread as Ctrl-C does; Ctrl-C works even if the shell ignores it."""
     _came.clear()
     with _handlers({signal.SIGINT: _interrupt, signal.SIGTERM: _terminate}):
         yield
 
 
 def told_to_end() -> int | None:
-    """The signal that this process was told to end with, SIGINT or SIGTERM; None while there was none.
+    """The signal, SIGINT or SIGTERM, that told this process to end; None if none has arrived.
 
-    It is remembered because the exception may not arrive: foreign code that a signal finds in one of its callbacks
-    makes an exception of its own out of it.
+    It is stored because KeyboardInterrupt or Terminated may not reach the caller: a C library may replace an exception
+    that is raised inside one of its callbacks.
     """
     return _came[0] if _came else None
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Within, Ctrl-C and SIGTERM are ignored: for clean-up."""
+    """Within this context Ctrl-C and SIGTERM are ignored, for clean-up."""
     with _handlers({signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_IGN}):
         yield
 
 
 _said = threading.Event()
-"""Set once the last line of a process that ends is written."""
+"""Set once the process has written its last line."""
 
 
 def end_is_said() -> None:
-    """The last line is written: `ending_in_time` ends the process without another."""
+    """Note that the last line is written, so that `ending_in_time` writes none."""
     _said.set()
 
 
 @contextmanager
 def ending_in_time() -> Iterator[None]:
-    """Within, and after a signal came within, this process ends at most `ENDS_WITHIN_S` after a signal.
+    """Within this context, and after it if a signal came, the process ends at most `ENDS_WITHIN_S` after the signal.
 
     For a process that computes: Python's own handling waits for the end of a call into foreign code, and for threads.
     The signal's number reaches another thread at once, through the file descriptor of `signal.set_wakeup_fd`.

@@ -31,7 +31,8 @@ class PlanRejections:
     def rejected(self, now: MissionTime) -> MissionTime | None:
         """Count a rejection; returns when planning may continue, None for at once.
 
-        A rover that rejects twice in a row knows something that the ground does not know yet; the next plan waits for it.
+        A rover that rejects twice in a row knows more than the ground does so far; the next plan waits for
+        it.
         """
         self.in_a_row += 1
         if self.in_a_row == 1:

@@ -1,10 +1,10 @@
 """Recognises a mission that stands still: a mission in which nothing can change any more must end.
 
 Contact may be over, every message lost or damaged, the battery empty with no sun to charge it: the ground then waits
-for reports that never come. It cannot see the reason, but it sees that there is no progress. Progress is a sample, an event or
-a command report that arrives, metres driven or drilled, energy gained, and any action of the operator. All of these but
-the operator's actions can happen only a finite number of times, because rounds, rejections and rounds without samples
-are bounded, and so is the energy between two steps. So every wait ends.
+for reports that never come. It cannot see the reason, but it sees that there is no progress. Progress is a sample, an
+event or a command report that arrives, metres driven or drilled, energy gained, and any action of the operator. All of
+these but the operator's actions can happen only a finite number of times, because rounds, rejections and rounds without
+samples are bounded, and so is the energy between two steps. So every wait ends.
 
 The time without progress that is waited for, in mission time while this process runs, is the scenario's patience, and
 on top of it what the light, the link's rate and the rover's own steps may take. At least three contact periods must

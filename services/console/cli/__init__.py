@@ -1,1 +1,1 @@
-"""The operator's commands, one module each; what is heavy is imported inside the command that needs it."""
+"""The operator's commands, one module each; slow imports are inside the command that needs them."""

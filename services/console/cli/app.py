@@ -29,7 +29,7 @@ Start with: he3 demo
 
 
 def build() -> typer.Typer:
-    """The command line application; making it imports nothing heavy."""
+    """The command line application; building it imports no slow module."""
     app = typer.Typer(
         name="he3",
         help=ABOUT,
@@ -60,12 +60,12 @@ def build() -> typer.Typer:
     app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
         schemas.schemas
     )
-    app.add_typer(bench.app, name="bench", help="Measure against the paper, other software, the machine.")
+    app.add_typer(bench.app, name="bench", help="Benchmarks against the paper, other software, the machine.")
     return app
 
 
 def _show_version(wanted: bool) -> None:
-    """Print the version and end. A callback of the flag, so that it is carried out although no command follows."""
+    """Print the version and exit. It is the flag's callback, so that no command is needed."""
     if wanted:
         from services.runtime.heartbeat import software_version
 

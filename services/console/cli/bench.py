@@ -16,7 +16,7 @@ Examples:
 
 
 class Benchmarks(TyperGroup):
-    """The benchmarks as commands; a benchmark is imported when it is named, and listed from its source alone."""
+    """The benchmarks as commands. Only the named one is imported; the list is read from their sources."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         from services.console.cli.benchmarks import described
@@ -46,6 +46,6 @@ app = typer.Typer(cls=Benchmarks, invoke_without_command=True, rich_markup_mode=
 
 @app.callback(epilog=EXAMPLES)
 def bench(context: typer.Context) -> None:
-    """Measure: against the paper, against other software, against the machine."""
+    """Run a benchmark: against the paper, against other software, against the machine."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

@@ -69,7 +69,7 @@ def command_of(name: str, function: Callable[..., Any], about: str) -> Any:
 
 
 def _as_it_stands(text: str) -> str:
-    """The text with its indented paragraphs marked, so that help does not wrap them."""
+    """The text with its indented paragraphs marked, so that the help does not wrap them."""
     paragraphs = text.split("\n\n")
     return "\n\n".join(f"\b\n{each}" if "\n    " in f"\n{each}" else each for each in paragraphs)
 
@@ -94,7 +94,7 @@ def _benchmark(name: str) -> tuple[Callable[..., Any], str]:
 
 
 def _with_flags(function: Callable[..., Any]) -> Callable[..., None]:
-    """The function with a signature of which Typer makes flags; places for results are checked before it runs."""
+    """The function with a signature that Typer turns into flags; output paths are checked before it runs."""
 
     @functools.wraps(function)
     def run(**arguments: Any) -> None:
@@ -115,7 +115,7 @@ def _with_flags(function: Callable[..., Any]) -> Callable[..., None]:
 
 
 def _flag(parameter: inspect.Parameter, kind: Any) -> inspect.Parameter | None:
-    """The parameter as Typer takes it; None for one that is no flag."""
+    """The parameter as a Typer flag; None if it has no flag."""
     default, metavar = parameter.default, None
     kinds = [part for part in get_args(kind) if part is not type(None)] if _is_union(kind) else [kind]
     optional = _is_union(kind) and type(None) in get_args(kind)
@@ -151,7 +151,7 @@ def _is_sequence(kind: Any) -> bool:
 
 
 def _list_of(item: type) -> Callable[[str], Any]:
-    """A parser of values between commas."""
+    """A parser of comma-separated values."""
 
     def parse(text: str) -> Any:
         try:
@@ -163,7 +163,7 @@ def _list_of(item: type) -> Callable[[str], Any]:
 
 
 def _check_place(result: Path | None) -> None:
-    """Raise InvalidInput before anything is measured if the result cannot be written; its folder is made."""
+    """Make the folder of the result; raise InvalidInput if the result cannot be written there."""
     if result is None:
         return
     folder = make_folder(result.parent)

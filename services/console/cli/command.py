@@ -154,7 +154,7 @@ def _issue(
 
 
 def fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None:
-    """Raise He3Error, with stage and reason, for a command that has ended otherwise than completed or as waited for."""
+    """Raise He3Error, with stage and reason, if the command ended neither completed nor in the stage waited for."""
     from he3.errors import He3Error
     from schemas.commands import ENDS
     from schemas.commands import CommandStage as Stage
@@ -165,7 +165,7 @@ def fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None
 
 
 def commands(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
-    """Every telecommand, and each stage that it has passed, with its time."""
+    """List every telecommand with the stages that it has passed and their times."""
     from schemas.commands import CommandList
     from services.console.client.mission_client import MissionClient
 

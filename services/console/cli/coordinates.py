@@ -40,7 +40,7 @@ def polygon(texts: list[str]) -> tuple[tuple[float, float], ...]:
 
 
 def corner(text: str) -> tuple[float, float]:
-    """The place of a text such as 100,-5 [m]; raises typer.BadParameter for anything else."""
+    """The place [m] from a text such as 100,-5; raises typer.BadParameter for anything else."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:

@@ -82,7 +82,7 @@ def change(
     earth: Earth = None,
     preset: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="All conditions anew: nominal, zero, csa-10s, lossy, mars, ...",
+        typer.Option(metavar="NAME", help="Replace all conditions: nominal, zero, csa-10s, lossy, mars, ...",
                      callback=checked(_preset)),
     ] = None,
     direction: Annotated[
@@ -93,7 +93,7 @@ def change(
         float | None, typer.Option(metavar="S", help="One-way light time [s], up to 86400.", callback=_seconds)
     ] = None,
     jitter: Annotated[
-        float | None, typer.Option(metavar="S", help="Half width of its variation [s].", callback=_seconds)
+        float | None, typer.Option(metavar="S", help="Half width of the light time's variation [s].", callback=_seconds)
     ] = None,
     bit_rate: Annotated[
         str | None,
@@ -114,7 +114,7 @@ def change(
     ] = None,
     json: AsJson = False,
 ) -> None:  # fmt: skip
-    """Change the conditions that are named, for messages sent from now on; the others stay as they are."""
+    """Change the given conditions for messages sent from now on; the others keep their values."""
     from he3.errors import InvalidInput
     from services.console.client.link import link_change
     from services.console.client.mission_client import MissionClient

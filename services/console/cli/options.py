@@ -42,7 +42,7 @@ def span(low: float, high: float, *, above: bool = False) -> str:
 
 
 def checked(check: Callable[[str], Any]) -> Callable[[Any], Any]:
-    """A callback that refuses text of which `check` raises InvalidInput, with that text."""
+    """A callback that refuses text for which `check` raises InvalidInput, with the error's message."""
 
     def callback(value: Any) -> Any:
         from he3.errors import InvalidInput

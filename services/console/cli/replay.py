@@ -50,7 +50,7 @@ class _Seen:
 
 
 def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> None:
-    """Summarise a recording. Every whole part of a damaged file is read; what is missing is said, with exit code 1."""
+    """Summarise a recording. Intact parts of a damaged file are read; missing ones are reported, with exit code 1."""
     import json as json_format
 
     from he3.errors import InvalidInput
@@ -113,4 +113,4 @@ def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
 def _state(document: dict[str, Any]) -> str:
     if not document["complete"]:
         return f"incomplete: {document['problems'][0]}"
-    return "complete" if document["mission_over"] else "complete file of a mission that was not over"
+    return "complete" if document["mission_over"] else "complete file; the mission was not over"

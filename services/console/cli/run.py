@@ -106,9 +106,9 @@ def run_and_report(
     quiet: bool,
     events: Path | None = None,
 ) -> MissionReport:
-    """Run the chosen scenario over that driver: show its progress, write its files, print and return its report.
+    """Run the chosen scenario with that driver: show its progress, write its files, print and return its report.
 
-    A picture or a recording that could not be written is named on standard error and fails nothing. Raises He3Error,
+    A picture or a recording that could not be written is reported on standard error; it is no failure. Raises He3Error,
     after all of that, if the report could not be written, for a mission that failed, and for one that took no sample:
     its map says nothing about the site.
     """
@@ -156,7 +156,7 @@ def demo(
         typer.Option(
             "--rate",
             metavar="R",
-            help="On the wall clock instead: mission seconds per wall second, such as 4000.",
+            help="Run on the wall clock at this simulation speed: mission seconds per wall second, such as 4000.",
             callback=within(0, MAX_RATE, above=True),
         ),
     ] = None,

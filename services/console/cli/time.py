@@ -1,4 +1,4 @@
-"""``he3 time``: shows mission time, and controls how it goes on."""
+"""``he3 time``: shows and controls mission time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _moment(text: str) -> str:
 
 @app.command(short_help="Show mission time.")
 def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
-    """The mission time, how it goes on, and which process it waits for."""
+    """Show the mission time, its speed limit or pause, and the processes it waits for."""
     _change(mission, earth, json)
 
 
@@ -53,11 +53,11 @@ def pause(mission: Mission = None, earth: Earth = None, json: AsJson = False) ->
 
 @app.command()
 def resume(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
-    """Let mission time continue."""
+    """Resume mission time."""
     _change(mission, earth, json, clock_rate=1.0, paused=False)
 
 
-@app.command(short_help="Go on to the next instant, then pause.")
+@app.command(short_help="Advance to the next instant, then pause.")
 def step(
     count: Annotated[
         int, typer.Argument(metavar="[N]", help="How many instants (1 to 1000000).", callback=within(1, 1_000_000))
@@ -66,7 +66,7 @@ def step(
     earth: Earth = None,
     json: AsJson = False,
 ) -> None:
-    """Go on to the next instant, or the next N, at which something happens; then pause."""
+    """Advance to the next instant, or the next N instants, at which something happens; then pause."""
     _change(mission, earth, json, steps=count)
 
 
@@ -81,7 +81,7 @@ def until(
     earth: Earth = None,
     json: AsJson = False,
 ) -> None:  # fmt: skip
-    """Go on until that mission time, then pause."""
+    """Run until that mission time, then pause."""
     _change(mission, earth, json, until=when)
 
 
@@ -101,7 +101,7 @@ def rate(
 
 @app.command()
 def unlimited(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
-    """Go on as fast as the machine allows."""
+    """Run as fast as the machine allows."""
     _change(mission, earth, json, unlimited=True)
 
 

@@ -66,9 +66,9 @@ def _in_lines(client: MissionClient, state: MissionState) -> str:
 
 
 def _until_over(client: MissionClient, state: MissionState, every_s: float) -> Iterator[None]:
-    """Yield with every change, and every so often, until the mission is over; raises PeerUnreachable when it is silent.
+    """Yield at every change, and once per period, until the mission is over; raises PeerUnreachable if it is silent.
 
-    A mission that says nothing while its clock stands is not silent: heartbeats are still heard.
+    A mission whose clock is stopped is not silent, because its heartbeats continue.
     """
     while state.status is None or not state.status.is_over:
         yield
@@ -193,7 +193,7 @@ class _Screen:
         return rows
 
     def _picture(self, width: int) -> list[str]:
-        """The map as lines, asked for again when it has changed, at most once a second."""
+        """The map as lines, queried again when it has changed, at most once per second."""
         status = self._state.status
         wanted = (0 if status is None else status.map_revision, width)
         if wanted == self._map_of or time.monotonic() - self._map_at < MAP_EVERY_S:

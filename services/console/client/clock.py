@@ -1,4 +1,4 @@
-"""Mission time as an operator's session knows it: asked for, followed, and controlled."""
+"""Mission time in an operator's session: queried, followed and controlled."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def time_shown(header: Header, clock: ClockState) -> MissionTime:
 
 
 class MissionClock:
-    """Mission time from the newest clock state and from what has been heard since; never runs backwards."""
+    """Mission time from the newest clock state and the messages since; never runs backwards."""
 
     def __init__(self, start_ns: MissionTime | None = None) -> None:
         """start_ns: beginning of the mission, where it is known before a clock state arrives."""
@@ -46,7 +46,7 @@ class MissionClock:
         return self._clock.state
 
     def follow(self, state: ClockState) -> None:
-        """Take a clock state that was received just now; an older one changes nothing."""
+        """Follow a clock state, received just now; an older one changes nothing."""
         self._clock.follow(state)
 
     @property
@@ -61,7 +61,7 @@ class MissionClock:
         return 0.0 if self.state.mode is ClockMode.LOCKSTEP else self.state.rate
 
     def hear(self, at: MissionTime) -> None:
-        """A message was made on Earth at that mission time."""
+        """Note a message that was made on Earth at that mission time."""
         self._heard = max(self._heard, at)
 
     def now(self) -> MissionTime:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MAX_EXPIRY_S = 1e9
 """Longest time for which a command may stay valid [s]: 30 years."""
 ASK_AGAIN_S = 1.0
-"""Wall time without a report after which the list of commands is asked for: a report may be lost on a busy session."""
+"""Wall time without a report after which the list of commands is queried, because a report may be lost."""
 
 
 class CommandHandle:
@@ -33,7 +33,7 @@ class CommandHandle:
     def __init__(self, session: Client, status: CommandStatus) -> None:
         self._session = session
         self.status = status
-        """The command and the stages that it has passed, as last heard."""
+        """The command and the stages that it has passed, as last reported."""
 
     @property
     def command_id(self) -> str:
@@ -41,7 +41,7 @@ class CommandHandle:
 
     @property
     def stages(self) -> tuple[CommandStage, ...]:
-        """The stages passed so far, as last heard."""
+        """The stages passed so far, as last reported."""
         return tuple(report.stage for report in self.status.stages)
 
     def wait(self, stage: CommandStage | str = CommandStage.COMPLETED, timeout_s: float = 60.0) -> CommandStatus:
@@ -138,7 +138,7 @@ def telecommand(
     polygon_m: Polygon | None = None,
     command_id: str | None = None,
 ) -> Telecommand:
-    """The telecommand of those values, with a new id if none is given; raises InvalidInput with one line."""
+    """The telecommand with these values, and a new id if none is given; raises InvalidInput with one line."""
     try:
         known = CommandKind(str(kind).replace("-", "_"))
     except ValueError:
@@ -163,7 +163,7 @@ def _checked(values: dict[str, Any]) -> Telecommand:
 
 
 def stage_named(stage: CommandStage | str) -> CommandStage:
-    """The stage of that name; raises InvalidInput with the names that there are."""
+    """The stage of that name; raises InvalidInput, listing the names, for an unknown one."""
     try:
         return CommandStage(stage)
     except ValueError:

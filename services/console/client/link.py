@@ -38,7 +38,7 @@ class LinkControl:
 
 
 def link_change(values: dict[str, Any]) -> LinkChange:
-    """The change of those values as JSON has them, where enumerations are words; raises InvalidInput with one line."""
+    """The link change from JSON values, enumerations as words; raises InvalidInput with one line."""
     try:
         return LinkChange.model_validate_json(json.dumps(values))
     except ValidationError as error:

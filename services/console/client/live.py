@@ -1,4 +1,4 @@
-"""What a mission says, as it comes: an iterator of news, callbacks, and which processes are alive."""
+"""A mission's messages as they arrive: an iterator of news, callbacks, and the processes that are alive."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 NEWS: tuple[Topic, ...] = (GROUND_STATUS, SAMPLE, EVENT, STATE, COMMAND_STATUS, LINK_STATUS)
 MAX_HELD = 10_000
-"""News that a slow reader of `live` may be behind; the oldest are dropped then."""
+"""Queue length of a slow reader of `live`; beyond it the oldest news are dropped."""
 ALIVE_WITHIN_S = 0.3
 """Wall time that the list of living processes may take to arrive."""
 
@@ -35,14 +35,14 @@ class News:
 
 
 class LiveNews:
-    """The part of `MissionClient` that listens."""
+    """The part of `MissionClient` that receives published messages."""
 
     _session: Client
 
     def live(self, *topics: Topic, timeout_s: float | None = None) -> Iterator[News]:
-        """What is said from now on, as it comes; ends after `timeout_s` of wall time, never without one.
+        """Messages from now on, as they arrive; ends after `timeout_s` of wall time, or never if that is None.
 
-        topics: what to listen to (`NEWS` without any). A slow reader misses the oldest news and delays no other client.
+        topics: what to subscribe to (default: `NEWS`). A slow reader misses the oldest news and delays no other client.
         """
         heard: queue.Queue[News] = queue.Queue(maxsize=MAX_HELD)
 
@@ -67,7 +67,7 @@ class LiveNews:
                 end()
 
     def listen(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> Callable[[], None]:
-        """Call `on_message(header, body)`, in another thread, with each message from now on; what returns ends that."""
+        """Subscribe: `on_message(header, body)` runs in another thread. Returns the function that ends it."""
         return self._session.subscribe(topic, on_message)
 
     def alive_on_earth(self) -> tuple[str, ...]:

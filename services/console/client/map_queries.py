@@ -142,7 +142,7 @@ class MapQueries:
         threshold: float | None = None,
         as_of: AsOf = None,
     ) -> tuple[bytes, bytes]:
-        """A part of a layer as a file's bytes (json, npy, png, tiff or csv), and what it shows as JSON."""
+        """A part of a layer as a file's bytes (json, npy, png, tiff or csv), and its description as JSON."""
         parameters = {
             "layer": layer, "x_min": x[0], "x_max": x[1], "y_min": y[0], "y_max": y[1],
             "resolution_m": resolution_m, "threshold": threshold, "as_of": as_of, "format": form,
@@ -158,7 +158,7 @@ class MapQueries:
         as_of: AsOf = None,
         step: int | None = None,
     ) -> tuple[bytes, MapAbout]:
-        """A whole layer as a file's bytes (npy, png, tiff or csv), and what it shows."""
+        """A whole layer as a file's bytes (npy, png, tiff or csv), and its description as JSON."""
         parameters = {"layer": layer, "format": form, "threshold": threshold, "as_of": as_of, "step": step}
         payload, about = self._session.fetch(MAP_LAYER, parameters)
         if not about:
@@ -208,7 +208,7 @@ class MapQueries:
         return MapHistory.model_validate_json(self._session.fetch(MAP_HISTORY, {})[0])
 
     def score(self) -> MapScore:
-        """How the map compares with the truth, which only a simulated Moon can tell."""
+        """How the map compares with the reference field, which exists only for a simulated Moon."""
         score: MapScore = self._session.query(MAP_SCORE, NoParameters())
         return score
 
@@ -235,7 +235,7 @@ class MapQueries:
         return listed.areas
 
     def passed_on(self, topic: Topic, parameters: dict[str, str]) -> tuple[bytes, bytes]:
-        """The answer as it stands, and its attachment, to a map query given as selector parameters.
+        """The unchanged reply, and its attachment, to a map query given as selector parameters.
 
         For a gateway such as the page's server. Raises InvalidInput for parameters that the ground refuses.
         """

@@ -56,8 +56,8 @@ class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
     ) -> None:
         """Join the mission that runs on this machine, or the one of that Earth endpoint and name.
 
-        while_waiting: called while the router takes the connection and has not replied; None: that is said once, on
-        standard error.
+        while_waiting: called while the router accepts the connection and has not replied; None: one line on standard
+        error.
         Raises PeerUnreachable when there is none, InvalidInput when there are several.
         """
         self.earth, self.mission = find(mission, earth)
@@ -66,9 +66,9 @@ class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
 
     @classmethod
     def when_up(cls, earth: str, mission: str, check: Callable[[], None], name: str = "operator") -> MissionClient:
-        """A session with a mission whose router is being started; `check` raises when it never will be.
+        """A session with a mission whose router is being started; `check` raises if the start has failed.
 
-        Waits as long as `check` does not raise, and says on standard error for what.
+        Waits as long as `check` does not raise; a line on standard error names what it waits for.
         """
         began = time.monotonic()
         silence = SilenceReport(Side.EARTH, earth, _report)
@@ -105,7 +105,7 @@ class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
         return status
 
     def wait_for_ground(self, check: Callable[[], None]) -> None:
-        """Return when the ground station answers; `check` raises when it never will."""
+        """Return when the ground station answers; `check` raises if it never will."""
         while True:
             check()
             try:

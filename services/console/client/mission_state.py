@@ -1,8 +1,8 @@
 """The newest facts of a mission, kept for a display: status, link, clock, rover, commands, events, heartbeats.
 
 Messages may be overtaken, repeated, or come from a process that is gone. A fact replaces an older one of its topic only
-if it is newer (`supersedes`). When the mission itself is started anew at the same endpoint, which shows in another link
-process and an earlier mission time, everything that was known is forgotten.
+if it is newer (`supersedes`). A mission that is started anew at the same endpoint has another link process and an
+earlier mission time; all facts are then dropped.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
     from services.runtime.transport.client import Client
 
 ANSWER_WITHIN_S = 10.0
-"""Wall time for the answer of a process that is there; one that is gone is known at once."""
+"""Longest wall time for the answer of a live process; queries to an ended one end at once."""
 MAX_EVENTS = 300
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
-"""Topics whose last message can be asked for."""
+"""Topics whose last message can be queried."""
 FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS)
 TIMEKEEPER = "link"
-"""The process that keeps mission time; its process id tells one instance of a mission from the next."""
+"""The process that keeps mission time; its process id distinguishes one run of a mission from the next."""
 SET_BACK_S = 1.0
-"""Wall time by which mission time must be behind what was heard to count as another mission's."""
+"""Wall time by which mission time must lie behind earlier messages to count as another mission's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def supersedes(header: Header, last: Header) -> bool:
 
 
 class MissionState:
-    """What a running mission says of itself, kept up to date by the session's threads.
+    """The newest facts of a running mission, kept up to date by the session's threads.
 
     on_change: called, in those threads and without a lock, with the topic whose newest fact has changed; None: all of
     them, as the mission was started anew.
@@ -116,7 +116,7 @@ class MissionState:
         self._presence: dict[str, tuple[float, Presence]] = {}
 
     def follow(self, timeout_s: float = ANSWER_WITHIN_S) -> None:
-        """Listen from now on, and ask for what was said before; a process that does not answer is left out.
+        """Subscribe, and query the last messages; a process that does not answer is left out.
 
         timeout_s: wall time for each question.
         """
@@ -127,7 +127,7 @@ class MissionState:
         self.catch_up(timeout_s)
 
     def catch_up(self, timeout_s: float = ANSWER_WITHIN_S) -> None:
-        """Ask for the newest facts that can be asked for."""
+        """Query the newest facts."""
         for topic in KEPT:
             with suppress(He3Error):
                 self._take(topic, *self._session.latest(topic, timeout_s))
@@ -136,9 +136,9 @@ class MissionState:
                 self._take(COMMAND_STATUS, None, status)
 
     def refresh(self) -> None:
-        """Find out whether the mission was started anew, if another process keeps its time; then forget and ask again.
+        """If another process keeps time, check whether the mission was started anew; then drop all facts and query.
 
-        Call it now and then from a thread that may wait.
+        Call it periodically from a thread that may block.
         """
         if not self._other_timekeeper:
             return
@@ -200,17 +200,17 @@ class MissionState:
 
     @property
     def silent_s(self) -> float:
-        """Wall time since anything was heard [s]."""
+        """Wall time since the last message of any kind [s]."""
         return time.monotonic() - self._heard_wall
 
     @property
     def is_silent(self) -> bool:
-        """Whether the mission has said nothing for longer than its heartbeats allow."""
+        """Whether no message has arrived for longer than the heartbeat period allows."""
         return self.silent_s > SILENT_S
 
     @property
     def knows_nothing(self) -> bool:
-        """Whether no process has answered or said anything."""
+        """Whether no message or answer has arrived at all."""
         return not self._facts and not self._presence
 
     def _body(self, topic: Topic) -> Any:
@@ -223,7 +223,7 @@ class MissionState:
         return lambda header, body: self._take(topic, header, body)
 
     def _take(self, topic: Topic, header: Header | None, body: Any) -> None:
-        """Keep what is new; header: None for an entry of the list of commands."""
+        """Keep a new fact; header: None for an entry of the list of commands."""
         with self._lock:
             self._heard_wall = time.monotonic()
             if header is not None and topic not in (STATE, EVENT):  # those were made on the Moon, a light time ago

@@ -21,7 +21,7 @@ _ENDPOINT = re.compile(r"(?:tcp|tls|quic)/[^\s/]+:\d{1,5}(?:[?#]\S*)?|unixsock-s
 
 @dataclass(frozen=True, slots=True)
 class RunningMission:
-    """What it takes to join a mission that runs on this machine."""
+    """The data needed to join a mission that runs on this machine."""
 
     mission: str
     scenario: str
@@ -101,7 +101,7 @@ def running_missions() -> list[RunningMission]:
 
 
 def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str]:
-    """Earth endpoint and name of the mission that is meant: as given, else as announced on this machine.
+    """Earth endpoint and name of a mission: as given, else as announced on this machine.
 
     A name stands for a mission only if one mission of that name runs. Raises InvalidInput for an endpoint or a name
     that is none, or when several missions fit; PeerUnreachable when none does.

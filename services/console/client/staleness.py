@@ -1,4 +1,4 @@
-"""When what is known of a mission is too old to rely on."""
+"""The ages from which facts about a mission are too old to rely on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COMPUTING_S = 1.0
 def stale_after_s(state_period_s: float, link: LinkStatus | None, rate: float) -> float:
     """Age [s of mission time] from which the rover's last known state is stale.
 
-    rate: mission seconds per wall second; at a high rate the computers' delay is much mission time.
+    rate: mission seconds per wall second; at a high rate, processing delays are long in mission time.
     """
     light_s = 0.0 if link is None else link.conditions.down.one_way_light_time_s
     return MISSED_STATES * state_period_s + light_s + COMPUTING_S * rate

@@ -1,8 +1,8 @@
-"""The published protocol, flown on the same seed while another mission runs, so that the two can be compared.
+"""Runs the published protocol on the same seed while another mission runs, so that the two can be compared.
 
 The baseline is a whole mission in one process (``he3 run t1-paper --in-process``), in a child at the lowest priority:
 it takes the processor time that the other mission leaves. Ctrl-C reaches both at the same time, because the child stays
-in this process's group. The child ends with this process, whatever ends that.
+in this process's group. The child ends with this process, also when that is killed.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Baseline:
             self._files.close()
 
     def report(self, show: Callable[[str], None]) -> MissionReport:
-        """The report of the mission, waited for; `show` gets each new line of its progress meanwhile.
+        """The report of the mission, once it has ended; `show` is called with each line of progress.
 
         Raises He3Error, with the child's own last line, when the mission fails.
         """

@@ -24,7 +24,7 @@ class Endpoints:
 
 
 def free_endpoints() -> Endpoints:
-    """Two endpoints on loopback where no program listened a moment ago."""
+    """Two endpoints on loopback that are free at this moment."""
     with socket.socket() as moon, socket.socket() as earth:
         for each in (moon, earth):
             each.bind(("127.0.0.1", 0))
@@ -34,9 +34,9 @@ def free_endpoints() -> Endpoints:
 
 @contextmanager
 def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
-    """The wanted endpoints, where any client looks for them, if they are free on this machine; else two that are.
+    """The wanted endpoints, at which clients look by default, if they are free on this machine; else two free ones.
 
-    They are kept from other missions of this user while the `with` statement lasts.
+    Other missions of this user cannot take them while the `with` statement lasts.
     """
     moon, earth = _loopback_port(wanted.moon), _loopback_port(wanted.earth)
     if moon is None or earth is None:
@@ -59,7 +59,7 @@ def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
 def require_free(endpoints: Endpoints) -> None:
     """Raise He3Error if another program of this machine listens at one of the endpoints.
 
-    The link finds that out too, but a service needs seconds to start. A TCP endpoint is checked only if its address is
+    The link would find out too, but only seconds later. A TCP endpoint is checked only if its address is
     one of this machine's.
     """
     for side, endpoint in (("moon", endpoints.moon), ("earth", endpoints.earth)):
@@ -76,7 +76,7 @@ def require_free(endpoints: Endpoints) -> None:
 
 
 def _bind(host: str, port: int) -> None:
-    """Bind that address for a moment; raises OSError if that cannot be."""
+    """Bind a socket to the address and close it; raises OSError if the address cannot be bound."""
     numeric = "127.0.0.1" if host == "localhost" else host
     flags = socket.AI_NUMERICHOST  # no name is looked up: that can take long
     family, kind, protocol, _, address = socket.getaddrinfo(numeric, port, type=socket.SOCK_STREAM, flags=flags)[0]

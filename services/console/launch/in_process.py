@@ -61,7 +61,7 @@ def _run_in_process(
         if log is not None and events is not None:
             log.close()  # the queries for the report are no part of the mission
             merge_event_logs([events], events)
-        assert mission.status is not None, "its phase has ended the run"
+        assert mission.status is not None, "the run ends only after the ground has reported its status"
         run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
         outcome = gather(_Asked(mission), scenario, mission.status, run)
     return outcome, [] if sink is None or sink.problem is None else [sink.problem]

@@ -1,4 +1,4 @@
-"""The launcher: starts a mission's services as processes, watches them, and ends them all, whatever happens."""
+"""The launcher: starts a mission's services as processes, watches them, and ends them all in every case."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Launcher:
         logs: Path | None = None,
         service_flags: dict[str, Sequence[str]] | None = None,
     ) -> None:
-        """logs: folder for a log file a service; None: their log lines go to standard error."""
+        """logs: folder for one log file per service; None: log lines go to standard error."""
         self._scenario = scenario
         self._endpoints = endpoints
         self._flags = tuple(flags)
@@ -75,7 +75,7 @@ class Launcher:
         self.stop()
 
     def start(self, process: ProcessSpec, wait_for: Iterable[str] = ()) -> None:
-        """Start one service. wait_for: for the link, which holds mission time until these are there."""
+        """Start one service. wait_for: for the link, which holds mission time until these processes take part."""
         name = process.name
         command = python_command(process.module, str(self._scenario), *self._flags)
         command += ["--moon", self._endpoints.moon, "--earth", self._endpoints.earth]
@@ -130,7 +130,7 @@ class Launcher:
         return f"the {name} service ended by itself, {exit_in_words(code)}{self._last_words(name)}"
 
     def failure(self, name: str) -> str | None:
-        """One line on why that service, which is over, ended with another exit code than 0; None if it did not."""
+        """One line on why that ended service failed; None if its exit code is 0."""
         process = self._processes.get(name)
         if process is None or not process.returncode:
             return None
@@ -138,7 +138,7 @@ class Launcher:
         return said or f"the {name} service ended by itself, {exit_in_words(process.returncode)}"
 
     def tell_to_end(self) -> None:
-        """Ask every service to end, and wait for none."""
+        """Ask every service to end; does not wait."""
         for process in self._processes.values():
             if process.poll() is None:
                 process.terminate()

@@ -82,7 +82,7 @@ def _run_separate(
 
 
 def checked_region(scenario: Scenario) -> Region:
-    """The region of that scenario, after its nodes were built here as the services will build them.
+    """The region of that scenario, after a check that builds its nodes here as the services will.
 
     Raises InvalidInput, in one line, for a scenario that one of the services would refuse.
     """

@@ -77,7 +77,7 @@ def write_csv(export: Export, path: Path) -> None:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Turns an error of the operating system into He3Error with one line."""
+    """Within this context an OSError becomes a He3Error with one line."""
     try:
         yield
     except OSError as error:

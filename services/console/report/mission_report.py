@@ -39,7 +39,7 @@ class Answers(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """How a mission was run: what its nodes cannot know."""
+    """How a mission was run: the facts that its nodes do not know."""
 
     driver: str
     """in-process, zenoh or lockstep."""
@@ -123,7 +123,7 @@ def build_report(
 
 
 def count_messages(link: LinkStatus) -> MessageCounts:
-    """What the link carried, both directions together."""
+    """Counts of the link's messages, both directions together."""
     both = (link.up, link.down)
     return MessageCounts(
         sent=sum(counts.offered for counts in both),

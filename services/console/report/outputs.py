@@ -40,7 +40,7 @@ class Outputs:
 
 
 def outputs(folder: Path | None, report: Path | None, events: Path | None = None) -> Outputs:
-    """Where a mission's files go, after a check that they can be written there; nothing is created.
+    """The output paths of a mission, after a check that they can be written; nothing is created.
 
     Raises InvalidInput for a folder that is a file, or a place without permission to write.
     """
@@ -77,10 +77,10 @@ def make_folder(folder: Path) -> Path:
 
 @contextmanager
 def claimed(where: Outputs, events: Path | None = None, journal: Path | None = None) -> Iterator[None]:
-    """Keep the outputs of a mission that begins for this process, and remove those that an earlier mission left there.
+    """Reserve the output paths for this process, and remove files that an earlier mission left there.
 
-    An earlier recording stays: the recorder keeps it beside the new one. journal: a folder that is kept for this
-    process as well. Raises InvalidInput if another process uses one of them, He3Error if they cannot be prepared.
+    An earlier recording stays: the recorder keeps it beside the new one. journal: a folder to reserve as well. Raises
+    InvalidInput if another process uses one of them, He3Error if they cannot be prepared.
     """
     with ExitStack() as held:
         if where.folder is not None:
@@ -113,7 +113,7 @@ def _remove_stale(where: Outputs, events: Path | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written of a mission that is over."""
+    """The outputs written for a finished mission."""
 
     report: MissionReport
     """With a line on each output that could not be written."""
@@ -126,7 +126,7 @@ class Written:
 def write_outcome(
     outcome: Outcome, region: Region, where: Outputs, events: Path | None, problems: Sequence[str]
 ) -> Written:
-    """Write the pictures and the report. A picture that cannot be written is noted in the report and fails nothing.
+    """Write the pictures and the report. A picture that cannot be written is noted in the report; it is no failure.
 
     events: the event log that was written. problems: one line on each output that could not be written before.
     """

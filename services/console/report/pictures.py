@@ -45,7 +45,7 @@ START_COLOUR = "#ffd23f"
 DPI = 160
 ABUNDANCE_PERCENTILES = (0.5, 99.5)
 STD_PERCENTILES = (10.0, 99.5)
-"""Where the scale of a standard deviation ends: close to a sample it falls to the noise, which would hide the rest."""
+"""Ends of the colour scale of a standard deviation: the small values close to samples would stretch it."""
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -149,7 +149,7 @@ def _panels(picture: MapPicture) -> list[_Panel]:
 
 
 def _size(values: NDArray[Any], columns: int, beside: float, rows: int = 1) -> tuple[float, float]:
-    """Width and height [inch] of a figure of maps, with so much height beside them for title and caption."""
+    """Width and height [inch] of a figure of maps, with extra height for title and caption."""
     height, width = values.shape
     return 4.8 * columns, beside + rows * max(2.0, 0.3 + 3.75 * height / width)
 
@@ -292,7 +292,7 @@ def region_figure(region: Region) -> Figure:
 
 
 def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
-    """Root-mean-square error, and the standard deviation that the belief itself claims, over the samples taken."""
+    """Root-mean-square error and the mean posterior standard deviation, over the number of samples."""
     with rc_context(_STYLE):
         figure = Figure(figsize=(6.8, 4.3), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
@@ -301,9 +301,7 @@ def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
         rmse = [score.rmse_ppb for score in history]
         claimed = [score.mean_std_ppb for score in history]
         axis.plot(samples, rmse, color="#1f6f8b", lw=1.9, marker="o", ms=3.2, label="RMSE against the reference")
-        axis.plot(
-            samples, claimed, color="#c8553d", lw=1.5, ls=(0, (5, 2)), label="mean posterior std (what it claims)"
-        )
+        axis.plot(samples, claimed, color="#c8553d", lw=1.5, ls=(0, (5, 2)), label="mean posterior std")
         if history:
             end, last = (samples[-1], rmse[-1]), f"{rmse[-1]:.3f} ppb"
             look: dict[str, Any] = {"color": "#1f6f8b", "fontweight": "bold", "ha": "right"}

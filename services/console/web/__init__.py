@@ -1,1 +1,1 @@
-"""The operator's web page: served by the console, with nothing from elsewhere."""
+"""The operator's web page: served by the console, without resources from other servers."""

@@ -1,4 +1,4 @@
-"""Addresses and names of the page's server: where it listens, what it prints, which Host headers mean it."""
+"""Addresses of the page's server: where it listens, what it prints, and the Host headers that it accepts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _NAME = re.compile(r"(?!-)[a-z0-9_-]{1,63}(?<!-)(\.(?!-)[a-z0-9_-]{1,63}(?<!-))*")
 _WITH_PORT = re.compile(r"(?P<host>\[[^\[\]]*\]|[^:\[\]]*)(?::(?P<port>\d{1,5}))?")
 _NOT_OURS = frozenset({errno.EADDRNOTAVAIL, errno.EINVAL, errno.EAFNOSUPPORT})
-"""What binding says to an address that no interface of this machine has."""
+"""Error numbers of binding an address that no interface of this machine has."""
 LOOPBACK = {socket.AF_INET: "127.0.0.1", socket.AF_INET6: "::1"}
 
 

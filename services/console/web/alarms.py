@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from schemas.link import LinkStatus
 
 LOW_ENERGY_SHARE = 0.25
-"""Of the capacity; the rover enters safe mode at its reserve, 0.2 by default, and the alarm comes before that."""
+"""Battery alarm limit, as a share of the capacity: above the reserve (0.2 by default), at which safe mode begins."""
 
 
 class AlarmKind(StrEnum):
@@ -43,7 +43,7 @@ class Alarm:
     """How often it was raised since it was last acknowledged."""
 
     def document(self) -> dict[str, object]:
-        """As the page reads it."""
+        """The alarm as a JSON document for the page."""
         return {
             "id": self.alarm_id,
             "kind": self.kind.value,
@@ -56,7 +56,7 @@ class Alarm:
 
 
 class Alarms:
-    """All alarms that are active or not acknowledged, one of a kind at most."""
+    """All alarms that are active or not acknowledged, at most one per kind."""
 
     def __init__(self, state_period_s: float = 60.0) -> None:
         self._state_period_s = state_period_s
@@ -69,7 +69,7 @@ class Alarms:
         return tuple(self._alarms.values())
 
     def look(self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float = 1.0) -> bool:
-        """Compare conditions with what is known; whether an alarm has changed.
+        """Check all conditions against the mission's state; returns whether an alarm has changed.
 
         rate: mission seconds per wall second, see `stale_after_s`.
         """
@@ -77,7 +77,7 @@ class Alarms:
         return any(changes)
 
     def happened(self, event: RoverEvent) -> bool:
-        """Handle an event of the rover; whether an alarm has changed."""
+        """Handle an event of the rover; returns whether an alarm has changed."""
         where = f"at ({event.x_m:.0f}, {event.y_m:.0f}) m"
         about = f": {event.detail}" if event.detail else ""
         if event.kind is EventKind.BLOCKED:
@@ -93,7 +93,7 @@ class Alarms:
         return False
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """An operator has seen it; whether there was such an alarm to acknowledge."""
+        """Acknowledge an alarm; returns whether there was one to acknowledge."""
         alarm = self._alarms.get(alarm_id)
         if alarm is None or alarm.acknowledged:
             return False

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 MAX_POINTS = 1500
-"""Points of a curve; when there are more, every second one is left out."""
+"""Most points of a curve; beyond it every second point is dropped."""
 TAIL = 200
-"""Points that are sent when a curve has grown; the browser replaces what overlaps."""
+"""Points sent when a curve has grown; the browser replaces overlapping ones."""
 NAMES = ("energy_wh", "queue", "mean_std_ppb", "rmse_ppb")
 
 Point = tuple[float, float]
@@ -18,7 +18,7 @@ class Curves:
         self._points: dict[str, list[Point]] = {name: [] for name in NAMES}
 
     def add(self, name: str, at_s: float, value: float) -> bool:
-        """Append a point; whether the curve has grown. The last of three equal values only moves."""
+        """Append a point; returns whether the curve has changed. The last of three equal values only moves."""
         points = self._points[name]
         if points and points[-1][0] >= at_s:
             return False
@@ -31,7 +31,7 @@ class Curves:
         return True
 
     def prepend(self, past: Curves) -> None:
-        """Put those points that are earlier than a curve's first before it."""
+        """Insert points that are earlier than the first point of their curve."""
         for name, points in self._points.items():
             first = points[0][0] if points else float("inf")
             points[:0] = [point for point in past._points[name] if point[0] < first]
@@ -41,5 +41,5 @@ class Curves:
         return self._points[name][-TAIL:]
 
     def document(self) -> dict[str, list[Point]]:
-        """As the page reads them."""
+        """The curves as a JSON document for the page."""
         return {name: list(points) for name, points in self._points.items()}

@@ -1,4 +1,4 @@
-"""What the page shows, kept once for all browsers, and sent to each of them as it changes.
+"""The page's data, kept once for all browsers, and sent to each of them when it changes.
 
 The mission's facts are those of `MissionState`; the hub adds the curves of the charts and the alarms, and limits how
 often a browser is told. Zenoh's threads enter through `_changed`, which never waits.
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from services.console.client.mission_state import Happened, MissionState
 
 MAX_WAITING = 400
-"""Messages that a browser may be behind; then its stream ends, it comes back by itself, and starts afresh."""
+"""Queue length of a browser; beyond it the stream ends, and the browser reconnects and receives everything anew."""
 TOLD_EVERY_S = 0.1
 """A status that changes more often is sent no more often than this [s of wall time]."""
 BEAT_EVERY_S = 2.0
 FLIGHTS_SHOWN_S = 0.5
-"""A message in flight is sent for at least so long: a flight may be over before the next status is sent."""
+"""A message in flight is shown for at least this time, because it may arrive before the next status is sent."""
 MAX_FLIGHTS = 100
 
 
@@ -74,13 +74,13 @@ class Hub:
         self._has_past = False
 
     def begin(self) -> None:
-        """Listen from now on, and catch up with what was said before."""
+        """Subscribe, and query the mission's past."""
         self._state.follow()
         self._catch_up()
         threading.Thread(target=self._look, name="web-look", daemon=True).start()
 
     def _catch_up(self) -> None:
-        """Put the mission's past before what the curves hold already."""
+        """Insert the mission's past before the points that the curves already have."""
         self._has_past = True
         with contextlib.suppress(He3Error):  # it has not begun: then all of it will be heard
             scores, revisions = self.mission.track().score_history, self.mission.history().revisions
@@ -103,7 +103,7 @@ class Hub:
     # --- browsers ---------------------------------------------------------------------------------------------------
 
     def enter(self, viewer: Viewer) -> None:
-        """Send this browser everything that is known, and from now on all that changes."""
+        """Send this browser all data, and every change from now on."""
         with self._lock:
             viewer.queue.put_nowait(_message("state", self._document()))
             self._viewers.add(viewer)
@@ -113,7 +113,7 @@ class Hub:
             self._viewers.discard(viewer)
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """An operator has seen that alarm; whether there was one to acknowledge."""
+        """Acknowledge an alarm; returns whether there was one to acknowledge."""
         with self._lock:
             done = self._alarms.acknowledge(alarm_id)
             if done:

@@ -1,4 +1,4 @@
-"""What the page may send to its server: each request a model, so that anything else is refused with one line."""
+"""The requests of the page to its server, each a model; anything else is refused with one line."""
 
 from __future__ import annotations
 

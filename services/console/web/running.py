@@ -22,7 +22,7 @@ def serve(
     other_hosts: tuple[str, ...],
     say: Callable[[str], None],
 ) -> None:
-    """Serve until Ctrl-C; `say` gets the line with the page's address.
+    """Serve until Ctrl-C; `say` is called with the line that has the page's address.
 
     other_hosts: further names of this server, each in the spelling of `host_name`. Raises InvalidInput for an address
     that is not this machine's, He3Error when the port is taken or packages are missing.

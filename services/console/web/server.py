@@ -29,7 +29,7 @@ from services.console.web.requests import AcknowledgeRequest, CommandRequest, In
 STATIC = Path(__file__).parent / "static"
 KEEP_ALIVE_S = 15.0
 BODY_WITHIN_S = 10.0
-"""How long a request's body may take to arrive."""
+"""Longest time for a request's body to arrive."""
 
 ASKED = {
     "point": MAP_POINT,
@@ -45,7 +45,7 @@ LINK_FIELDS = frozenset(
     {"direction", "one_way_light_time_s", "loss", "rate_bit_s", "unlimited_rate", "jitter_s", "contact"}
     | {"contact_as_scheduled"}
 )
-"""What of the link the page may change."""
+"""Fields of the link's conditions that the page may change."""
 
 _PARAMETER = re.compile(r"[a-z_]{1,40}")
 
@@ -91,7 +91,7 @@ def _answered(answer: Callable[[Request, bytes], Response]) -> Callable[[Request
 
 
 async def _http_error(_: Request, error: Exception) -> Response:
-    """No such path, or a method that it does not have."""
+    """The reply to an unknown path or method."""
     assert isinstance(error, HTTPException), "registered for that class alone"
     return _error(str(error.detail), error.status_code)
 

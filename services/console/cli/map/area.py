@@ -20,7 +20,7 @@ def resource(
     corners: Corners = None,
     cutoff: Annotated[
         float,
-        typer.Option("--cutoff", metavar="PPB", help="Cut-off abundance of the area above it.",
+        typer.Option("--cutoff", metavar="PPB", help="Cut-off abundance: the area above it is estimated.",
                      callback=within(-MAX_PPB, MAX_PPB)),
     ] = 8.0,
     probability: Annotated[

@@ -12,7 +12,7 @@ from services.console.cli.map.options import AsOf, LayerName, Threshold, check_t
 from services.console.cli.options import AsJson, Earth, Mission
 
 FORMS = {".npy": "npy", ".png": "png", ".tif": "tiff", ".tiff": "tiff", ".csv": "csv"}
-"""How the ground writes a layer, by the suffix of the file."""
+"""Formats in which the ground writes a layer, by the suffix of the file."""
 
 
 def save(
@@ -24,7 +24,7 @@ def save(
     earth: Earth = None,
     json: AsJson = False,
 ) -> None:
-    """A whole layer as a file: NumPy, picture, GeoTIFF or table; --json says what it shows."""
+    """A whole layer as a file: NumPy, picture, GeoTIFF or table; --json prints its description."""
     check_threshold(layer, threshold)
     form = form_of(file)
     with joined(mission, earth) as client:
@@ -66,7 +66,7 @@ def export(
 
 
 def form_of(file: Path) -> str:
-    """The form in which the ground writes a file of that name; raises InvalidInput for a suffix it does not know."""
+    """The format of a file of that name; raises InvalidInput for a suffix it does not know."""
     from he3.errors import InvalidInput
 
     form = FORMS.get(file.suffix.lower())

@@ -1,4 +1,4 @@
-"""``he3 map samples``, ``plan`` and ``history``: what is measured, driven and planned, and the earlier maps."""
+"""``he3 map samples``, ``plan`` and ``history``: what is measured, driven and planned, and earlier maps."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def history(mission: Mission = None, earth: Earth = None, json: AsJson = False) 
 def _table(
     layer: str, csv: bool, as_of: str | None, mission: str | None, earth: str | None, json: bool
 ) -> dict[str, Any] | None:
-    """The table as a document; None when it was printed as it is, as --csv or --json asked."""
+    """The table as a document; None if it was already printed for --csv or --json."""
     with joined(mission, earth) as client:
         payload = client.table(layer, "csv" if csv else "json", as_of=as_of)
     if csv or json:
