@@ -33,5 +33,9 @@ class NotReady(He3Error):
     """What was requested does not exist yet; the same request may succeed later."""
 
 
+class NotAllowed(He3Error):
+    """The identity of the process or person does not have the right that this takes."""
+
+
 class Busy(He3Error):
     """Too much work is waiting; the same request may succeed later."""

@@ -374,6 +374,19 @@ def addressed(topic: Topic, name: str) -> Topic:
     return replace(topic, name=f"{topic.name}/{name}")
 
 
+ALIVE = "alive"
+"""Liveliness group of all processes."""
+MEMBERS = "member"
+"""Liveliness group of the participants in lockstep; each start of a process has a token of its own."""
+ONLOOKERS = "onlooker"
+"""Liveliness group of the processes for which virtual time never waits."""
+
+
+def liveliness_key(mission: str, side: Side, name: str, group: str = ALIVE) -> str:
+    """Key of a process's liveliness token; the one key that is not a topic, as it carries no message."""
+    return f"{KEY_ROOT}/{mission}/{side.value}/{group}/{name}"
+
+
 def crossing(direction: Direction) -> tuple[Topic, ...]:
     """The topics that cross the link in that direction."""
     return tuple(topic for topic in TOPICS if topic.direction is direction)

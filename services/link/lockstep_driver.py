@@ -15,7 +15,7 @@ from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, encode
 from schemas.link import ClockMode, ClockState
 from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
-from schemas.topics import TIME_CONTROL, TIME_SHOW, Side, Topic
+from schemas.topics import MEMBERS, ONLOOKERS, TIME_CONTROL, TIME_SHOW, Side, Topic
 from services.link.late import SignsOfLife
 from services.runtime.heartbeat import TOPICS as HEARTBEATS
 from services.runtime.lockstep.pace import Pace
@@ -25,7 +25,7 @@ from services.runtime.lockstep.topics import JOIN, TO_TIME_MANAGER, grant_to
 from services.runtime.process_clock import CLOCKS
 from services.runtime.queries.request import encode_reply, read_request
 from services.runtime.refusals import refusal_of
-from services.runtime.transport.session import MEMBERS, ONLOOKERS, IncomingQuery
+from services.runtime.transport.session import IncomingQuery
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime

@@ -14,4 +14,4 @@ if TYPE_CHECKING:
 
 def router_on(context: ProcessContext, side: Side, endpoint: str) -> Session:
     """The router of that side, listening; raises PeerUnreachable when it cannot, with the reason."""
-    return Session(open_router(side, endpoint), context.mission)
+    return Session(open_router(side, endpoint, context.mission, context.options.identity), context.mission)

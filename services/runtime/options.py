@@ -7,12 +7,18 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from he3.errors import InvalidInput
+from schemas.roles import Role
+from schemas.topics import SIDES, Side
 from services.mission.deployment import find_scenario
 from services.mission.scenario import Scenario, load_scenario
 from services.runtime.node import Level
+from services.runtime.trust.endpoint_policy import check_endpoint
+
+if TYPE_CHECKING:
+    from services.runtime.trust.identity import Identity
 
 EXAMPLES = """examples:
   python -m services.{name} t1
@@ -40,6 +46,10 @@ class Options:
     """The link in lockstep: mission seconds per wall second at most, until an operator changes it; None: no limit."""
     events: Path | None
     """File that gets a line for each event handled."""
+    identity: Identity | None = None
+    """Who this process is; None on loopback without keys."""
+    insecure: tuple[str, ...] = ()
+    """A warning for each endpoint that others can reach without TLS, which the user has asked for."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -85,6 +95,10 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         "--pace", type=float, metavar="R", help="link in lockstep: mission seconds per wall second at most"
     )
     parser.add_argument("--events", type=Path, metavar="FILE", help="write a line for each event handled")
+    parser.add_argument("--identity", type=Path, metavar="DIR", help="folder of this process's identity (he3 keys)")
+    parser.add_argument(
+        "--insecure", action="store_true", help="allow endpoints off loopback without TLS: anyone may command"
+    )
     given = parser.parse_args(arguments)
     if given.pace is not None and not 0 < given.pace <= 1e9:
         parser.error(f"--pace: expected a number over 0 and up to 1e9, got {given.pace:g}")
@@ -97,8 +111,10 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     require_plugin_allowed(scenario, changes, given.allow_plugin)
     endpoints = (("moon", given.moon), ("earth", given.earth))
     changes += [("network", key, endpoint) for key, endpoint in endpoints if endpoint is not None]
+    scenario = with_settings(scenario, changes)
+    identity = None if given.identity is None else _identity(name, given.identity)
     return Options(
-        scenario=with_settings(scenario, changes),
+        scenario=scenario,
         level=Level(given.log_level),
         log_json=given.log_json,
         wait_for=tuple(part for part in given.wait_for.split(",") if part),
@@ -108,6 +124,8 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         stop_when=given.stop_when,
         pace=given.pace,
         events=given.events,
+        identity=identity,
+        insecure=_warnings(name, scenario, identity is not None, given.insecure),
     )
 
 
@@ -123,6 +141,23 @@ def require_plugin_allowed(scenario: Scenario, settings: Sequence[tuple[str, str
             f"scenario '{scenario.name}': names the plug-in planner '{scenario.ground.planner}', which is code that "
             "would run: expected --allow-plugin, or another planner with --planner"
         )
+
+
+def _identity(name: str, folder: Path) -> Identity:
+    """The identity of that folder, which must have the role of the service of that name."""
+    from services.runtime.trust.identity import load_identity
+
+    identity = load_identity(folder)
+    identity.require_role(Role(name))
+    return identity
+
+
+def _warnings(name: str, scenario: Scenario, identified: bool, insecure: bool) -> tuple[str, ...]:
+    """A warning for each insecure endpoint that the service uses; raises InvalidInput for one that it may not use."""
+    sides = SIDES[Role(name)] if name in set(Role) else tuple(Side)
+    endpoints = {Side.MOON: scenario.network.moon, Side.EARTH: scenario.network.earth}
+    found = [check_endpoint(endpoints[side], identified=identified, insecure=insecure) for side in sides]
+    return tuple(warning for warning in found if warning is not None)
 
 
 def parse_setting(text: str) -> tuple[str, str, Any]:

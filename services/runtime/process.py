@@ -20,7 +20,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
-from schemas.topics import Side, Topic
+from schemas.topics import ONLOOKERS, Side, Topic
 from services.runtime.context import Driver, ProcessContext
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.drivers.wall_clock import WallClockDriver
@@ -37,7 +37,7 @@ from services.runtime.process_clock import ProcessClock
 from services.runtime.queries.process import QueryProcess
 from services.runtime.scheduler import Executor, InlineExecutor, NodeScheduler
 from services.runtime.transport.opening import connect_client
-from services.runtime.transport.session import ONLOOKERS, Session, close_all
+from services.runtime.transport.session import Session, close_all
 
 if TYPE_CHECKING:
     from services.runtime.service import Service
@@ -56,7 +56,8 @@ OpenSide = Callable[[ProcessContext, Side, str], Session | None]
 
 def connect_side(context: ProcessContext, side: Side, endpoint: str) -> Session | None:
     """A client session on that side, as soon as its router is there."""
-    return connect_client(side, endpoint, context.mission, context.inbox.stopped, context.log.warning)
+    identity = context.options.identity
+    return connect_client(side, endpoint, context.mission, context.inbox.stopped, context.log.warning, identity)
 
 
 def serve(
@@ -97,6 +98,8 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
     """The parts of the process; `stack` closes them at the end."""
     clock = ProcessClock()
     log = Log(service.name, clock.now_or_none, options.level, options.log_json)
+    for warning in options.insecure:
+        log.warning(warning)
     sessions: dict[Side, Session] = {}
     query_process = _query_process(service, options, log)  # it starts while the node is built
     executor = _executor(service, inbox, stack)
@@ -133,7 +136,9 @@ def _query_process(service: Service, options: Options, log: Log) -> QueryProcess
     if service.queries is None:
         return None
     scenario = options.scenario
-    return QueryProcess(service.queries.module, Side.EARTH, scenario.network.earth, scenario.name, log.warning)
+    identity = None if options.identity is None else options.identity.folder
+    network = scenario.network
+    return QueryProcess(service.queries.module, Side.EARTH, network.earth, scenario.name, log.warning, identity)
 
 
 def _executor(service: Service, inbox: Inbox, stack: ExitStack) -> Executor:

@@ -9,6 +9,7 @@ import typer
 from services.console.cli import (
     bench,
     command,
+    keys,
     link,
     map,
     reference,
@@ -55,6 +56,7 @@ def build() -> typer.Typer:
     app.command("commands", short_help="List the telecommands and their stages.", epilog=command.EXAMPLES)(
         command.commands
     )
+    app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
     app.add_typer(reference.app, name="reference", help="The reference field of a region: show it, build it.")
     app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
     app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(

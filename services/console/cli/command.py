@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from services.console.cli.coordinates import NEGATIVE_NUMBERS, Corners, X, Y, polygon
-from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, Mission, checked, within
+from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, IdentityFolder, Insecure, Mission, checked, within
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,13 +80,15 @@ def _plain(word: str, about: str) -> None:
     def issue(
         mission: Mission = None,
         earth: Earth = None,
+        identity: IdentityFolder = None,
+        insecure: Insecure = False,
         command_id: CommandId = None,
         expires_in: ExpiresIn = None,
         wait: Wait = None,
         timeout: Timeout = 60.0,
         json: AsJson = False,
     ) -> None:
-        _issue(word, {}, mission, earth, command_id, expires_in, wait, timeout, json)
+        _issue(word, {}, mission, earth, identity, insecure, command_id, expires_in, wait, timeout, json)
 
     app.command(word, help=about, epilog=EXAMPLES)(issue)
 
@@ -100,6 +103,8 @@ def go_to(
     y: Y,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     command_id: CommandId = None,
     expires_in: ExpiresIn = None,
     wait: Wait = None,
@@ -107,7 +112,9 @@ def go_to(
     json: AsJson = False,
 ) -> None:
     """Drive to a place, and wait there for the next plan."""
-    _issue("go-to", {"target_m": (x, y)}, mission, earth, command_id, expires_in, wait, timeout, json)
+    _issue(
+        "go-to", {"target_m": (x, y)}, mission, earth, identity, insecure, command_id, expires_in, wait, timeout, json
+    )
 
 
 @app.command(
@@ -118,6 +125,8 @@ def keep_out(
     corners: Corners = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     command_id: CommandId = None,
     expires_in: ExpiresIn = None,
     wait: Wait = None,
@@ -128,7 +137,7 @@ def keep_out(
     what: dict[str, Any] = {"area_id": area}
     if corners:
         what["polygon_m"] = polygon(corners)
-    _issue("set-keep-out", what, mission, earth, command_id, expires_in, wait, timeout, json)
+    _issue("set-keep-out", what, mission, earth, identity, insecure, command_id, expires_in, wait, timeout, json)
 
 
 def _issue(
@@ -136,6 +145,8 @@ def _issue(
     what: dict[str, Any],
     mission: str | None,
     earth: str | None,
+    identity: Path | None,
+    insecure: bool,
     command_id: str | None,
     expires_in: float | None,
     wait: str | None,
@@ -146,7 +157,7 @@ def _issue(
     from services.console.client.mission_client import MissionClient
 
     stage = None if wait is None else CommandStage(wait)
-    with MissionClient(earth, mission) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         issued = client.command(kind, expires_in_s=expires_in, command_id=command_id, **what)
         status = issued.status if stage is None else issued.wait(stage, timeout_s)
     typer.echo(status.model_dump_json(indent=2) if json else "\n".join(command_lines([status])))
@@ -164,12 +175,18 @@ def fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None
         raise He3Error(f"command {status.command.command_id}: {end.stage.value}{': ' + end.why if end.why else ''}")
 
 
-def commands(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def commands(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """List every telecommand with the stages that it has passed and their times."""
     from schemas.commands import CommandList
     from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         listed = client.commands()
     if json:
         typer.echo(CommandList(commands=listed).model_dump_json(indent=2))

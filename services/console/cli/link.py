@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson, Earth, Mission, checked, within
+from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission, checked, within
 
 if TYPE_CHECKING:
     from schemas.link import LinkStatus
@@ -67,11 +67,17 @@ _seconds = within(0, MAX_DELAY_S)
 
 
 @app.command(short_help="Show conditions, counts and messages in flight.", epilog=EXAMPLES)
-def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def show(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Conditions, counts, and every message in flight with its arrival time."""
     from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         status = client.link()
     _print(status, json)
 
@@ -80,6 +86,8 @@ def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> 
 def change(
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     preset: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="Replace all conditions: nominal, zero, csa-10s, lossy, mars, ...",
@@ -140,7 +148,7 @@ def change(
     if not given.keys() - {"direction"}:
         raise InvalidInput("link set: expected something to change, such as --loss 0.1 or --preset lossy")
     request = link_change(given)
-    with MissionClient(earth, mission) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         status = client.change_link(request)
     _print(status, json)
 

@@ -102,6 +102,20 @@ Earth = Annotated[
     str | None,
     typer.Option("--earth", metavar="ENDPOINT", help="Endpoint of its Earth router, such as tcp/10.0.0.2:7448."),
 ]
+IdentityFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--identity", metavar="DIR", help="Folder of your identity, for a mission with keys (or HE3_IDENTITY)."
+    ),
+]
+Insecure = Annotated[
+    bool,
+    typer.Option("--insecure", help="Allow an endpoint off loopback without TLS: anyone who reaches it may command."),
+]
+Keys = Annotated[
+    Path | None,
+    typer.Option("--keys", metavar="DIR", help="The mission's keys (he3 keys init): TLS, and each role its rights."),
+]
 Lockstep = Annotated[
     bool, typer.Option("--lockstep", help="Separate processes in virtual time: exact, repeatable, as fast as possible.")
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +14,8 @@ from services.console.cli.options import (
     MAX_RATE,
     AllowPlugin,
     AsJson,
+    Insecure,
+    Keys,
     Lockstep,
     OutFolder,
     Planner,
@@ -48,11 +51,16 @@ Each is a separate process in virtual time: every delay is exact, and a mission 
 From another terminal: he3 status, he3 watch, he3 map show mean, he3 link show, he3 time show
 """
 
+SECURE_ABOUT = """Its keys are in {keys} and go with it: each process has its own, and the routers deny the rest.
+To command it: he3 command pause --identity {keys}/identities/operator-demo
+"""
+
 DEMO_EXAMPLES = """\b
 Examples:
   he3 demo                                          the mission, its report and pictures
   he3 demo --seed 7                                 other measurement errors, other choices
   he3 demo --set ground.planner=informative         with another planner
+  he3 demo --secure                                 with TLS and keys of its own
   he3 demo --no-compare                             without the published protocol beside it
 """
 
@@ -79,6 +87,8 @@ def run(
     report: ReportFile = None,
     out: OutFolder = None,
     events: EventsFile = None,
+    keys: Keys = None,
+    insecure: Insecure = False,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -91,7 +101,18 @@ def run(
         raise InvalidInput(
             "--events: expected it with --in-process or --lockstep, where every event has its exact time"
         )
-    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or (), allow_plugin=allow_plugin)
+    if in_process and keys is not None:
+        raise InvalidInput("--keys: expected it with separate processes, got --in-process, which opens no connection")
+    chosen = choose(
+        scenario,
+        seed=seed,
+        planner=planner,
+        rate=rate,
+        settings=settings or (),
+        allow_plugin=allow_plugin,
+        keys=keys,
+        insecure=insecure,
+    )
     driver = "in-process" if in_process else "lockstep" if lockstep else "zenoh"
     run_and_report(chosen, driver, out, report, json=json, quiet=quiet, events=events)
 
@@ -169,21 +190,36 @@ def demo(
             "--compare/--no-compare", help="Also run the published protocol with the same seed, at low priority."
         ),
     ] = True,
+    secure: Annotated[
+        bool, typer.Option("--secure", help="With keys made for this mission: TLS, and each process its own rights.")
+    ] = False,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Run a whole mission: 150 samples, five processes, a one-way light time of 1.28 s."""
-    from services.console.launch.baseline import Baseline
+    from services.console.launch.keys import temporary_keys
     from services.console.launch.scenarios import choose
 
-    chosen = choose(DEMO_SCENARIO, seed=seed, rate=rate, settings=settings or ())
-    if not (json or quiet):
-        typer.echo(DEMO_ABOUT.format(mission=chosen.scenario.name), err=True)
+    with temporary_keys() if secure else nullcontext() as keys:
+        chosen = choose(DEMO_SCENARIO, seed=seed, rate=rate, settings=settings or (), keys=keys)
+        if not (json or quiet):
+            typer.echo(DEMO_ABOUT.format(mission=chosen.scenario.name), err=True)
+            if keys is not None:
+                typer.echo(SECURE_ABOUT.format(keys=keys), err=True)
+        _demonstrate(chosen, settings or (), out, compare=compare, wall_clock=rate is not None, json=json, quiet=quiet)
+
+
+def _demonstrate(
+    chosen: Chosen, settings: Sequence[str], out: Path, *, compare: bool, wall_clock: bool, json: bool, quiet: bool
+) -> None:
+    """Run the mission, and the published protocol beside it; print the line that compares the two."""
+    from services.console.launch.baseline import Baseline
+
     # What the user sets of the ground is the difference to show; everything else is set for both missions.
-    shared = [text for text in settings or () if not text.startswith("ground.")]
+    shared = [text for text in settings if not text.startswith("ground.")]
     beside = Baseline(PUBLISHED, chosen.scenario.seed, shared) if compare and not json else None
     with beside if beside is not None else nullcontext():
-        report = run_and_report(chosen, "lockstep" if rate is None else "zenoh", out, None, json=json, quiet=quiet)
+        report = run_and_report(chosen, "zenoh" if wall_clock else "lockstep", out, None, json=json, quiet=quiet)
         if beside is not None:
             _compare(report, beside, quiet)
 

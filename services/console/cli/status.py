@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from he3.errors import PeerUnreachable
-from services.console.cli.options import AsJson, Earth, Mission
+from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
 
 if TYPE_CHECKING:
     from services.console.client.mission_state import MissionState
@@ -20,18 +20,25 @@ Examples:
 """
 
 
-def status(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def status(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Show the processes that are alive, the rover, the map and the link."""
     import json as json_format
 
     from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         alive = client.alive_on_earth()
         state = client.state()
     if state.knows_nothing:
         raise PeerUnreachable(f"mission '{client.mission}' at {client.earth}: no process answers")
     document = _document(client.mission, client.earth, alive, state)
+    document["insecure"] = client.warning
     typer.echo(json_format.dumps(document, indent=2) if json else "\n".join(_lines(document, state)))
 
 
@@ -54,7 +61,8 @@ def _lines(document: dict[str, Any], state: MissionState) -> list[str]:
     pace = "clock not known"
     if clock is not None:
         pace = "lockstep" if clock.mode.value == "lockstep" else speed(clock.rate)
-    rows = [
+    rows = [] if document["insecure"] is None else [("INSECURE", document["insecure"].removeprefix("INSECURE: "))]
+    rows += [
         ("mission", f"{document['mission']} at {document['earth']}"),
         ("time", f"{duration(document['mission_time_s'] or 0.0)} since the beginning"),
         ("speed", pace),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson, Earth, Mission, checked, within
+from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission, checked, within
 
 if TYPE_CHECKING:
     from schemas.link import ClockState
@@ -40,21 +41,39 @@ def _moment(text: str) -> str:
 
 
 @app.command(short_help="Show mission time.")
-def show(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def show(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Show the mission time, its speed limit or pause, and the processes it waits for."""
-    _change(mission, earth, json)
+    _change(mission, earth, identity, insecure, json)
 
 
 @app.command()
-def pause(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def pause(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Stop mission time; queries and commands are still accepted."""
-    _change(mission, earth, json, clock_rate=0.0, paused=True)
+    _change(mission, earth, identity, insecure, json, clock_rate=0.0, paused=True)
 
 
 @app.command()
-def resume(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def resume(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Resume mission time."""
-    _change(mission, earth, json, clock_rate=1.0, paused=False)
+    _change(mission, earth, identity, insecure, json, clock_rate=1.0, paused=False)
 
 
 @app.command(short_help="Advance to the next instant, then pause.")
@@ -64,10 +83,12 @@ def step(
     ] = 1,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """Advance to the next instant, or the next N instants, at which something happens; then pause."""
-    _change(mission, earth, json, steps=count)
+    _change(mission, earth, identity, insecure, json, steps=count)
 
 
 @app.command()
@@ -79,10 +100,12 @@ def until(
     ],
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """Run until that mission time, then pause."""
-    _change(mission, earth, json, until=when)
+    _change(mission, earth, identity, insecure, json, until=when)
 
 
 @app.command()
@@ -93,25 +116,41 @@ def rate(
     ],
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """Limit the simulation speed to R mission seconds per wall second."""
-    _change(mission, earth, json, clock_rate=factor, rate=factor)
+    _change(mission, earth, identity, insecure, json, clock_rate=factor, rate=factor)
 
 
 @app.command()
-def unlimited(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def unlimited(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Run as fast as the machine allows."""
-    _change(mission, earth, json, unlimited=True)
+    _change(mission, earth, identity, insecure, json, unlimited=True)
 
 
-def _change(mission: str | None, earth: str | None, json: bool, clock_rate: float | None = None, **wanted: Any) -> None:
+def _change(
+    mission: str | None,
+    earth: str | None,
+    identity: Path | None,
+    insecure: bool,
+    json: bool,
+    clock_rate: float | None = None,
+    **wanted: Any,
+) -> None:
     from he3.errors import InvalidInput
     from schemas.link import ClockMode
     from services.console.client.mission_client import MissionClient
     from services.console.client.time_format import parse_moment
 
-    with MissionClient(earth, mission) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         clock = client.clock()
         if clock.mode is ClockMode.LOCKSTEP:
             if "until" in wanted:

@@ -9,6 +9,8 @@ import typer
 
 from services.console.cli.options import (
     AllowPlugin,
+    Insecure,
+    Keys,
     Lockstep,
     OutFolder,
     Planner,
@@ -25,6 +27,7 @@ Examples:
   he3 up t1 --rate 100 &              then: he3 status; he3 map at 120 340
   he3 up t1 --lockstep &              in virtual time: he3 time pause; he3 time step; he3 time rate 100
   he3 up t1 --journal j/              a mission that continues after a restart
+  he3 up t1 --keys keys/              with TLS: each process and person has its rights (he3 keys init keys/)
 """
 
 LOOK_EVERY_S = 0.2
@@ -45,20 +48,32 @@ def up(
     allow_plugin: AllowPlugin = False,
     out: OutFolder = None,
     journal: JournalFolder = None,
+    keys: Keys = None,
+    insecure: Insecure = False,
     quiet: Quiet = False,
 ) -> None:
     """Start the services and keep them running; Ctrl-C stops all. Without --out nothing is recorded."""
     import time
 
     from services.console.client.mission_client import MissionClient
-    from services.console.launch.endpoints import Endpoints, require_free
+    from services.console.launch.endpoints import endpoints_of, require_free
     from services.console.launch.scenarios import choose
     from services.console.launch.separate import checked_region, services_of
     from services.console.report.outputs import claimed, outputs
 
-    chosen = choose(scenario, seed=seed, planner=planner, rate=rate, settings=settings or (), allow_plugin=allow_plugin)
+    chosen = choose(
+        scenario,
+        seed=seed,
+        planner=planner,
+        rate=rate,
+        settings=settings or (),
+        allow_plugin=allow_plugin,
+        keys=keys,
+        insecure=insecure,
+    )
     mission = chosen.scenario
-    endpoints = Endpoints(mission.network.moon, mission.network.earth)
+    endpoints = endpoints_of(chosen)
+    viewer = None if chosen.keys is None else chosen.keys.viewer
     where = outputs(out, None)
     checked_region(mission)
     require_free(endpoints)
@@ -66,7 +81,9 @@ def up(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
     )
     with claimed(where, journal=journal), services as (launcher, _):
-        with MissionClient.when_up(endpoints.earth, mission.name, launcher.check) as client:
+        with MissionClient.when_up(
+            endpoints.earth, mission.name, launcher.check, identity=viewer, insecure=insecure
+        ) as client:
             client.wait_for_ground(launcher.check)
         typer.echo(
             f"mission '{mission.name}' is up: Earth at {endpoints.earth}, Moon at {endpoints.moon}; Ctrl-C stops it",

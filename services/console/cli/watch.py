@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from he3.errors import He3Error, PeerUnreachable
-from services.console.cli.options import AsJson, Earth, Mission
+from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
@@ -28,11 +28,17 @@ EVENTS_SHOWN = 6
 COMMANDS_SHOWN = 3
 
 
-def watch(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def watch(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Follow a running mission until it is over, or until Ctrl-C."""
     from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         if json:
             _as_json(client)
             return

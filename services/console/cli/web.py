@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from services.console.cli.options import Earth, Mission, checked, within
+from services.console.cli.options import Earth, IdentityFolder, Insecure, Mission, checked, within
 
 EXAMPLES = """\b
 Examples:
@@ -45,10 +45,12 @@ def web(
     ] = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
 ) -> None:  # fmt: skip
     """Serve the operator's page: the live map, rover, link, commands and alarms. Read-only without --authority."""
     from services.console.client.mission_client import MissionClient
     from services.console.web.running import serve
 
-    with MissionClient(earth, mission, name="web") as client:
+    with MissionClient(earth, mission, name="web", identity=identity, insecure=insecure) as client:
         serve(client, bind, port, authority, tuple(allow_host or ()), lambda line: typer.echo(line, err=True))

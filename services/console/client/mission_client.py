@@ -20,12 +20,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from he3.errors import PeerUnreachable
 from schemas.topics import GROUND_STATUS, Side, Topic
 from services.console.client.commands import Commanding
+from services.console.client.credentials import credentials_for
 from services.console.client.feed import MapFeed
 from services.console.client.link import LinkControl
 from services.console.client.live import LiveNews
@@ -52,20 +54,37 @@ class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
         mission: str | None = None,
         name: str = "operator",
         *,
+        identity: Path | None = None,
+        insecure: bool = False,
         while_waiting: WhileWaiting | None = None,
     ) -> None:
         """Join the mission that runs on this machine, or the one of that Earth endpoint and name.
 
+        name: source of its messages, unless there is an identity. identity: folder, see `credentials_for`. insecure:
+        whether an endpoint off loopback may be without TLS.
         while_waiting: called while the router accepts the connection and has not replied; None: one line on standard
         error.
         Raises PeerUnreachable when there is none, InvalidInput when there are several.
         """
         self.earth, self.mission = find(mission, earth)
+        credentials = credentials_for(self.earth, self.mission, identity, insecure=insecure)
+        self.identity, self.warning = credentials.identity, credentials.warning
+        if self.warning is not None:
+            _report(self.warning)
         waiting = while_waiting or SilenceReport(Side.EARTH, self.earth, _report)
-        self._session = Client(self.earth, self.mission, name, while_waiting=waiting)
+        self._session = Client(self.earth, self.mission, name, while_waiting=waiting, identity=self.identity)
 
     @classmethod
-    def when_up(cls, earth: str, mission: str, check: Callable[[], None], name: str = "operator") -> MissionClient:
+    def when_up(
+        cls,
+        earth: str,
+        mission: str,
+        check: Callable[[], None],
+        name: str = "operator",
+        *,
+        identity: Path | None = None,
+        insecure: bool = False,
+    ) -> MissionClient:
         """A session with a mission whose router is being started; `check` raises if the start has failed.
 
         Waits as long as `check` does not raise; a line on standard error names what it waits for.
@@ -81,7 +100,7 @@ class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
         while True:
             check()
             try:
-                return cls(earth, mission, name, while_waiting=look)
+                return cls(earth, mission, name, identity=identity, insecure=insecure, while_waiting=look)
             except PeerUnreachable as error:
                 if not reported and time.monotonic() - began > REPORT_AFTER_S:
                     reported = True

@@ -32,6 +32,10 @@ class RunningMission:
     """The process that started the services and ends them."""
     services: dict[str, int]
     """Process id of each service."""
+    viewer: str = ""
+    """Folder of an identity that may read, with which this user's commands join; empty for a mission without TLS."""
+    insecure: bool = False
+    """Whether its user has allowed endpoints off loopback without TLS."""
 
 
 def folder() -> Path:
@@ -98,6 +102,11 @@ def running_missions() -> list[RunningMission]:
             else:
                 path.unlink(missing_ok=True)
     return [running for _, running in sorted(found, key=lambda entry: entry[0], reverse=True)]
+
+
+def announced_as(earth: str, mission: str) -> RunningMission | None:
+    """What is announced on this machine about the mission of that name and Earth endpoint; None if nothing is."""
+    return next((each for each in running_missions() if (each.earth, each.mission) == (earth, mission)), None)
 
 
 def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str]:

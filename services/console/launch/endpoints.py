@@ -11,6 +11,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from he3.errors import He3Error
+from schemas.topics import Side
+from services.console.launch.scenarios import Chosen
+from services.runtime.trust.endpoint_policy import is_encrypted
 
 MAX_PORT = 65_536
 
@@ -23,13 +26,18 @@ class Endpoints:
     earth: str
 
 
-def free_endpoints() -> Endpoints:
+def endpoints_of(chosen: Chosen) -> Endpoints:
+    """The endpoints that the chosen scenario and its keys name; raises InvalidInput for one that may not be used."""
+    return Endpoints(chosen.endpoint(Side.MOON), chosen.endpoint(Side.EARTH))
+
+
+def free_endpoints(protocol: str = "tcp") -> Endpoints:
     """Two endpoints on loopback that are free at this moment."""
     with socket.socket() as moon, socket.socket() as earth:
         for each in (moon, earth):
             each.bind(("127.0.0.1", 0))
         ports = moon.getsockname()[1], earth.getsockname()[1]
-    return Endpoints(*(f"tcp/127.0.0.1:{port}" for port in ports))
+    return Endpoints(*(f"{protocol}/127.0.0.1:{port}" for port in ports))
 
 
 @contextmanager
@@ -39,8 +47,9 @@ def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
     Other missions of this user cannot take them while the `with` statement lasts.
     """
     moon, earth = _loopback_port(wanted.moon), _loopback_port(wanted.earth)
+    protocol = "tls" if is_encrypted(wanted.earth) else "tcp"
     if moon is None or earth is None:
-        yield free_endpoints()
+        yield free_endpoints(protocol)
         return
     with ExitStack() as held:
         try:
@@ -51,7 +60,7 @@ def endpoints_near(wanted: Endpoints) -> Iterator[Endpoints]:
                 _bind("127.0.0.1", port)
         except OSError:
             held.close()
-            yield free_endpoints()
+            yield free_endpoints(protocol)
             return
         yield wanted
 
@@ -63,7 +72,7 @@ def require_free(endpoints: Endpoints) -> None:
     one of this machine's.
     """
     for side, endpoint in (("moon", endpoints.moon), ("earth", endpoints.earth)):
-        found = re.fullmatch(r"tcp/\[?([^/\s\[\]]+)\]?:(\d{1,5})", endpoint)
+        found = re.fullmatch(r"(?:tcp|tls)/\[?([^/\s\[\]]+)\]?:(\d{1,5})", endpoint)
         if found is None or int(found[2]) >= MAX_PORT:
             continue
         try:
@@ -86,5 +95,5 @@ def _bind(host: str, port: int) -> None:
 
 
 def _loopback_port(endpoint: str) -> int | None:
-    found = re.fullmatch(r"tcp/(?:127\.0\.0\.1|localhost):(\d{1,5})", endpoint)
+    found = re.fullmatch(r"(?:tcp|tls)/(?:127\.0\.0\.1|localhost):(\d{1,5})", endpoint)
     return int(found[1]) if found and 0 < int(found[1]) < MAX_PORT else None

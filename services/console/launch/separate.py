@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 from services.console.client.mission_client import MissionClient
 from services.console.client.run_file import RunningMission, announced
-from services.console.launch.endpoints import Endpoints, endpoints_near
+from services.console.launch.endpoints import Endpoints, endpoints_near, endpoints_of
 from services.console.launch.launcher import Launcher
 from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
-from services.mission.processes import GROUND, LINK, VITAL
+from services.mission.processes import GROUND, LINK, PROCESSES, VITAL
 from services.mission.regions import load_region
 from services.runtime.event_log import merge_event_logs
 
@@ -60,12 +60,18 @@ def _run_separate(
     """The outcome of the mission, and one line on each output that its services could not write."""
     scenario = chosen.scenario
     began = time.monotonic()
-    wanted = Endpoints(scenario.network.moon, scenario.network.earth)
+    wanted = endpoints_of(chosen)
+    viewer = None if chosen.keys is None else chosen.keys.viewer
     with (  # noqa: SIM117 - two things end apart
         endpoints_near(wanted) as near,
         services_of(chosen, where, near, lockstep=lockstep, events=events) as (launcher, endpoints),
     ):
-        with MissionClient.when_up(endpoints.earth, scenario.name, launcher.check) as client, progress:
+        with (
+            MissionClient.when_up(
+                endpoints.earth, scenario.name, launcher.check, identity=viewer, insecure=chosen.insecure
+            ) as client,
+            progress,
+        ):
             try:
                 state = client.state(start_ns=scenario.start_ns)
                 status = _watched_to_its_end(state, launcher, progress)
@@ -118,23 +124,37 @@ def services_of(
             logs = make_folder(where.folder / "logs")
             for old in logs.glob("*.log"):
                 old.unlink()
-        flags = (*chosen.flags, *(("--lockstep",) if lockstep else ()))
-        service_flags = _service_flags(lockstep, pace, events, journal)
+        flags = (
+            *chosen.flags,
+            *(("--lockstep",) if lockstep else ()),
+            *(("--insecure",) if chosen.insecure else ()),
+        )
+        service_flags = _service_flags(chosen, lockstep, pace, events, journal)
         launcher = stack.enter_context(
             Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs, service_flags=service_flags)
         )
         running = RunningMission(
-            chosen.scenario.name, str(chosen.path), endpoints.moon, endpoints.earth, launcher.own_pid, launcher.pids
+            chosen.scenario.name,
+            str(chosen.path),
+            endpoints.moon,
+            endpoints.earth,
+            launcher.own_pid,
+            launcher.pids,
+            "" if chosen.keys is None else str(chosen.keys.viewer.absolute()),
+            chosen.insecure,
         )
         stack.enter_context(announced(running))
         yield launcher, endpoints
 
 
 def _service_flags(
-    lockstep: bool, pace: float | None, events: Path | None, journal: Path | None
+    chosen: Chosen, lockstep: bool, pace: float | None, events: Path | None, journal: Path | None
 ) -> dict[str, Sequence[str]]:
-    """Flags that differ from service to service: the end of the mission in lockstep, event logs, journals."""
-    flags: dict[str, list[str]] = {name: [] for name in VITAL}
+    """Flags that differ from service to service: identity, end of the mission in lockstep, event log, journal."""
+    flags: dict[str, list[str]] = {each.name: [] for each in PROCESSES}
+    if chosen.keys is not None:
+        for name, identity in chosen.keys.processes.items():
+            flags[name] += ["--identity", str(identity)]
     if lockstep:
         flags[LINK.name] += ["--stop-when", GROUND.name]
     if lockstep and pace is not None:

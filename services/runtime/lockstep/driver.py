@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 from he3.errors import He3Error, PeerUnreachable
 from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.lockstep import Poke, StepBusy, StepDone
+from schemas.topics import MEMBERS
 from services.runtime.context import IDLE_S, ProcessContext
 from services.runtime.lockstep.participant_io import ParticipantIO
 from services.runtime.lockstep.topics import BUSY, DONE, JOIN, POKE, grant_to
 from services.runtime.node import NoReply
 from services.runtime.process_clock import CLOCKS
-from services.runtime.transport.session import MEMBERS, NotReplied, Outcome
+from services.runtime.transport.session import NotReplied, Outcome
 
 if TYPE_CHECKING:
     from schemas.topics import Side, Topic

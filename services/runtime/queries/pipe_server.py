@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from schemas.topics import Side
@@ -41,18 +42,23 @@ class SnapshotPublisher(Protocol):
 def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
     """Answer that service's queries from the snapshots that come in on standard input; returns when it ends.
 
-    name: of the owner, the source in the headers of replies. arguments: side, endpoint and mission. publisher: is
-    shown each snapshot as well.
+    name: of the owner, the source in the headers of replies. arguments: side, endpoint, mission, and the folder of the
+    identity if there is one. publisher: is shown each snapshot as well.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    side, endpoint, mission = arguments
+    side, endpoint, mission, *folder = arguments
+    identity = None
+    if folder:
+        from services.runtime.trust.identity import load_identity
+
+        identity = load_identity(Path(folder[0]))
     ended = threading.Event()
     sessions: list[Session] = []
     server = QueryServer(service, name, mission)
 
     def connect() -> None:
-        session = connect_client(Side(side), endpoint, mission, ended, lambda _: None)
+        session = connect_client(Side(side), endpoint, mission, ended, lambda _: None, identity)
         if session is None:
             return
         sessions.append(session)

@@ -18,6 +18,8 @@ from services.runtime.child import child_environment, exit_in_words, python_comm
 from services.runtime.queries.pipe import ALIVE_EVERY_S, READY, write_snapshot
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from schemas.topics import Side
 
 SILENT_AFTER_S = 30 * ALIVE_EVERY_S
@@ -32,10 +34,20 @@ CLOSE_WITHIN_S = 0.3
 class QueryProcess:
     """A query process and its owner's end. `show` may be called from any thread and returns at once."""
 
-    def __init__(self, module: str, side: Side, endpoint: str, mission: str, warn: Callable[[str], None]) -> None:
-        """warn: called with a line for the log."""
+    def __init__(
+        self,
+        module: str,
+        side: Side,
+        endpoint: str,
+        mission: str,
+        warn: Callable[[str], None],
+        identity: Path | None = None,
+    ) -> None:
+        """warn: called with a line for the log. identity: folder of the owner's identity, which it shares."""
         self._module = module
         self._command = python_command(module, side.value, endpoint, mission)
+        if identity is not None:
+            self._command.append(str(identity))
         self._warn = warn
         self._changed = threading.Condition()
         self._newest: tuple[int, Any] = (0, None)

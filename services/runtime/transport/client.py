@@ -8,9 +8,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from he3.errors import InvalidInput, PeerUnreachable
+from he3.errors import InvalidInput, NotAllowed, PeerUnreachable
 from schemas.codec import decode, decode_reply, encode
 from schemas.refusal import Refusal
 from schemas.topics import Side, Topic
@@ -19,6 +19,10 @@ from services.runtime.node import NoReply
 from services.runtime.refusals import error_of
 from services.runtime.transport.opening import WhileWaiting, open_client
 from services.runtime.transport.session import NotReplied, Outcome, Replied, Session
+
+if TYPE_CHECKING:
+    from schemas.roles import Role
+    from services.runtime.trust.identity import Identity
 
 QUERY_TIMEOUT_S = 30.0
 """Longest wait for a reply. Queries to an ended process end at once; only a slow or hanging one is waited for."""
@@ -34,14 +38,18 @@ class Client:
         name: str = "operator",
         side: Side = Side.EARTH,
         while_waiting: WhileWaiting = lambda _: None,
+        identity: Identity | None = None,
     ) -> None:
         """Raises PeerUnreachable when no router listens at the endpoint.
 
-        while_waiting: see `open_client`.
+        name: source of its messages, unless there is an identity: then its common name is. while_waiting: see
+        `open_client`.
         """
         self._mission = mission
-        self._name = name
-        self._session = Session(open_client(side, endpoint, while_waiting), mission)
+        self._name = name if identity is None else identity.common_name
+        self._identity = identity
+        self._side = side
+        self._session = Session(open_client(side, endpoint, while_waiting, identity), mission)
 
     def __enter__(self) -> Self:
         return self
@@ -82,9 +90,19 @@ class Client:
         """
         return decode(topic, self._reply(topic, b"", timeout_s)[0], self._mission)
 
+    def _require_right(self, topic: Topic, roles: tuple[Role, ...]) -> None:
+        """Raise NotAllowed if the router would drop this in silence."""
+        if self._identity is not None and self._identity.role not in roles:
+            expected = " or ".join(roles) or "none"
+            raise NotAllowed(
+                f"{topic.name}: expected an identity of role {expected}, got {self._identity.common_name} "
+                "(--identity DIR or HE3_IDENTITY)"
+            )
+
     def _reply(
         self, topic: Topic, payload: bytes | None, timeout_s: float, parameters: str = ""
     ) -> tuple[bytes, bytes]:
+        self._require_right(topic, topic.access_on(self._side).query)
         ended = threading.Event()
         outcomes: list[Outcome] = []
 

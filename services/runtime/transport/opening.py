@@ -7,16 +7,18 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
 from he3.errors import InvalidInput, PeerUnreachable
 from services.mission.deployment import deployment
 from services.runtime.transport.session import Session
+from services.runtime.trust.access_control import access_control, names_of
 
 if TYPE_CHECKING:
     from schemas.topics import Side
+    from services.runtime.trust.identity import Identity
 
 RETRY_CONNECT_S = 0.3
 LOOK_EVERY_S = 0.05
@@ -27,12 +29,14 @@ WhileWaiting = Callable[[float], None]
 """Called while a session is being opened, with the time waited so far [s]; an exception from it ends the wait."""
 
 
-def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
-    """The shipped configuration of that side and role (`router` or `client`), with that endpoint."""
+def session_config(side: Side, role: str, endpoint: str, identity: Identity | None = None) -> zenoh.Config:
+    """The shipped configuration of that side and role (`router` or `client`), with that endpoint and identity."""
     path = deployment("zenoh", f"{side.value}-{role}.json5")
     try:
         config = zenoh.Config.from_file(str(path))
         config.insert_json5("listen/endpoints" if role == "router" else "connect/endpoints", json.dumps([endpoint]))
+        if identity is not None:
+            config.insert_json5("transport/link/tls", json.dumps(tls_config(role, identity)))
     except zenoh.ZError as error:
         raise InvalidInput(
             f"{path}: expected a Zenoh configuration and an endpoint, got: {_first_line(error)}"
@@ -40,22 +44,46 @@ def session_config(side: Side, role: str, endpoint: str) -> zenoh.Config:
     return config
 
 
-def open_router(side: Side, endpoint: str) -> zenoh.Session:
-    """A session that listens as that side's router; raises PeerUnreachable, with the reason, when it cannot."""
+def tls_config(role: str, identity: Identity) -> dict[str, Any]:
+    """Zenoh's `transport/link/tls` for a `router` or `client` of that identity: both ends prove who they are."""
+    own = "listen" if role == "router" else "connect"
+    return {
+        "root_ca_certificate": str(identity.authority_path),
+        f"{own}_certificate": str(identity.certificate_path),
+        f"{own}_private_key": str(identity.key_path),
+        "enable_mtls": True,
+        # A router is known by its certificate's right to serve, which only a link has, not by the name of its host.
+        "verify_name_on_connect": False,
+        "close_link_on_expiration": True,
+    }
+
+
+def open_router(side: Side, endpoint: str, mission: str = "", identity: Identity | None = None) -> zenoh.Session:
+    """A session that listens as that side's router; raises PeerUnreachable, with the reason, when it cannot.
+
+    identity: the router lets in those that its roster names, over TLS, and allows each role what the topic table says
+    about that mission; None: it lets everyone do everything.
+    """
+    config = session_config(side, "router", endpoint, identity)
+    if identity is not None:
+        rules = access_control(side, mission, names_of(identity.roster))
+        config.insert_json5("access_control", json.dumps(rules))
     try:
-        return zenoh.open(session_config(side, "router", endpoint))
+        return zenoh.open(config)
     except zenoh.ZError as error:
         raise PeerUnreachable(f"cannot listen as the {side.value} router at {endpoint}: {_first_line(error)}") from None
 
 
-def open_client(side: Side, endpoint: str, while_waiting: WhileWaiting = lambda _: None) -> zenoh.Session:
+def open_client(
+    side: Side, endpoint: str, while_waiting: WhileWaiting = lambda _: None, identity: Identity | None = None
+) -> zenoh.Session:
     """A session that is connected to that side's router; raises PeerUnreachable when no router listens there.
 
     Zenoh waits up to a minute for a program that accepts the connection and sends nothing, in a call that no signal
     interrupts. So the call runs in a thread. while_waiting: called meanwhile, again and again, with how long was
     waited [s]; what it raises ends the waiting.
     """
-    config = session_config(side, "client", endpoint)
+    config = session_config(side, "client", endpoint, identity)
     ended = threading.Event()
     opened: list[zenoh.Session] = []
     abandoned: list[bool] = []
@@ -82,7 +110,12 @@ def open_client(side: Side, endpoint: str, while_waiting: WhileWaiting = lambda 
 
 
 def connect_client(
-    side: Side, endpoint: str, mission: str, stop: threading.Event, on_waiting: Callable[[str], None]
+    side: Side,
+    endpoint: str,
+    mission: str,
+    stop: threading.Event,
+    on_waiting: Callable[[str], None],
+    identity: Identity | None = None,
 ) -> Session | None:
     """A client session on that side, once its router answers; None if `stop` is set first.
 
@@ -99,7 +132,7 @@ def connect_client(
     with contextlib.suppress(_Stopped):
         while not stop.is_set():
             try:
-                return Session(open_client(side, endpoint, look), mission)
+                return Session(open_client(side, endpoint, look, identity), mission)
             except PeerUnreachable as error:
                 if not reported:
                     on_waiting(f"{error}; still trying")

@@ -15,18 +15,11 @@ from typing import Any
 import zenoh
 
 from schemas.refusal import Refusal, RefusalCode, decode_refusal
-from schemas.topics import KEY_ROOT, Side, Topic
+from schemas.topics import ALIVE, Side, Topic, liveliness_key
 from services.runtime.node import NoReply
 
 CLOSE_WITHIN_S = 1.0
 """Longest wait for a session to close; on a bad link Zenoh itself takes up to 10 s."""
-
-ALIVE = "alive"
-"""Liveliness group of all processes."""
-MEMBERS = "member"
-"""Liveliness group of the participants in lockstep; each start of a process has a token of its own."""
-ONLOOKERS = "onlooker"
-"""Liveliness group of the processes for which virtual time never waits."""
 
 JSON = "application/json"
 
@@ -251,11 +244,6 @@ def close_all(sessions: Iterable[Session]) -> None:
     give_up = time.monotonic() + CLOSE_WITHIN_S
     for thread in [session.start_closing() for session in sessions]:
         thread.join(max(0.0, give_up - time.monotonic()))
-
-
-def liveliness_key(mission: str, side: Side, name: str, group: str = ALIVE) -> str:
-    """Key of a process's liveliness token; the one key that is not a topic, as it carries no message."""
-    return f"{KEY_ROOT}/{mission}/{side.value}/{group}/{name}"
 
 
 def _is_put(sample: Any) -> bool:

@@ -8,7 +8,7 @@ import typer
 
 from services.console.cli.coordinates import Corners, polygon
 from services.console.cli.map.options import AsOf, joined
-from services.console.cli.options import MAX_PPB, AsJson, Earth, Mission, within
+from services.console.cli.options import MAX_PPB, AsJson, Earth, IdentityFolder, Insecure, Mission, within
 
 if TYPE_CHECKING:
     from schemas.maps import Interval, ResourceEstimate
@@ -31,10 +31,12 @@ def resource(
     as_of: AsOf = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """Helium-3 in an area (without corners: the whole site), with intervals from the joint posterior."""
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         found = client.resource(
             polygon(corners) if corners else None, cutoff_ppb=cutoff, probability=probability, as_of=as_of
         )

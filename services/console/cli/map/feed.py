@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from services.console.cli.map.options import joined
-from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, Mission, within
+from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, IdentityFolder, Insecure, Mission, within
 
 
 def follow(
@@ -20,11 +20,13 @@ def follow(
     ] = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """The map's feed: a line for each change as it comes, the present map first."""
     began = time.monotonic()
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         for current in client.maps(timeout_s=limit_s):
             figures = {
                 "revision": current.revision,

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from services.console.cli.map.options import AsOf, LayerName, Threshold, check_threshold, joined
-from services.console.cli.options import AsJson, Earth, Mission
+from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
 
 FORMS = {".npy": "npy", ".png": "png", ".tif": "tiff", ".tiff": "tiff", ".csv": "csv"}
 """Formats in which the ground writes a layer, by the suffix of the file."""
@@ -22,12 +22,14 @@ def save(
     as_of: AsOf = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """A whole layer as a file: NumPy, picture, GeoTIFF or table; --json prints its description."""
     check_threshold(layer, threshold)
     form = form_of(file)
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         payload, about = client.picture(layer, form, threshold=threshold, as_of=as_of)
     line = written(file, payload)
     typer.echo(about.model_dump_json(indent=2) if json else line)
@@ -39,6 +41,8 @@ def export(
     ],
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
 ) -> None:
     """The whole map and the samples, as numbers in a file."""
     from he3.errors import InvalidInput
@@ -48,7 +52,7 @@ def export(
 
     if file.suffix not in WRITERS:
         raise InvalidInput(f"map export {file}: expected a file name with {' or '.join(WRITERS)}, got '{file.suffix}'")
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         rasters = {layer: client.raster(layer) for layer in EXPORTED}
         track = client.track()
     mean = rasters[MapLayer.MEAN]

@@ -10,7 +10,7 @@ import typer
 from services.console.cli.coordinates import XMax, XMin, YMax, YMin
 from services.console.cli.map.files import form_of, indented, written
 from services.console.cli.map.options import AsOf, LayerName, Threshold, Width, check_threshold, joined
-from services.console.cli.options import MAX_POSITION_M, AsJson, Earth, Mission, within
+from services.console.cli.options import MAX_POSITION_M, AsJson, Earth, IdentityFolder, Insecure, Mission, within
 
 if TYPE_CHECKING:
     from schemas.maps import MapRaster
@@ -26,11 +26,13 @@ def show(
     as_of: AsOf = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """A whole layer in the terminal; with --png as a picture, with --json as the reply itself."""
     check_threshold(layer, threshold)
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         raster = client.raster(layer, threshold=threshold, as_of=as_of)
         track = client.track(as_of) if png is not None else None
     if png is not None and track is not None:
@@ -63,6 +65,8 @@ def box(
     as_of: AsOf = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """A part of a layer in the terminal, as a file, or as the reply itself."""
@@ -70,7 +74,7 @@ def box(
 
     check_threshold(layer, threshold)
     form = "json" if out is None else form_of(out)
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         payload, _ = client.box_picture(
             layer, (x_min, x_max), (y_min, y_max), form, resolution_m=resolution, threshold=threshold, as_of=as_of
         )

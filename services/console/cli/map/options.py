@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -64,8 +65,8 @@ def check_threshold(layer: str, threshold: float | None) -> None:
         raise InvalidInput(f"--threshold: expected it with the layer exceedance and only there, got {got} for {layer}")
 
 
-def joined(mission: str | None, earth: str | None) -> MissionClient:
+def joined(mission: str | None, earth: str | None, identity: Path | None, insecure: bool) -> MissionClient:
     """A session with the mission that the flags name."""
     from services.console.client.mission_client import MissionClient
 
-    return MissionClient(earth, mission)
+    return MissionClient(earth, mission, identity=identity, insecure=insecure)

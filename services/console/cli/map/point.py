@@ -6,7 +6,7 @@ import typer
 
 from services.console.cli.coordinates import X, Y
 from services.console.cli.map.options import AsOf, Threshold, joined
-from services.console.cli.options import AsJson, Earth, Mission
+from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
 
 
 def at(
@@ -16,10 +16,12 @@ def at(
     as_of: AsOf = None,
     mission: Mission = None,
     earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """The belief at one place: helium-3 abundance with its uncertainty."""
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         point = client.point(x, y, threshold, as_of)
     if json:
         typer.echo(point.model_dump_json(indent=2))
@@ -37,9 +39,15 @@ def at(
     typer.echo("\n".join(f"{name:<11} {text}" for name, text in rows))
 
 
-def score(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def score(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """Error of the map against the reference field, which only a simulated Moon can tell."""
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         figures = client.score()
     if json:
         typer.echo(figures.model_dump_json(indent=2))

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import json as json_format
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from services.console.cli.map.files import indented
 from services.console.cli.map.options import AsCsv, AsOf, joined
-from services.console.cli.options import AsJson, Earth, Mission
+from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
+
+if TYPE_CHECKING:
+    from services.console.client.mission_client import MissionClient
 
 
 def samples(
-    csv: AsCsv = False, as_of: AsOf = None, mission: Mission = None, earth: Earth = None, json: AsJson = False
+    csv: AsCsv = False,
+    as_of: AsOf = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
 ) -> None:
     """The samples: where each was taken, and what it holds."""
     from services.console.client.time_format import utc
 
-    document = _table("samples", csv, as_of, mission, earth, json)
+    document = _table(joined(mission, earth, identity, insecure), "samples", csv, as_of, json)
     if document is None:
         return
     typer.echo(f"{'sample':<10} {'round':>5} {'east m':>8} {'north m':>8} {'ppb':>8}  measured")
@@ -30,14 +39,20 @@ def samples(
 
 
 def plan(
-    csv: AsCsv = False, as_of: AsOf = None, mission: Mission = None, earth: Earth = None, json: AsJson = False
+    csv: AsCsv = False,
+    as_of: AsOf = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
 ) -> None:
     """The path that the rover has driven, and the path that is planned."""
     import numpy as np
 
     from he3.frames import path_length
 
-    paths = _table("plan", csv, as_of, mission, earth, json)
+    paths = _table(joined(mission, earth, identity, insecure), "plan", csv, as_of, json)
     if paths is None:
         return
     for name, key in (("driven", "driven_path_m"), ("planned", "planned_path_m")):
@@ -46,11 +61,17 @@ def plan(
         typer.echo(f"{name:<11} {path_length(corners):,.0f} m over {len(corners)} corners{end}")
 
 
-def history(mission: Mission = None, earth: Earth = None, json: AsJson = False) -> None:
+def history(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
     """The maps that --as-of can name."""
     from services.console.client.time_format import utc
 
-    with joined(mission, earth) as client:
+    with joined(mission, earth, identity, insecure) as client:
         found = client.history()
     if json:
         typer.echo(found.model_dump_json(indent=2))
@@ -60,11 +81,9 @@ def history(mission: Mission = None, earth: Earth = None, json: AsJson = False) 
         typer.echo(f"{each.revision:>8} {each.samples:>8} {each.mean_std_ppb:>13.4f}  {utc(each.mission_time_ns)}")
 
 
-def _table(
-    layer: str, csv: bool, as_of: str | None, mission: str | None, earth: str | None, json: bool
-) -> dict[str, Any] | None:
+def _table(mission: MissionClient, layer: str, csv: bool, as_of: str | None, json: bool) -> dict[str, Any] | None:
     """The table as a document; None if it was already printed for --csv or --json."""
-    with joined(mission, earth) as client:
+    with mission as client:
         payload = client.table(layer, "csv" if csv else "json", as_of=as_of)
     if csv or json:
         typer.echo(payload.decode().rstrip() if csv else indented(payload))

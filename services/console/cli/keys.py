@@ -1,0 +1,143 @@
+"""``he3 keys``: a mission's own certificate authority, and an identity for each process and person."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.console.cli.options import AsJson, ScenarioRef, within
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from services.runtime.trust.roster import RosterEntry
+
+EXAMPLES = """\b
+Examples:
+  he3 keys init keys/                           an authority, and an identity for each process
+  he3 keys issue operator anna --in keys/       keys/identities/operator-anna, for the operator's machine
+  he3 up t1 --keys keys/                        a mission over TLS with these keys
+  he3 command pause --identity keys/identities/operator-anna
+  he3 keys list --in keys/                      who has what until when
+  he3 keys renew operator anna --in keys/
+  he3 keys revoke operator anna --in keys/
+"""
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+MAX_DAYS = 36_500.0
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The mission's folder of keys.")]
+In = Annotated[Path, typer.Option("--in", metavar="DIR", help="The mission's folder of keys.")]
+RoleName = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROLE", help="field, rover, link, ground, recorder, viewer (reads), operator (commands) or controller."
+    ),
+]
+PersonName = Annotated[str, typer.Argument(metavar="NAME", help="Of the process or person: a-z, 0-9, '-' and '_'.")]
+Days = Annotated[
+    float,
+    typer.Option("--days", metavar="D", help="How long it is valid [days].", callback=within(0, MAX_DAYS, above=True)),
+]
+Hosts = Annotated[
+    list[str] | None,
+    typer.Option("--host", metavar="NAME", help="Host name or address at which this person serves the page (he3 web)."),
+]
+KEYS = Path("keys")
+
+
+@app.command(epilog=EXAMPLES)
+def init(
+    folder: Folder,
+    days: Days = 90.0,
+    authority_days: Annotated[
+        float,
+        typer.Option("--authority-days", metavar="D", help="How long the authority is valid [days].",
+                     callback=within(0, MAX_DAYS, above=True)),
+    ] = 3650.0,
+) -> None:  # fmt: skip
+    """Make a certificate authority, and an identity for each process of a mission."""
+    from services.console.launch.keys import issue_for_processes
+    from services.runtime.trust.authority import Authority
+
+    authority = Authority.create(folder, timedelta(days=authority_days))
+    for path in issue_for_processes(authority, timedelta(days=days)):
+        typer.echo(path)
+
+
+@app.command(epilog=EXAMPLES)
+def issue(role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None) -> None:
+    """Issue an identity: a folder with a certificate and its key, for one process or person."""
+    from services.runtime.trust.authority import Authority
+    from services.runtime.trust.certificates import subject
+
+    typer.echo(Authority(folder).issue(subject(role, name), timedelta(days=days), tuple(host or ())))
+
+
+@app.command(epilog=EXAMPLES)
+def renew(role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None) -> None:
+    """Issue a new certificate for the same key. What runs takes it up when it starts again."""
+    from services.runtime.trust.authority import Authority
+    from services.runtime.trust.certificates import subject
+
+    typer.echo(Authority(folder).renew(subject(role, name), timedelta(days=days), tuple(host or ())))
+
+
+@app.command(epilog=EXAMPLES)
+def revoke(role: RoleName, name: PersonName, folder: In = KEYS) -> None:
+    """Take all rights from an identity. The routers refuse it as soon as the link is started with the new roster."""
+    from services.runtime.trust.authority import Authority
+    from services.runtime.trust.certificates import subject
+
+    revoked = Authority(folder).revoke(subject(role, name))
+    typer.echo(f"{revoked.common_name} is revoked; copy {folder}/roster.json to each identity on other machines")
+
+
+@app.command("list", epilog=EXAMPLES)
+def list_(folder: In = KEYS, json: AsJson = False) -> None:
+    """List what was issued, until when it is valid, and what is revoked."""
+    import json as json_format
+
+    from services.runtime.trust.authority import Authority
+    from services.runtime.trust.certificates import utc_now
+
+    now = utc_now()
+    rows = [_row(entry, now) for entry in Authority(folder).roster.entries]
+    if json:
+        typer.echo(json_format.dumps(rows, indent=2))
+        return
+    for row in rows:
+        typer.echo(f"{row['common_name']:<28} {row['state']:<8} until {row['expires']}")
+
+
+def _row(entry: RosterEntry, now: datetime) -> dict[str, Any]:
+    state = "revoked" if entry.revoked_at is not None else "expired" if now > entry.expires else "valid"
+    return {
+        "common_name": entry.common_name,
+        "role": entry.role.value,
+        "name": entry.name,
+        "state": state,
+        "expires": entry.expires.isoformat(timespec="minutes"),
+        "revoked_at": None if entry.revoked_at is None else entry.revoked_at.isoformat(timespec="seconds"),
+        "serial": format(entry.x509.serial_number, "x"),
+    }
+
+
+@app.command(epilog=EXAMPLES)
+def zenoh(
+    folder: Folder,
+    scenario: ScenarioRef,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the files are written.")] = Path("zenoh"),
+) -> None:
+    """Write the access rules of both routers as Zenoh configuration, as the link applies them."""
+    from services.console.launch.scenarios import choose
+    from services.runtime.trust.authority import Authority
+    from services.runtime.trust.zenoh_files import write_access_files
+
+    mission = choose(scenario).scenario.name
+    for path in write_access_files(out, mission, Authority(folder).roster):
+        typer.echo(path)
