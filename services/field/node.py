@@ -41,7 +41,7 @@ class FieldNode:
         return Interface(name="field", sides=(Side.MOON,), serves=(MEASURE, TERRAIN), custody=False)
 
     def handle(self, event: Event, now: MissionTime) -> list[Effect]:
-        """One reply or refusal to a query; no effect of any other event. The time makes no difference."""
+        """One reply or refusal to a query; no effect of any other event. The result does not depend on the time."""
         if not isinstance(event, QueryReceived):
             return []
         if event.topic == MEASURE:

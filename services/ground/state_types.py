@@ -1,4 +1,4 @@
-"""The types of which the ground station's state is made, beside plain values.
+"""The types in the ground station's state, beside plain values.
 
 They are those that a checkpoint may hold, and those of the computations that it has under way and of their results.
 """

@@ -1,4 +1,4 @@
-"""One direction of the link: a queue, a transmitter, and the space behind it.
+"""One direction of the link: a queue, a transmitter, and the path through space.
 
 A packet waits until the transmitter is free and there is contact. It is sent at the direction's rate, and arrives one
 light time after its last bit was sent: arrival = departure + transmission time + light time, in integer nanoseconds.
@@ -63,7 +63,7 @@ class Limits:
 
 
 class Channel:
-    """Takes packets in at one end and gives them out at the other. Time must not run backwards between calls."""
+    """One direction: packets enter by `offer` and leave by `arrived`. Time must not run backwards between calls."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class Channel:
         self._drops: list[Drop] = []
 
     def offer(self, packet: Packet, now: MissionTime) -> None:
-        """Takes a packet in; it is sent at once if none is before it and there is contact."""
+        """Accepts a packet; it is sent at once if no other packet waits and there is contact."""
         self.advance(now)
         self._counts.offered += 1
         self._counts.repeated += self._is_repetition(packet)
@@ -113,11 +113,11 @@ class Channel:
         self.advance(now)
 
     def reseed(self, generator: Random) -> None:
-        """Draws from another generator from now on."""
+        """Uses another random generator from now on."""
         self._generator = generator
 
     def arrived(self, now: MissionTime) -> list[Flight]:
-        """Takes out the packets that have arrived by now, in the order of arrival, then of departure."""
+        """Removes and returns the packets that have arrived by now, in the order of arrival, then of departure."""
         self.advance(now)
         flights = []
         while self._flying and self._flying[0][0] <= now:
@@ -128,7 +128,7 @@ class Channel:
         return flights
 
     def next_event(self) -> MissionTime | None:
-        """When a packet arrives or may begin to be sent next; None if only an offer or a change can move anything."""
+        """When the next packet arrives or may be sent; None if nothing happens without an offer or a change."""
         times = [self._flying[0][0]] if self._flying else []
         if len(self._queue):
             if self._free_at > self._advanced_to:
@@ -139,7 +139,7 @@ class Channel:
         return min(times, default=None)
 
     def drops(self) -> list[Drop]:
-        """Takes out the drops since the last call, oldest first."""
+        """Removes and returns the drops since the last call, oldest first."""
         drops, self._drops = self._drops, []
         return drops
 
@@ -158,7 +158,7 @@ class Channel:
 
     @property
     def counts(self) -> DirectionCounts:
-        """What happened to every packet that was offered."""
+        """Counts of what happened to the packets offered."""
         return self._counts.report(waiting=len(self._queue), in_flight=len(self._flying))
 
     # --- the queue ------------------------------------------------------------------------------------------------
@@ -188,7 +188,7 @@ class Channel:
     # --- the transmitter ------------------------------------------------------------------------------------------
 
     def _begin_next(self, now: MissionTime) -> bool:
-        """Sends the first packet that can go by now, or drops those that the end of contact left; False if neither."""
+        """Sends the first packet that may be sent by now, or drops those left when contact ended; False if neither."""
         free = max(self._advanced_to, self._free_at)
         if self._at_edge is AtEdge.DROP and self._drop_at_edge(now):
             return True

@@ -1,7 +1,7 @@
-"""The mission's clock on the wall clock, which the link keeps: it alone is seen from both sides.
+"""The mission's clock on the wall clock. The link keeps it, because only the link is on both networks.
 
-Mission time starts when the processes have come that the link was told to wait for. It runs at the rate that an
-operator sets, and goes on where it was when the link is started again.
+Mission time starts when all processes named by `--wait-for` have joined. It runs at the rate that an operator sets.
+After a restart of the link it continues as if it had never stopped.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ANNOUNCE_EVERY_S = 5.0
 
 
 class ClockKeeper:
-    """The time source of the link's process, and of all others: it publishes each change and answers queries."""
+    """The time source of all processes, in the link's process: it publishes each change and answers queries."""
 
     def __init__(self, context: ProcessContext) -> None:
         self._context = context
@@ -45,7 +45,7 @@ class ClockKeeper:
         self._kept = True
 
     def begin(self) -> bool:
-        """Start the clock, or go on with the one that an earlier start of this process left."""
+        """Start the clock, or continue the one that an earlier start of this process kept."""
         context, scenario = self._context, self._context.options.scenario
         state = self._remembered()
         if state is None:
@@ -65,7 +65,7 @@ class ClockKeeper:
         return True
 
     def tend(self, monotonic_s: float) -> None:
-        """Announce the time now and then: to processes whose machine was suspended, and for a restart of this one."""
+        """Announce the time periodically, for processes whose machine was suspended, and keep it for a restart."""
         if monotonic_s - self._announced_at_s >= ANNOUNCE_EVERY_S:
             self._announce()
 
@@ -119,7 +119,9 @@ class ClockKeeper:
         try:
             return kept_clock(self._file, self._machine)
         except ValueError:
-            self._context.log.warning(f"{self._file}: expected a clock, got something else; starting mission time anew")
+            self._context.log.warning(
+                f"{self._file}: expected a saved clock, got other data; starting mission time anew"
+            )
             return None
 
     def _remember(self) -> None:

@@ -39,7 +39,7 @@ class Draws:
 
 @dataclass(frozen=True, slots=True)
 class Transit:
-    """How one packet that is not lost passes through space."""
+    """The passage of one packet that is not lost."""
 
     payload: bytes
     corrupted: bool
@@ -52,7 +52,7 @@ class Transit:
 def transit(
     payload: bytes, conditions: DirectionConditions, draws: Draws, earliest_delay: MissionTime
 ) -> Transit | None:
-    """What the draws make of a payload under those conditions; None if it is lost.
+    """The passage of a payload under those conditions and draws; None if it is lost.
 
     earliest_delay: with jitter, the shortest delay [ns] that does not overtake the packet before.
     """

@@ -1,7 +1,7 @@
 """The clock that survives a restart of the link: mission time continues as if the link had never been away.
 
-Within one boot of the machine the monotonic clock says how long that was; the wall clock may have been set meanwhile.
-After another boot only the wall clock can say it.
+Within one boot of the machine the time away is taken from the monotonic clock, because the wall clock may have been set
+meanwhile. After another boot only the wall clock can tell it.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 class _Kept(Wire):
     clock: ClockState
     boot_id: Text
-    """Of the machine when the clock was kept; empty if the system does not tell."""
+    """Boot id of the machine when the clock was saved; empty if the system has none."""
     monotonic_ns: Annotated[int, Field(ge=0)]
-    """Of the machine at the clock's anchor."""
+    """Monotonic time of the machine at the clock's anchor."""
 
 
 @dataclass(frozen=True, slots=True)
 class MachineTime:
-    """The clocks of this machine, and which boot of it this is."""
+    """The clocks of this machine and its boot id."""
 
     wall_ns: Callable[[], int] = time.time_ns
     monotonic_ns: Callable[[], int] = time.monotonic_ns
@@ -48,14 +48,14 @@ def this_machine() -> MachineTime:
 
 
 def keep(path: Path, clock: ClockState, machine: MachineTime) -> None:
-    """Write the clock, which is anchored at this moment, in place of an earlier one, at once or not at all."""
+    """Save the clock, anchored at this moment; the file is replaced in one step."""
     kept = _Kept(clock=clock, boot_id=machine.boot_id, monotonic_ns=machine.monotonic_ns())
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_output(path, kept.model_dump_json().encode())
 
 
 def kept_clock(path: Path, machine: MachineTime) -> ClockState:
-    """The clock that was kept there, anchored at this moment; raises ValueError if the file holds none."""
+    """The clock saved in that file, anchored at this moment; raises ValueError if the file holds none."""
     kept = _Kept.model_validate_json(path.read_bytes())
     clock, wall_ns = kept.clock, machine.wall_ns()
     if machine.boot_id and kept.boot_id == machine.boot_id:

@@ -1,7 +1,7 @@
-"""Whom virtual time waits for, and what is known of each: a slow process is not a dead one.
+"""Reports the processes that virtual time waits for, and the last sign of life of each.
 
-A process that is gone is known at once, by its liveliness token. One that is there and does not finish its step may be
-slow, or hang: an operator is told when it was last heard from, and virtual time waits for it. Every process sends a
+The liveliness token shows at once that a process has ended. A process that does not finish its step may be slow or
+hang: virtual time waits for it, and an operator is told when it was last heard from. Every process sends a
 heartbeat every two seconds.
 """
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from schemas.lockstep import StepBusy
 
 REPORT_AFTER_S = 5.0
-"""A process that has not finished a step for this long is reported."""
+"""A process that has not finished a step after this time is reported."""
 REPORT_COMPUTING_AFTER_S = 120.0
-"""The same for a process that says that it computes."""
+"""The same for a process that reports a running computation."""
 
 
 class SignsOfLife:
-    """When each process was last heard from, and what it said of its step. Wall time comes from `now_s` [s]."""
+    """When each process was last heard from, and its report on the present step. Wall time comes from `now_s` [s]."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
@@ -30,21 +30,21 @@ class SignsOfLife:
         self._step_began_s = now_s()
 
     def heard(self, name: str) -> None:
-        """A message of that process has arrived."""
+        """Note a message of that process."""
         self._heard_at_s[name] = self._now_s()
 
     def begin_step(self) -> None:
-        """What was said of the step before is out of date."""
+        """Begin a step: drop the reports on the step before."""
         self._step_began_s = self._now_s()
         self._busy.clear()
 
     def busy(self, busy: StepBusy) -> None:
-        """A process has said why it cannot finish the step yet."""
+        """Note the report of a process that cannot finish the step yet."""
         self.heard(busy.name)
         self._busy[busy.name] = busy
 
     def overdue(self, outstanding: Collection[str]) -> bool:
-        """Whether it is time to report those who have not finished the step."""
+        """Whether it is time to report the processes that have not finished the step."""
         if not outstanding:
             return False
         computing = {name for name, busy in self._busy.items() if busy.computing}
@@ -52,7 +52,7 @@ class SignsOfLife:
         return self._now_s() - self._step_began_s > bound
 
     def report(self, step: int, outstanding: Collection[str]) -> str:
-        """For whom that step waits, and what is known of each, in one line."""
+        """One line: the processes that the step waits for, with the last report of each."""
         waits = ", ".join(f"{name} ({self._known_of(name)})" for name in sorted(outstanding))
         return f"step {step} waits for {waits}; mission time stands"
 

@@ -1,8 +1,8 @@
-"""The link's driver in lockstep: it runs the link's own node and the time manager, whom all other processes join.
+"""The link's driver in lockstep: it runs the link's own node and the time manager, which all other processes join.
 
 It publishes where virtual time stands to onlookers (operators, the recorder) ten times a second of wall time; nothing
-waits for an onlooker. A participant that dies is named at once, and time stands until it is back. One that takes long
-is named with what is known of it, and waited for.
+waits for an onlooker. A participant that dies is reported at once, and time stops until it is back. A slow one is
+reported with its last sign of life, and waited for.
 """
 
 from __future__ import annotations
@@ -56,16 +56,16 @@ class TimeManagerDriver:
         self._computing_since_s: float | None = None
         self._computing_s = 0.0
         self._gone = ""
-        """Which participant is gone, in one line; empty while all are there."""
+        """One line on the participant that has ended; empty while all run."""
         self._late = False
-        """Whether a participant has been reported that does not finish its step."""
+        """Whether a slow participant has been reported."""
 
     @property
     def traffic(self) -> ParticipantIO:
         return self._io
 
     def begin(self) -> bool:
-        """Let the link's node take part, and serve those that join."""
+        """Let the link's node take part, and serve the processes that join."""
         context, manager, participant = self._context, self._manager, self._io.participant
         participant.obey(manager.term(self._io.process_id))
         manager.join(participant.join())
@@ -115,7 +115,7 @@ class TimeManagerDriver:
                 self._take_in(self._pace.wait_s(instant, wall_s, SHOW_TIME_EVERY_S))
 
     def _may_go(self, instant: MissionTime, wall_s: float) -> bool:
-        """Whether time may move there now. What happens now happens, paused or not: a command must be answered."""
+        """Whether time may advance to that instant now. A pause never stops the present instant: commands need it."""
         now = self._manager.now
         if instant > now:
             self._pause_when_over()
@@ -151,12 +151,12 @@ class TimeManagerDriver:
                 pass
 
     def _finished(self) -> str | None:
-        """Why the process that decides on the end is finished; None while it is not, and once time was paused."""
+        """Why the process that decides the end has finished; None before that, and after time was paused for it."""
         member = None if self._over else self._manager.members.get(self._options.stop_when or "")
         return None if member is None else member.finished
 
     def _pause_when_over(self) -> None:
-        """Pause once, when the process that decides is finished and its last instant is over; an operator may go on."""
+        """Pause once when the process that decides the end has finished its last instant; an operator may resume."""
         why = self._finished()
         if why is None:
             return
@@ -179,7 +179,7 @@ class TimeManagerDriver:
             self._context.log.warning(self._detail())
 
     def _detail(self) -> str:
-        """What is wrong, in one line; empty while nothing is."""
+        """One line on what is wrong; empty if nothing is."""
         if self._gone or not self._late:
             return self._gone
         return self._signs.report(self._manager.step, self._manager.outstanding)
@@ -207,7 +207,7 @@ class TimeManagerDriver:
             query.reply(encode(self._io.header(), self._manager.answer(joining, admitted=False)))
 
     def _admit(self) -> None:
-        """Between two steps: take in those that have asked for it, and tell them where time stands."""
+        """Between two steps, admit the processes that have asked, and send them the present time."""
         manager = self._manager
         for joining in manager.admit():
             side, query = self._join_queries.pop(joining.name, (None, None))

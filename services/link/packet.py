@@ -86,7 +86,7 @@ def _header(payload: bytes) -> dict[str, Any]:
 
 
 def _distinct(service: Latest, payload: bytes) -> tuple[str, ...]:
-    """The values of the body's fields that tell one subject of the topic from another."""
+    """The values of the body's fields that distinguish the topic's subjects."""
     if not service.distinct:
         return ()
     try:

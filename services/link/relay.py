@@ -34,7 +34,7 @@ SHOWN_COMMANDS = 10
 
 
 class Relay:
-    """Takes packets in on one side and gives them out on the other when they arrive."""
+    """Accepts packets on one side and releases them on the other when they arrive."""
 
     def __init__(self, conditions: LinkConditions, start: MissionTime, seed: int, limits: Limits | None = None) -> None:
         self._conditions = conditions
@@ -58,7 +58,7 @@ class Relay:
             channel.reseed(self._generator(direction, incarnation))
 
     def offer(self, topic: Topic, payload: bytes, now: MissionTime) -> None:
-        """Takes a packet in; raises InvalidInput if the topic does not cross the link."""
+        """Accepts a packet; raises InvalidInput if the topic does not cross the link."""
         direction = topic.direction
         if direction is None:
             raise InvalidInput(f"expected a topic that crosses the link, got {topic.name}")
@@ -66,7 +66,7 @@ class Relay:
         self._channels[direction].offer(packet_of(topic, payload, now, self._order), now)
 
     def arrived(self, now: MissionTime) -> list[tuple[Direction, Flight]]:
-        """Takes out the packets that have arrived by now on either side, in the order of arrival, then of offering."""
+        """Removes and returns the packets that have arrived on either side, by time of arrival, then of offering."""
         arrived = [
             (direction, flight) for direction, channel in self._channels.items() for flight in channel.arrived(now)
         ]
@@ -82,13 +82,13 @@ class Relay:
         return min(times, default=None)
 
     def drops(self) -> list[tuple[Direction, Drop]]:
-        """Takes out the drops since the last call."""
+        """Removes and returns the drops since the last call."""
         drops = [(direction, drop) for direction, channel in self._channels.items() for drop in channel.drops()]
         self._dropped.extend(_shown_dropped(direction, drop) for direction, drop in drops)
         return drops
 
     def change(self, change: LinkChange, now: MissionTime) -> None:
-        """Puts the change in force; raises InvalidInput, and changes nothing, if the result is invalid."""
+        """Applies the change; raises InvalidInput, and changes nothing, if the result is invalid."""
         conditions = apply_change(self._conditions, change)
         if change.contact is not None or change.contact_as_scheduled:
             self._forced = change.contact

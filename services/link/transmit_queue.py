@@ -28,7 +28,7 @@ class TransmitQueue:
         return iter(self._packets)
 
     def supersede(self, packet: Packet) -> Packet | None:
-        """Puts the packet in the place of an older one of its subject and returns that; None if none waits."""
+        """Replaces a waiting packet of the same subject by this one; returns the older one, None if there is none."""
         if not packet.subject:
             return None
         for index, older in enumerate(self._packets):

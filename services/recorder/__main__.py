@@ -4,11 +4,11 @@ from services.runtime.entry import leave, prepare_service
 
 DEFAULT_FILE = "mission.mcap"
 MIN_FLUSH_S = 0.2
-"""Wall time between flushes: what a kill can cost at most."""
+"""Wall time between flushes: a kill loses the messages of at most this time."""
 
 
 def main() -> int:
-    """Exit code of the process, 1 if the recording lacks messages. Whatever ends the process completes the file."""
+    """Exit code of the process, 1 if the recording lacks messages. The file is completed at every end but SIGKILL."""
     import sys
     from contextlib import ExitStack
     from pathlib import Path

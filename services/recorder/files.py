@@ -1,7 +1,7 @@
-"""The file of a recording: an earlier recording is kept beside it, and a full disk loses nothing that it need not.
+"""The file of a recording: an earlier recording is kept beside it, and messages survive a disk that is full for a time.
 
-What the system refuses to write waits in memory and is tried again with each flush, so the file continues exactly where
-it stopped once there is room.
+Bytes that the system refuses to write wait in memory and are tried again with each flush, so the file continues exactly
+where it stopped once there is room.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from services.runtime.file_lock import FileLock, lock_beside
 from services.runtime.output_files import open_output
 
 BUFFER_BYTES = 65_536
-"""Bytes that gather before they are written without a flush."""
+"""Buffered bytes at which the file is written without a flush."""
 
 
 class RawFile(Protocol):
@@ -34,7 +34,7 @@ class RecordingFile:
         self.path = path
         self._lock = lock
         self.failure: str | None = None
-        """Why the system refuses to write; None while it does not."""
+        """Why the system refuses to write; None if it does not."""
         self._raw = raw
         self._pending = bytearray()
         self._written = 0
@@ -50,7 +50,7 @@ class RecordingFile:
         return len(self._pending)
 
     def tell(self) -> int:
-        """The position at which the next byte goes, with all that waits before it."""
+        """The position of the next byte, waiting bytes included."""
         return self._written + len(self._pending)
 
     def write(self, data: bytes) -> int:

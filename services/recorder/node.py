@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from services.mission.scenario import Scenario
 
 FLUSH = "flush"
-"""Timer: make the messages since the last flush safe."""
+"""Timer: flush the messages since the last flush."""
 
 RECORDED: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.recorded and Side.EARTH in topic.sides)
 """The topics that are recorded, as they are received on Earth."""
 
 
 class Sink(Protocol):
-    """Where a recording goes. Writing does not fail; what cannot be written at present is said by `failure`."""
+    """The destination of a recording. Writing does not raise; `failure` tells why messages cannot be written."""
 
     @property
     def failure(self) -> str | None:
@@ -37,7 +37,7 @@ class Sink(Protocol):
         """Append one message."""
 
     def flush(self) -> None:
-        """Make all messages safe against the end of this process."""
+        """Hand all messages to the operating system, so that they survive the end of this process."""
 
 
 class RecorderNode:
@@ -71,7 +71,7 @@ class RecorderNode:
             yield SetTimer(FLUSH, now + self._flush_after)
 
     def _report_failure(self) -> Iterable[Effect]:
-        """A log record when writing begins to fail and when it succeeds again; the rest of the time there is none."""
+        """A log record when writing begins to fail and when it succeeds again; otherwise none."""
         failure, before = self._sink.failure, self._failure
         self._failure = failure
         if failure is not None and before is None:

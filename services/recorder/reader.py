@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """One recorded message, checked against its schema as it was when it came."""
+    """One recorded message, checked against its schema."""
 
     topic: Topic
     header: Header
@@ -59,7 +59,7 @@ class LeftOut:
 
     topic: str
     why: str
-    """Of the first of them."""
+    """Why the first of them was left out."""
     count: int = 0
 
     def __str__(self) -> str:
@@ -69,7 +69,7 @@ class LeftOut:
 class Recording:
     """The messages of a recording in the order in which they were written; iterate once over `messages`.
 
-    What is said of the file holds after the iteration.
+    The facts about the file are complete after the iteration.
     """
 
     def __init__(self, path: Path) -> None:
@@ -78,7 +78,7 @@ class Recording:
         self.gaps: list[Gap] = []
         """The parts of the file that are not whole, in their order."""
         self.left_out: dict[str, LeftOut] = {}
-        """By topic: messages that are whole in the file, and that this version cannot read."""
+        """By topic: intact messages that this version cannot read."""
         self.omissions: list[str] = []
         """One line on each place where the recorder left messages out because the disk was full."""
         self.messages_by_topic: Counter[str] = Counter()

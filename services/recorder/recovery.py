@@ -30,7 +30,7 @@ _COMPRESSION: Final = struct.pack("<I4s", 4, b"zstd")
 _COMPRESSION_AT: Final = _FRAME.size + 8 + 8 + 8 + 4  # in a chunk's record, behind two times, a size and a checksum
 
 _UNREADABLE: Final = (McapError, struct.error, ValueError, EOFError, OverflowError, MemoryError)
-"""What the library raises when it reads a damaged record."""
+"""Exceptions of the library for a damaged record."""
 
 _TYPES: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
@@ -49,7 +49,7 @@ _TYPES: Final[dict[int, Any]] = {
 }
 
 Content = records.Channel | records.Message | records.Metadata | records.Statistics
-"""The records that say what was recorded."""
+"""Types of the records that contain messages and describe them."""
 
 
 @dataclass(frozen=True, slots=True)

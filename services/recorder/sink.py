@@ -81,7 +81,7 @@ class RecordingSink:
         self._follow()
 
     def flush(self) -> None:
-        """Hand all messages to the operating system, unless that was done just now."""
+        """Hand all messages to the operating system, at most once per `least_flush_s`."""
         self._writer.flush()
         self._follow()
 
@@ -104,7 +104,7 @@ class RecordingSink:
             self._gap = None
 
     def _follow(self) -> None:
-        """Follow how many messages the operating system has taken."""
+        """Update the number of messages that the operating system has taken."""
         if not self._ends or self._ends[-1][1] < self._writer.stored:
             self._ends.append((self._file.tell(), self._writer.stored))
         while self._ends and self._ends[0][0] <= self._file.written_bytes:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
 
 CHUNK_BYTES = 65_536
-"""Uncompressed size at which a chunk is written: what a kill can cost at most without a flush."""
+"""Uncompressed size at which a chunk is written: without a flush, a kill loses at most this much."""
 
 PROFILE = "he3-seeker"
 
@@ -66,7 +66,7 @@ class RecordingWriter:
         self.messages = 0
         """Messages written so far."""
         self.stored = 0
-        """Those of them in chunks that the stream has been given."""
+        """Messages in chunks that were given to the stream."""
 
     def write(
         self, topic: Topic, payload: bytes, received_at: MissionTime, made_at: MissionTime, sequence: int
@@ -89,9 +89,9 @@ class RecordingWriter:
         self._writer.add_metadata(GAP_RECORD, {"count": str(count), "first": str(first), "last": str(last)})
 
     def flush(self, *, now: bool = False) -> None:
-        """Hand all messages to the operating system, unless that was done just now; a kill then costs none of them.
+        """Hand all messages to the operating system, at most once per `least_flush_s`; a kill then loses none of them.
 
-        now: even if it was.
+        now: at once, also before that time is over.
         """
         time_s = self._clock()
         if not now and time_s - self._flushed_at < self._least_flush_s:

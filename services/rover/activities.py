@@ -87,7 +87,7 @@ class Activity:
     """The next vertex of the current leg's path."""
     borehole: Borehole | None = None
     measured: list[str] = field(default_factory=list)
-    """Its samples whose value is known."""
+    """Ids of its samples whose value is known."""
     exempt_keep_outs: set[str] = field(default_factory=set)
     """Keep-outs that the activity began in: they do not stop it until it has left them."""
 
@@ -100,13 +100,13 @@ class Activity:
         return self.leg == len(self.legs)
 
     def finish_leg(self) -> None:
-        """Goes on to the next leg."""
+        """Begins the next leg."""
         self.borehole, self.vertex = None, 0
         self.leg += 1
 
     @property
     def end_m(self) -> Place | None:
-        """Where the activity ends [m]; None if it leads nowhere else."""
+        """Where the activity ends [m]; None if none of its legs has a path."""
         for leg in reversed(self.legs):
             if leg.path_m:
                 return leg.path_m[-1]

@@ -1,4 +1,4 @@
-"""Telecommands: judged when they come, executed at the next safe point. One row of the table below for each kind."""
+"""Telecommands: accepted or rejected on arrival, executed at the next safe point. The table below has one row per kind."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MAX_KEEP_OUTS: Final = 100
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """What a telecommand can ask of the rover."""
+    """What the rover can do on a telecommand."""
 
     site: SiteGrid
     vehicle: Vehicle
@@ -39,7 +39,7 @@ class Controls:
 
 
 Objection = Callable[[Controls, Telecommand], str | None]
-"""One line on why the command cannot be executed as things are; None if it can."""
+"""One line on why the command cannot be executed at present; None if it can."""
 Action = Callable[[Controls, Telecommand, MissionTime], bool]
 """Executes the command; returns whether it is completed with that. A drive is completed on arrival."""
 

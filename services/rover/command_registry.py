@@ -64,8 +64,8 @@ class CommandRegistry:
     def overtaken(self, command: Telecommand, header: Header) -> str | None:
         """One line on the command that was made later but came earlier; None if there is none.
 
-        The newest command counts: a pause that arrives after the resume that was meant to end it would hold the rover
-        for good. Commands on motion are ordered among themselves, and those on each keep-out; `safe` is never outdated.
+        The newest command counts: a pause that arrives after the resume that should end it would hold the rover for
+        ever. Commands on motion are ordered among themselves, and those on each keep-out; `safe` is never outdated.
         """
         if command.kind is CommandKind.SAFE:
             return None

@@ -21,7 +21,7 @@ def bites_m(depth_m: float, bite_m: float) -> tuple[float, ...]:
 
 @dataclass(slots=True)
 class Borehole:
-    """How far the work at one planned sample has come."""
+    """The progress of the work at one planned sample."""
 
     sample: PlannedSample
     bites_left_m: list[float] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""The rover's executive: one step after the other, and between two steps whatever was commanded.
+"""The rover's executive: chooses and begins each step, and executes telecommands between two steps.
 
 A step is a scan, a drive over one path section, a bite of the drill, an analysis or a measurement. Between steps the
 rover is at a safe point: there the waiting telecommands are executed, and then the next step is chosen. The parts below
@@ -112,7 +112,7 @@ class Executive:
             "schedule": self._schedule,
             "driving": self._driving,
         }
-        """The parts with a state of their own; the others only use these."""
+        """The parts that have a state."""
 
     # --- what it reports ------------------------------------------------------------------------------------------
 
@@ -136,7 +136,7 @@ class Executive:
     # --- what comes from the ground -------------------------------------------------------------------------------
 
     def plan_received(self, plan: MissionPlan, now: MissionTime) -> None:
-        """Accepts the plan or rejects it; a rover that only waited for a plan begins it."""
+        """Accepts the plan or rejects it; an idle rover begins it."""
         if not self._schedule.accept_plan(plan, now):
             return
         if self._operating.hold in ENDED_BY_PLAN:
@@ -151,17 +151,17 @@ class Executive:
             self._proceed(now)
 
     def ground_heard(self, now: MissionTime) -> None:
-        """A message from the ground has come, whatever it says."""
+        """Note a message from the ground, of any kind."""
         self._watchdog.restart(now)
 
     def watchdog_expired(self, now: MissionTime) -> None:
-        """Nothing has been heard from the ground for too long."""
+        """Handle the watchdog's timer: the ground has been silent for too long."""
         self._watchdog.expired(now)
 
     # --- safe points ----------------------------------------------------------------------------------------------
 
     def _proceed(self, now: MissionTime) -> None:
-        """At a safe point: executes the waiting telecommands, then takes the next step unless something holds."""
+        """At a safe point: executes the waiting telecommands, then begins the next step unless the rover is held."""
         self._instruments.withdraw()
         self._commands.execute_waiting(now)
         if self._operating.hold is None:
@@ -208,7 +208,7 @@ class Executive:
     # --- how steps end --------------------------------------------------------------------------------------------
 
     def step_ended(self, now: MissionTime) -> None:
-        """The drive, the bite or the analysis under way is done."""
+        """Handles the end of a drive, a bite or an analysis."""
         activity, state = self._schedule.current, self._operating.state
         if state is State.DRIVING:
             self._vehicle.arrive(now)
@@ -220,16 +220,16 @@ class Executive:
         self._proceed(now)
 
     def terrain_received(self, query: str, terrain: TerrainReply, now: MissionTime) -> None:
-        """The terrain ahead is known: the rover drives, or stops before what it may not cross."""
+        """Handles the terrain ahead: the rover drives, or stops in front of closed terrain."""
         self._await_step(self._driving.terrain_received(query, terrain, now))
 
     def value_received(self, query: str, reply: MeasurementReply, now: MissionTime) -> None:
-        """The sample's value is known: it is reported, and the rover proceeds."""
+        """Handles the sample's value: it is reported, and the rover proceeds."""
         if self._sampling.value_received(query, reply, now):
             self._proceed(now)
 
     def query_failed(self, topic: Topic, query: str, why: NoReply, detail: str, now: MissionTime) -> None:
-        """An instrument does not reply: it is asked again later. A sample that it refuses is skipped."""
+        """Handles a failed query: a silent instrument is asked again later; a sample that it refuses is skipped."""
         if not self._instruments.expects(query):
             return
         if topic == MEASURE and why is NoReply.REFUSED and self._sampling.refused(now, detail):
@@ -243,7 +243,7 @@ class Executive:
             self._proceed(now)
 
     def charged(self, now: MissionTime) -> None:
-        """The battery holds enough energy again: the rover continues where it stopped."""
+        """Handles the end of charging: the rover continues where it stopped."""
         if self._energy.charged(now):
             self._proceed(now)
 

@@ -42,7 +42,7 @@ class Instruments:
         self._effects.append(SendQuery(topic, request, self._pending))
 
     def expects(self, query: str) -> bool:
-        """Whether that is the pending query."""
+        """Whether that name is the pending query's."""
         return query == self._pending
 
     def answered(self, topic: Topic) -> None:

@@ -121,12 +121,12 @@ class RoverNode:
 
     @property
     def state_types(self) -> tuple[type, ...]:
-        """What the state is made of, beside plain values."""
+        """The types in the state, beside plain values."""
         return STATE_TYPES
 
     @property
     def functions(self) -> dict[str, Callable[..., Any]]:
-        """The rover has nothing computed elsewhere."""
+        """None: the rover's node starts no computations."""
         return {}
 
     def checkpoint(self) -> SavedState:

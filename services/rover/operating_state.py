@@ -47,12 +47,12 @@ class OperatingState:
 
     @property
     def interruptible(self) -> bool:
-        """Whether the rover can turn to something else without finishing a step first."""
+        """Whether the rover can begin something else without finishing a step first."""
         return self._state in INTERRUPTIBLE
 
     @property
     def standing(self) -> bool:
-        """Whether the rover stands until something new comes."""
+        """Whether the rover stands until a new input arrives."""
         return self._state in STANDING
 
     @property
@@ -97,5 +97,5 @@ class OperatingState:
         return {"state": self._state, "hold": self._hold}
 
     def restore(self, state: SavedState) -> None:
-        """Restore the operating state from this state."""
+        """Restore state and hold from a checkpoint."""
         self._state, self._hold = state["state"], state["hold"]

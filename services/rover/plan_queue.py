@@ -1,4 +1,4 @@
-"""The plan queue: the accepted plan, its rounds on board, and what of the mission is done."""
+"""The plan queue: the accepted plan, its rounds on board, and the samples already measured."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class PlanQueue:
     def accept(
         self, plan: MissionPlan, current: Activity | None, start_m: Place, site: SiteGrid, keep_outs: KeepOuts
     ) -> str | None:
-        """Puts the plan's rounds in place of all that have not begun; or returns one line on why it does not fit.
+        """Replaces all rounds that have not begun by the plan's; or returns one line on why the plan does not fit.
 
         start_m: where the rover is when the current activity is done [m].
         """
@@ -61,7 +61,7 @@ class PlanQueue:
         return None
 
     def next_round(self) -> Activity:
-        """Takes the next round off the queue; it has begun with that."""
+        """Removes and returns the next round, which has then begun."""
         activity = self.on_board.popleft()
         self.round, self._aborted = activity.round, False
         return activity

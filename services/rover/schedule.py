@@ -1,6 +1,6 @@
 """The schedule: the activity under way, and the rounds on board behind it.
 
-Activities begin and end here, and every beginning and end is reported here.
+This module begins and ends activities, and reports both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Schedule:
-    """What the rover works on now and next."""
+    """The rover's present activity and its next ones."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Schedule:
         return (self._current.end_m if self._current else None) or self._vehicle.standing_m
 
     def accept_plan(self, plan: MissionPlan, now: MissionTime) -> bool:
-        """Puts the plan in place of all rounds that have not begun; False if it is rejected or known already."""
+        """Replaces all rounds that have not begun by the plan's; False if the plan is rejected or known already."""
         queue = self._plan_queue
         if plan == queue.plan:
             self._effects.append(LogRecord(Level.DEBUG, "plan received again", {"revision": plan.revision}))
@@ -91,7 +91,7 @@ class Schedule:
         self._reporter.report_activity(EventKind.ROUND_STARTED, activity, now)
 
     def finish_leg(self, activity: Activity, now: MissionTime) -> None:
-        """Goes on to the activity's next leg; after the last one the activity is done."""
+        """Begins the activity's next leg; after the last one the activity is done."""
         activity.finish_leg()
         if not activity.done:
             return

@@ -1,4 +1,4 @@
-"""The types of which the rover's state is made, beside plain values: those that a checkpoint may hold."""
+"""The types in the rover's state, beside plain values: a checkpoint may hold no others."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ HELD: Final = frozenset({State.PAUSED, State.CHARGING, State.SAFE})
 """States in which a hold keeps the rover from continuing its activity."""
 
 STANDING: Final = HELD | {State.IDLE, State.PARKED}
-"""States in which the rover stands until something new comes."""
+"""States in which the rover stands until a new input arrives."""
 
 INTERRUPTIBLE: Final = STANDING | {State.SCANNING, State.MEASURING}
 """States in which a telecommand is executed at once: no step has to be finished first."""

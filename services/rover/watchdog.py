@@ -24,7 +24,7 @@ class Watchdog:
         self._effects = effects
 
     def restart(self, now: MissionTime) -> None:
-        """Counts the silence from now on, if the rover has nothing to do."""
+        """Starts the timer, if the rover has nothing to do."""
         if self._timeout_s is not None and self._operating.unoccupied:
             self._effects.append(SetTimer(WATCHDOG, now + seconds(self._timeout_s)))
 

@@ -126,7 +126,7 @@ def test_the_recording_of_a_mission_that_was_ended_says_that_it_was_not_over(
                 message.topic, message.payload, message.received_at, message.header.made_at, message.header.sequence
             )
     assert main(["replay", str(ended)]) == 0
-    assert "state      complete file of a mission that was not over" in capsys.readouterr().out.splitlines()
+    assert "state      complete file; the mission was not over" in capsys.readouterr().out.splitlines()
     assert main(["replay", str(first / "mission.mcap")]) == 0
     assert "state      complete" in capsys.readouterr().out.splitlines()
 
