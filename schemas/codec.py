@@ -19,7 +19,7 @@ from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire, printable
 _OPENING = b'{"header":'
 _SEAL = re.compile(rb',"checksum":(\d{1,10})},"body":')
 _HEADER_LIMIT_BYTES = 2_000
-"""How far into a message the seal is looked for; a header is a fraction of that."""
+"""Length of the beginning of a message in which the checksum is searched; a header is much shorter."""
 
 
 class Refused(ValueError):
@@ -27,7 +27,7 @@ class Refused(ValueError):
 
 
 class Damaged(Refused):
-    """A payload whose checksum does not fit: it was changed on the way."""
+    """A payload whose checksum is wrong: it was changed on the way."""
 
 
 def encode(header: Header, body: Wire) -> bytes:
@@ -36,7 +36,7 @@ def encode(header: Header, body: Wire) -> bytes:
 
 
 def restamped(payload: bytes, held_from: int | None, repetition: int) -> bytes:
-    """The message of `encode` with another `held_from` and repetition, for sending it again; its seal is made anew."""
+    """A message of `encode` with another `held_from` and repetition, to send it again; the checksum is recomputed."""
     seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
     if seal is None or not payload.startswith(_OPENING):
         raise Refused("expected a message that was sealed with a checksum, got one without")
@@ -66,7 +66,7 @@ def body_of(payload: bytes) -> bytes:
 
 
 def _check_seal(payload: bytes, where: str) -> bool:
-    """Whether the message has a seal where `encode` puts it; raises Damaged when that is broken."""
+    """Whether the message has a checksum where `encode` puts it; raises Damaged if it is wrong."""
     seal = _SEAL.search(payload, 0, _HEADER_LIMIT_BYTES)
     if seal is None or not payload.startswith(_OPENING):
         return False
@@ -133,7 +133,7 @@ MAX_SHOWN = 60
 
 
 def one_line(error: ValidationError) -> str:
-    """The first complaint of a validation, as 'where: what was expected, got what came' on one line."""
+    """The first error of a validation on one line: 'WHERE: expected ..., got ...'."""
     first = error.errors(include_url=False, include_context=False)[0]
     place = _clipped(printable(".".join(str(part) for part in first["loc"]) or "message"), MAX_PLACE)
     came = first.get("input")

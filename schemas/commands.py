@@ -21,7 +21,7 @@ class CommandKind(StrEnum):
 
 
 class CommandStage(StrEnum):
-    """In the order in which a command passes them; those in `ENDS` end it."""
+    """The stages, in the order in which a command passes them; those in `ENDS` end it."""
 
     QUEUED = "queued"
     RELEASED = "released"

@@ -11,14 +11,14 @@ from schemas.wire import Identifier, MissionTimeNs, Text, Wire
 Count = Annotated[int, Field(ge=0)]
 
 ProcessId = Identifier
-"""Identifies one start of a service: its successor does not wait for what was sent to it."""
+"""Identifies one start of a service; a later start does not wait for messages to an earlier one."""
 
 
 class Join(Wire):
-    """A process asks to take part, or whether it still does, and says what it receives and serves."""
+    """A process asks to take part, or whether it still does; it names the topics that it receives and serves."""
 
     term: Text
-    """The term whose grants it obeys: a time manager's, until that one gives the process up. Empty at first."""
+    """The term whose grants the process obeys, until the time manager gives the process up. Empty at first."""
     name: Identifier
     process: ProcessId
     hears: tuple[tuple[Text, Text], ...]
@@ -28,7 +28,7 @@ class Join(Wire):
     next_wake: MissionTimeNs | None
     """When it wants to act first; None: when an input reaches it."""
     now: MissionTimeNs = 0
-    """Its time, from its journal or from a time manager that is gone; time does not go on from earlier."""
+    """The process's time, from its journal or an ended time manager; mission time does not continue from earlier."""
     step: Count = 0
     """The last step that it was granted; later steps have higher numbers."""
 
@@ -42,11 +42,11 @@ class Joined(Wire):
     now: MissionTimeNs
     step: Count
     starts: Count
-    """How many processes of that name have taken part."""
+    """How many processes of that name have taken part so far."""
 
 
 class Grant(Wire):
-    """It is `at`: the process acts as soon as it has received all that was sent to it in the step before."""
+    """A step at mission time `at`: the process acts once it has received all inputs sent to it in the step before."""
 
     term: Text
     step: Annotated[int, Field(ge=1)]
@@ -54,7 +54,7 @@ class Grant(Wire):
     process: ProcessId
     """The process that acts; an earlier process of the same name must not."""
     expects: dict[str, Count]
-    """How many messages, queries and replies, by sender; under its own name its queries that no process serves."""
+    """Number of inputs by sender; under the process's own name, its queries that no process serves."""
 
 
 class StepDone(Wire):
@@ -65,13 +65,13 @@ class StepDone(Wire):
     step: Count
     next_wake: MissionTimeNs | None
     published: tuple[tuple[Text, Text, Count], ...] = ()
-    """(topic, side, how many)."""
+    """(topic, side, count) of the messages that it sent."""
     asked: tuple[tuple[Text, Text], ...] = ()
     """(topic, side) of each query that it sent."""
     answered: tuple[tuple[ProcessId, Count], ...] = ()
     """Sender and step of each query that it replied to."""
     finished: Text | None = None
-    """Why the process has nothing left to do; None while it has."""
+    """Why the process has finished; None if it has not."""
 
 
 class StepBusy(Wire):
@@ -87,24 +87,24 @@ class StepBusy(Wire):
 
 
 class Poke(Wire):
-    """A process has an input from outside the mission, from an operator for example: it asks for a step now."""
+    """A process asks for a step now, because an input from outside the mission, such as a query, waits for it."""
 
     name: Identifier
     process: ProcessId
 
 
 class TimeControl(Wire):
-    """A change of how virtual time advances; what it does not name stays."""
+    """A change of the pace of virtual time; fields that are None change nothing."""
 
     paused: bool | None = None
     steps: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """Go on to this many further instants at which something happens, then pause."""
+    """Run for this many further instants at which something happens, then pause."""
     until: MissionTimeNs | None = None
-    """Go on until this mission time, then pause."""
+    """Run until this mission time, then pause."""
     rate: Annotated[float, Field(gt=0, le=1e9)] | None = None
     """No faster than this many mission seconds per wall second."""
     unlimited: bool = False
-    """As fast as the machine allows."""
+    """Run as fast as the machine allows."""
 
 
 class TimeStatus(Wire):
@@ -126,4 +126,4 @@ class TimeStatus(Wire):
     computing_s: Annotated[float, Field(ge=0)]
     """Wall time [s] for which time has stood while a process computed."""
     detail: Text = ""
-    """What is wrong, in one line; empty while nothing is."""
+    """One line on what is wrong; empty if nothing is."""

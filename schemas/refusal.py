@@ -13,7 +13,7 @@ from enum import StrEnum
 from schemas.wire import printable
 
 MAX_FOREIGN_CHARACTERS = 200
-"""How much is shown of an error reply that is not in this form."""
+"""Most characters shown of an error reply that is not in this form."""
 
 
 class RefusalCode(StrEnum):

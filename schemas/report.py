@@ -73,4 +73,4 @@ class MissionReport(Wire):
     version: Text
     host: Text
     output_problems: tuple[Text, ...] = ()
-    """One line, with file and cause, on each output of the mission that could not be written, or not in full."""
+    """One line, with file and cause, for each output that was not written, or not completely."""

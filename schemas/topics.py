@@ -68,15 +68,15 @@ class Latest:
 
     priority: int = 9
     distinct: tuple[str, ...] = ()
-    """Fields of the body that distinguish messages of which each newest one counts."""
+    """Fields of the body that separate subjects; of each subject the newest message counts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """A query and its reply within one side."""
+    """A query and its reply on one side; they never cross the link."""
 
     observes: bool = False
-    """Whether an observer asks it: its answer changes nothing, so no event log has it, whenever it arrives."""
+    """Whether only observers ask it. Its answer changes nothing, so event logs leave it out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Topic:
     name: str
     payload: type[Wire]
     access: Access = Access()
-    """End to end: the link, which carries what crosses, is not named for that."""
+    """Access end to end; the link's right to carry crossing topics is not listed."""
     crosses: Crosses = Crosses.NEVER
     service: Custody | Latest | Query = Latest()
     recorded: bool = False
@@ -147,7 +147,7 @@ def _published(by: Role | tuple[Role, ...], to: tuple[Role, ...]) -> Access:
 
 
 def _kept(by: Role, to: tuple[Role, ...], queried_by: tuple[Role, ...]) -> Access:
-    """Published, and answered for by its publisher on the same key."""
+    """Access to a topic that its publisher also serves: queries on the same key return the last message."""
     return Access(publish=(by,), subscribe=to, query=queried_by, answer=(by,))
 
 
@@ -362,7 +362,7 @@ BY_NAME: dict[str, Topic] = {topic.name: topic for topic in TOPICS}
 
 
 def counted(topic: Topic) -> Topic:
-    """The topic of that topic's messages to the processes in lockstep, which wait for each of them.
+    """The topic on which a topic's messages go to the processes in lockstep, which wait for each message.
 
     Wildcards do not match a chunk that begins with '@', so an observer, on `he3/**` for example, is not waited for.
     """
@@ -370,7 +370,7 @@ def counted(topic: Topic) -> Topic:
 
 
 def addressed(topic: Topic, name: str) -> Topic:
-    """The topic of that topic's messages to one process, with its own key."""
+    """The topic on which a topic's messages go to one process, with a key that ends in its name."""
     return replace(topic, name=f"{topic.name}/{name}")
 
 

@@ -66,7 +66,7 @@ class Header(Wire):
     held_from: Annotated[int, Field(ge=0)] | None = None
     """Lowest sequence of its stream that the source still keeps; everything below it is acknowledged."""
     repetition: Annotated[int, Field(ge=0)] = 0
-    """How often the message was sent before."""
+    """How often the message was sent before; 0 the first time."""
     checksum: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     """CRC-32 of header (without this field) and body as they stand on the wire; None: not to be checked."""
 

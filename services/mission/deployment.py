@@ -28,7 +28,7 @@ def shipped_scenarios() -> list[str]:
 def find_scenario(reference: str) -> Path:
     """Path of a scenario, given as a file or as the name of a shipped one; raises InvalidInput.
 
-    An earlier name still works, with one line on standard error that says the name of today.
+    A former name still works; one line on standard error gives the present name.
     """
     path = Path(reference)
     if path.suffix == ".toml" or path.exists():

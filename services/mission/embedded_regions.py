@@ -1,4 +1,4 @@
-"""The names of the embedded regions: what a service that does not load one, such as the rover, has to know of them."""
+"""The names of the embedded regions: for services that do not load them, such as the rover."""
 
 from collections.abc import Mapping
 from typing import Final

@@ -28,7 +28,7 @@ RECORDING_FLUSH_S = 3600.0
 
 
 def build_nodes(scenario: Scenario, region: Region | None = None) -> tuple[Node, ...]:
-    """The nodes of a scenario, built as in their own processes.
+    """The nodes of a scenario, built as each process builds its own.
 
     region: the scenario's, where it is loaded already. Raises InvalidInput for a scenario that no mission can have.
     """
@@ -92,7 +92,7 @@ class InProcessMission:
     def why(self) -> str:
         """The state of the mission in a few words, for an error message."""
         if self.status is None:
-            return "the ground has not said anything"
+            return "the ground has not reported anything"
         detail = f" ({self.status.detail})" if self.status.detail else ""
         return f"{self.status.phase.value}, {self.status.samples} of {self.status.samples_total} samples{detail}"
 

@@ -1,6 +1,6 @@
-"""Link conditions by name: those that agencies have flown or studied, and stress cases.
+"""Link conditions by name: those that space agencies have used or studied, and stress cases.
 
-[read]: read at its source; [calc]: computed; [assumed]: a working figure that nobody has verified.
+[read]: read at its source; [calc]: computed; [assumed]: a working figure that is not verified.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ PROVENANCE: Final = MappingProxyType(
     {
         "nominal": "1.282 s one way, the mean distance of 384,400 km [calc]; no other limits",
         "zero": "no delay, no limits: for comparison",
-        "agency-6s": "round trip of 6 s, as NASA has studied [read]",
-        "agency-8s": "round trip of 8 s, as NASA has studied [read]",
+        "agency-6s": "round trip of 6 s, as studied by NASA [read]",
+        "agency-8s": "round trip of 8 s, as studied by NASA [read]",
         "csa-10s": "round trip of 10 s with at most 300 kbit/s down, as the CSA has studied [read]",
         "farside-relay": "1.7 s one way through a halo relay [calc]; 125 bit/s up, 140 kbit/s down, as Queqiao [read]",
         "polar-window": "a south-pole site that sees the Earth 51 % of a month [read], one day before it sets; "

@@ -1,4 +1,4 @@
-"""The one table of the processes of a mission: what each is called, where it stands, and what it needs.
+"""The one table of the processes of a mission: the name of each, its side of the link, and the processes it needs.
 
 The launcher, `--wait-for`, `he3 status`, the benchmarks, the tests and the documentation follow from it. A process's
 name is also its node's name, the name in its heartbeats and liveliness tokens, and its package's in `services`.
@@ -22,11 +22,11 @@ class ProcessSpec:
     """The networks that it joins."""
     purpose: str
     needs: tuple[str, ...] = ()
-    """Processes without which it can do nothing but wait; they may be started in any order all the same."""
+    """Processes that it needs and waits for; all may be started in any order."""
     vital: bool = True
-    """Whether a mission fails without it. One that is not vital only subscribes: it may be left out, or end early."""
+    """Whether a mission fails without it. A process that is not vital only subscribes, and may be left out."""
     completes_file: bool = False
-    """Whether it completes a file when it is told to end, and is given the time for it on a slow machine."""
+    """Whether it completes a file when it is told to end, and so is given more time to end."""
 
     @property
     def module(self) -> str:
@@ -82,7 +82,7 @@ VITAL: tuple[str, ...] = tuple(each.name for each in PROCESSES if each.vital)
 
 
 def waited_for(names: Iterable[str]) -> tuple[str, ...]:
-    """Those of the processes for which the link holds mission time when all of these are started: all but itself."""
+    """The processes for which the link holds mission time when `names` are started: all but the link."""
     return tuple(name for name in names if name != LINK.name)
 
 

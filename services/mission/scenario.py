@@ -60,9 +60,9 @@ class RoverConfig(Section):
     """The vehicle: speeds, times and power."""
 
     speed_m_s: Speed = 0.1
-    """On the flat [m/s]. VIPER: 0.1 nominal, 0.2 top [read]."""
+    """Speed on flat ground [m/s]. VIPER: 0.1 nominal, 0.2 top [read]."""
     slope_limit_deg: Annotated[float, Field(gt=0, le=45)] = 20.0
-    """It does not enter steeper terrain. VIPER: 15 nominal, 20 limit [assumed]."""
+    """Steepest slope that the rover enters. VIPER: 15 nominal, 20 limit [assumed]."""
     slope_slowdown: Annotated[float, Field(ge=0, le=100)] = 1.0
     """Speed is speed_m_s / (1 + slope_slowdown * slope / slope_limit_deg) [assumed]."""
     footprint_radius_m: Annotated[float, Field(ge=0, le=100)] = 0.8
@@ -76,22 +76,22 @@ class RoverConfig(Section):
     analysis_s: Duration = 300.0
     """Heating and mass spectrometry of one sample; 5 to 60 minutes [assumed]."""
     base_load_w: Power = 150.0
-    """Always drawn [assumed]."""
+    """Power that is always drawn [assumed]."""
     traction_j_per_m: EnergyPerMetre = 240.0
-    """On the flat [assumed]."""
+    """Traction energy per metre on flat ground [assumed]."""
     climb_j_per_m: EnergyPerMetre = 700.0
-    """In addition for each metre of climb: 430 kg * 1.62 m/s^2 [calc]."""
+    """Added per metre of climb: 430 kg * 1.62 m/s^2 [calc]."""
     drill_w: Power = 200.0
-    """In addition while drilling [assumed]."""
+    """Added to the base load while drilling [assumed]."""
     analysis_w: Power = 100.0
-    """In addition while analysing [assumed]."""
+    """Added to the base load while analysing [assumed]."""
     solar_w: Power = 450.0
     """Solar power, constant because missions last less than a lunar day [assumed]."""
     capacity_wh: Annotated[float, Field(ge=1e-3, le=1e9)] = 5000.0
     """Battery [assumed]."""
     initial_charge: Fraction = 1.0
     reserve: Fraction = 0.2
-    """Below this share of the capacity the rover goes safe and charges [assumed]."""
+    """Share of the capacity below which the rover enters safe mode and charges [assumed]."""
     resume_charge: Fraction = 0.5
     """At this charge, the rover resumes by itself."""
     state_period_s: Period = 60.0
@@ -99,7 +99,7 @@ class RoverConfig(Section):
     instrument_retry_s: Period = 30.0
     """Time after which the rover repeats a query that an instrument has not replied to [s]."""
     watchdog_s: Period | None = None
-    """Time without a message from the ground after which a parked rover goes safe [s]; None: never."""
+    """Time without a message from the ground after which a parked rover enters safe mode [s]; None: never."""
 
     @model_validator(mode="after")
     def _charges_beyond_its_reserve(self) -> RoverConfig:
@@ -132,21 +132,21 @@ PlannerName = Annotated[str, AfterValidator(_planner_name)]
 
 
 class GroundConfig(Section):
-    """The belief, and the direction of the mission."""
+    """The ground station: belief, planning and budgets."""
 
     planner: PlannerName = "rrtstar"
     kernel: KernelName = "matern52"
-    """The paper says squared exponential; what produced its numbers used Matern 5/2."""
+    """The covariance function. The paper states squared exponential, but its figures come from Matern 5/2."""
     prior: Literal["constant", "orbital"] = "constant"
     """Prior mean: a learned constant, or the coarse orbital map with learned gain and offset."""
     planning_s: Duration = 30.0
     """Mission time that planning a round takes in virtual time, and at least on the wall clock [s]."""
     planner_limit_s: Annotated[float, Field(ge=1, le=1e6)] = 1800.0
-    """Wall-clock time after which a plug-in planner without an answer is ended and has failed [s]."""
+    """Time limit of a plug-in planner [s of wall-clock time]; it is ended then and counts as failed."""
     pipeline: Annotated[int, Field(ge=0, le=50)] = 0
     """Rounds on board in addition to the one in execution; 0 is stop-and-wait."""
     budget_m: Annotated[float, Field(gt=0, le=1e8)] | None = None
-    """Distance that the whole mission may drive [m]."""
+    """Most metres that the whole mission may drive [m]."""
     budget_h: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Time that the whole mission may take, charging included [h]."""
     information_exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
@@ -154,7 +154,7 @@ class GroundConfig(Section):
     clearance_m: Length = 15.0
     """Least distance of a target from every sample [m]; the paper's."""
     max_slope_deg: Annotated[float, Field(gt=0, le=45)] | None = None
-    """Steepest slope that is planned on; None: as in the region's traversability."""
+    """Steepest slope that planners use; None: as in the region's traversability."""
     keep_outs_m: Annotated[tuple[Polygon, ...], Field(max_length=100)] = ()
     interest: Annotated[tuple[InterestRegion, ...], Field(max_length=100)] = ()
     score: bool = True

@@ -1,4 +1,4 @@
-"""Telecommands: accepted or rejected on arrival, executed at the next safe point. The table below has one row per kind."""
+"""Telecommands: accepted or rejected on arrival, executed at the next safe point. The table has one row per kind."""
 
 from __future__ import annotations
 
