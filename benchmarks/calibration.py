@@ -4,7 +4,7 @@ A probability of 68 % is about all fields of a kind, not about one. So each seed
 region and its own noise; for a region from a file, only the noise varies. Samples are taken where the paper's `rrtstar`
 goes, and where `informative` and `tour` go. Every kernel is fitted to the same samples. The reference fields are a
 smooth trend with a rough perturbation of exponential covariance, so `smooth+rough` matches them. The other kernels are
-marked: too smooth for the perturbation, or rough without the trend. "auto" is whichever the fit chooses.
+marked as mismatched: too smooth for the perturbation, or without the trend. "auto" is whichever the fit chooses.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def run(
 
 
 def coverage(flight: Flight) -> list[Row]:
-    """A row for every kernel, fitted to the samples of that flight."""
+    """A row for every kernel, fitted to the samples of that mission."""
     mission, truth = fly(flight), region_named(flight.region, flight.variation)
     scorer, count = Scorer(truth.he3_ppb), len(mission.samples_m)
     rows = []
@@ -105,7 +105,7 @@ def coverage(flight: Flight) -> list[Row]:
 
 
 def table(rows: Sequence[Row], region: str) -> list[str]:
-    """Lines of coverage on one region: mean over seeds, and how far from nominal."""
+    """Lines of coverage on one region: mean over seeds, and difference from nominal."""
     head = f"{'samples of':<11} {'kernel':<14} {'RMSE ppb':>9} {'68.3 %':>8} {'off':>6} {'95.4 %':>8} {'off':>6}"
     lines = [f"{region_named(region).title if region in EMBEDDED else region}", head, "-" * len(head)]
     for planner in DESIGNS:

@@ -1,4 +1,4 @@
-"""Short missions in real processes, each under a random schedule of what happens to machines in the field.
+"""Short missions in real processes, each under a random schedule of machine faults.
 
     kill    a process dies as in a power failure (SIGKILL), and is started again
     stop    a process is frozen for a while (SIGSTOP), as on a machine that swaps or is suspended
@@ -6,9 +6,9 @@
     disk    a process can write no more (its file size is limited); then there is room again
 
 A process that cannot keep what it has accepted must end and say why; it is started again when there is room. The
-recorder must go on whatever its disk does. At the end all samples are in the map exactly once, none was reported under
-two numbers, the map is the same to the byte after one more restart of the ground, and every end that was not made here
-was explained in one line.
+recorder must continue for any fault of its disk. At the end all samples are in the map exactly once, none was reported
+under two numbers, the map is the same to the byte after one more restart of the ground, and every process that ended by
+itself explained it in one line.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ FAKETIME = (
     Path("/usr/lib/aarch64-linux-gnu/faketime/libfaketime.so.1"),
     Path("/usr/lib/faketime/libfaketime.so.1"),
 )
-"""Where Debian and others install it."""
+"""Paths of libfaketime on Debian and other systems."""
 MAX_EVENTS = 4
 MAX_PAUSE_S = 1.5
 MAX_STOP_S = 4.0
 FULL_S = 1.0
-"""How long a disk stays full."""
+"""How long a disk stays full [s of wall time]."""
 
 Row = dict[str, Any]
 
@@ -58,7 +58,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Mishap:
-    """What happens, to whom, how long after the one before it [s], and for how long or by how much [s]."""
+    """One fault: its kind, its process, the delay after the fault before [s], and its duration or amount [s]."""
 
     kind: Kind
     name: str
@@ -91,7 +91,7 @@ def run(
     *,
     say: Callable[[str], None] = print,
 ) -> Row:
-    """Fly one mission a schedule; the counts of what happened and of what went wrong.
+    """Run one mission per schedule; returns the counts of faults and failures.
 
     within: seconds of wall time after which a mission counts as stuck. Raises He3Error when anything went wrong.
     """
@@ -131,7 +131,7 @@ def run(
 
 
 def fly(mishaps: Sequence[Mishap], settings: Sequence[str], within: float, library: Path | None) -> Row:
-    """What came of one mission under that schedule."""
+    """The outcome of one mission under that schedule."""
     with tempfile.TemporaryDirectory(prefix="he3-chaos-") as name:
         folder = Path(name)
         clock = folder / "clock-offset"
@@ -158,7 +158,7 @@ def fly(mishaps: Sequence[Mishap], settings: Sequence[str], within: float, libra
 
 
 def _befall(mission: JournalledMission, mishap: Mishap, clock: Path) -> int:
-    """Let it happen; how many processes have ended unexplained."""
+    """Cause the fault; returns how many processes ended without an explanation."""
     match mishap.kind:
         case Kind.CLOCK:
             clock.write_text(f"{mishap.amount_s:+.0f}\n")
@@ -191,7 +191,7 @@ def _fill_the_disk(mission: JournalledMission, name: str) -> int:
 
 
 def _revived(mission: JournalledMission, name: str) -> int:
-    """Start that process again if it has ended; 1 if it did not say why in its last line."""
+    """Start that process again if it has ended; returns 1 if its last line gave no reason, else 0."""
     if mission.process(name).poll() is None:
         return 0
     last = mission.last_words(name)
@@ -200,7 +200,7 @@ def _revived(mission: JournalledMission, name: str) -> int:
 
 
 def _tend(mission: JournalledMission, within_s: float) -> int:
-    """Start what ends by itself again until the mission is over; how many ends were unexplained."""
+    """Restart processes that end by themselves until the mission is over; returns how many gave no reason."""
     deadline = time.monotonic() + within_s
     unexplained = 0
     while not mission.over:

@@ -1,7 +1,7 @@
 """What light time and black-outs cost: mission time and error of the map, stop-and-wait beside pipelined.
 
 The same mission, from the same seed, for each light time (0 s, the Moon at 1.28 s, studied relays at 3 and 5 s, Mars at
-20 min) and for each share of the time without contact; each flown twice: stop-and-wait, where every round waits for the
+20 min) and for each share of the time without contact; each run twice: stop-and-wait, where every round waits for the
 samples of the last to be in the map, and pipelined, where the next rounds are on board before it ends. All in virtual
 time, with the real nodes, custody and link, so that light time is exact.
 
@@ -121,7 +121,7 @@ def _line(row: Row) -> str:
 
 
 def scenario_of(case: Case) -> Scenario:
-    """The mission of that case: nothing but light time, contact and pipeline differs from one to the other."""
+    """The mission of that case: missions differ only in light time, contact and pipeline."""
     link: dict[str, Any] = {way: {"one_way_light_time_s": case.light_time_s} for way in ("up", "down")}
     if case.blackout:
         link["duty_cycle"] = {"period_s": PERIOD_S, "contact_s": round(PERIOD_S * (1 - case.blackout), 3)}
@@ -142,9 +142,9 @@ def scenario_of(case: Case) -> Scenario:
 
 
 class Remembering:
-    """An executor that computes nothing twice: a result is a function of the arguments alone.
+    """An executor that caches results, because a result is a function of the arguments alone.
 
-    Light time changes when a round is planned, not what is asked; so the missions of a study share most plans.
+    Light time changes the time of a planning request, not its content, so the missions of a study share most plans.
     """
 
     def __init__(self, executor: Executor) -> None:
@@ -159,7 +159,7 @@ class Remembering:
 
 
 def fly_all(cases: Sequence[Case]) -> Iterator[tuple[Case, Row]]:
-    """Each of those cases with its row, as soon as it was flown."""
+    """Each case with its row, as soon as its mission has ended."""
     with PlannerProcess(parallel=1) as planners:
         remembering = Remembering(planners)
         for case in cases:
@@ -167,13 +167,13 @@ def fly_all(cases: Sequence[Case]) -> Iterator[tuple[Case, Row]]:
 
 
 def fly(case: Case, executor: Executor) -> Row:
-    """The row of that case; raises He3Error if its mission does not come to its end with all samples."""
+    """The figures of that case's mission; raises He3Error if it does not end with all samples."""
     scenario = scenario_of(case)
     began = time.monotonic()
     mission = InProcessMission(scenario, executor)
     end = mission.run(until_s=SLACK_S)
     status = mission.status
-    assert status is not None, "a mission that has ended has said so"
+    assert status is not None, "the ground has reported the end of the mission"
     if end is not MissionPhase.COMPLETED or status.samples != scenario.samples or status.score is None:
         raise He3Error(f"light time {case.light_time_s:g} s, pipeline {case.pipeline}: {end.value}: {mission.why()}")
     return {
@@ -195,7 +195,7 @@ def fly(case: Case, executor: Executor) -> Row:
 
 
 def _drawn(rows: Sequence[Row], path: Path) -> Path:
-    """The file in which it is drawn: hours and error over light time, and over the share without contact."""
+    """The picture file: mission hours and error over light time, and over the share without contact."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,10 +1,10 @@
-"""Random fault schedules: what may go wrong with a mission, when, and for how long; pure and seeded.
+"""Random fault schedules: the faults of a mission, their times and durations; pure and seeded.
 
-A schedule is a list of faults in order of time. It ends: after the last fault the mission has all it needs, so it must
-come to its end with every sample in the map exactly once.
+A schedule is a list of faults in order of time. After the last fault nothing hinders the mission, so it must end with
+every sample in the map exactly once.
 
-A change of the clock's rate is none of them: in virtual time there is no rate. That the rate may change at any time on
-the wall clock is tested with real processes.
+A change of the clock's rate is not among the faults: in virtual time there is no rate. That the rate may change at any
+time on the wall clock is tested with real processes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class FaultKind(StrEnum):
     KILL = "kill"
     """A process ends at an instant, and is started again later."""
     CRASH = "crash"
-    """A process ends right after it has written its journal, before it does what follows."""
+    """A process ends right after it has written its journal, before it carries out the actions."""
     BLACKOUT = "blackout"
     LOSS = "loss"
     DUPLICATION = "duplication"
@@ -36,7 +36,7 @@ class FaultKind(StrEnum):
     FAR = "far"
     """The light time grows."""
     COMMAND = "command"
-    """An operator interferes, and puts it right later: resumes, removes the keep-out."""
+    """An operator's command hinders the mission; a later one undoes it: resume, remove the keep-out."""
 
 
 LINK_FAULTS = (
@@ -52,7 +52,7 @@ LINK_FAULTS = (
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that goes wrong, from `at_s` of mission time for `lasts_s`."""
+    """One fault, from `at_s` of mission time for `lasts_s`."""
 
     kind: FaultKind
     at_s: float
@@ -62,7 +62,7 @@ class Fault:
     torn: bool = False
     """The process leaves the beginning of an unfinished record in its journal."""
     place_m: tuple[float, float] | None = None
-    """Where a command leads, or the middle of a keep-out, whose half width is `amount` [m]."""
+    """Target of a drive command, or centre of a keep-out with half width `amount` [m]."""
 
     def __str__(self) -> str:
         who = f" {self.who}" if self.who else ""
@@ -125,7 +125,7 @@ def _random_command(rng: np.random.Generator, at_s: float, extent_m: float) -> F
 
 
 def telecommand(fault: Fault, begins: bool, command_id: str) -> Telecommand | None:
-    """What the operator commands when that fault begins, and to put it right when it ends; None: nothing."""
+    """The operator's commands at the begin and at the end of that fault; None: no command."""
     kind = CommandKind(fault.who)
     if kind is CommandKind.SET_KEEP_OUT and fault.place_m is not None:
         (x, y), half = fault.place_m, fault.amount
@@ -140,7 +140,7 @@ def telecommand(fault: Fault, begins: bool, command_id: str) -> Telecommand | No
 
 
 def link_change(fault: Fault, begins: bool, light_time_s: float) -> LinkChange:
-    """What is set on the link when that fault begins, and when it ends."""
+    """The link changes at the begin and at the end of that fault."""
     match fault.kind:
         case FaultKind.BLACKOUT:
             edge = AtEdge.DROP if begins and fault.amount else AtEdge.HOLD
@@ -161,7 +161,7 @@ def link_change(fault: Fault, begins: bool, light_time_s: float) -> LinkChange:
 
 
 def shrunk(schedule: Schedule, fails: Callable[[Schedule], bool]) -> Schedule:
-    """The schedule with every fault left out that the failure does not need, and the others as short as it allows."""
+    """The smallest schedule that still fails: without unneeded faults, the others as short as possible."""
     smaller = schedule
     for fault in schedule:
         without = tuple(other for other in smaller if other is not fault)

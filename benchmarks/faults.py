@@ -75,7 +75,7 @@ SLACK_S = 72 * 3600.0
 """Mission time that a run may take beyond the fault-free one and its faults."""
 TORN = b"\x05\x40\x00\x00\x00\x00\x00\x00\x00torn"
 MAP_TOLERANCE_PPB = 2e-3
-"""A map kept up to date sample by sample in float32, and one made at once, agree within this."""
+"""Tolerance [ppb] between a float32 map updated sample by sample and a map built at once."""
 
 Row = dict[str, Any]
 
@@ -107,7 +107,7 @@ def run(
     *,
     say: Callable[[str], None] = print,
 ) -> Row:
-    """The counts of what went wrong in that many missions, seeds counted from `seed`; printed, and written as JSON."""
+    """The counts of failures in that many missions, seeds from `seed` on; printed, and written as JSON."""
     if runs < 1 or jobs < 1:
         raise InvalidInput(f"expected one run and one job at least, got {runs} and {jobs}")
     began = time.monotonic()
@@ -171,7 +171,7 @@ def fly_schedule(seed: int, schedule: Schedule) -> Outcome:
 
 
 def fly_world(world: World, schedule: Schedule, patience_s: float = SLACK_S) -> Outcome:
-    """The outcome of that world's mission under that schedule; stuck if it takes so much longer than the schedule."""
+    """The outcome of that world's mission under that schedule; stuck if it exceeds the time limit."""
     outcome = Outcome(world.scenario.seed, schedule)
     try:
         world.suffer(schedule)
@@ -241,7 +241,7 @@ def _executor() -> Executor:
 
 
 class _Planners:
-    """An executor that starts a process only for what draws on OMPL's global state."""
+    """An executor that starts a process only for functions that use OMPL's global state."""
 
     def __init__(self) -> None:
         self._process = PlannerProcess(parallel=1)
@@ -282,7 +282,7 @@ class World:
     # --- faults -------------------------------------------------------------------------------------------------
 
     def suffer(self, schedule: Schedule) -> None:
-        """Run the mission through every fault of the schedule, and leave it with all that it needs."""
+        """Run the mission through every fault; then start all processes, reset the link and resume the rover."""
         moments: list[tuple[float, int, bool, Fault]] = []
         for number, fault in enumerate(schedule):
             moments += [(fault.at_s, number, True, fault), (fault.at_s + fault.lasts_s, number, False, fault)]
@@ -324,7 +324,7 @@ class World:
             self.simulation.restart(self._built(name), TORN if torn else b"")
 
     def _set_link(self, change: LinkChange) -> bool:
-        """Whether the link answered."""
+        """Change the link; returns whether it answered."""
         return self._asked("link", LINK_SET, change)
 
     def _command(self, command: Telecommand | None) -> None:
@@ -350,7 +350,7 @@ class World:
     # --- judgement ----------------------------------------------------------------------------------------------
 
     def judge(self, outcome: Outcome) -> None:
-        """Fill in what is wrong with the mission, now that it is over."""
+        """Check the finished mission, and fill in the outcome."""
         track = self.simulation.ask(TRACK, NoParameters())
         times = Counter(sample.sample_id for sample in track.samples)
         twice = sorted(name for name, count in times.items() if count > 1)

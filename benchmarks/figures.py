@@ -18,7 +18,7 @@ from matplotlib import pyplot as plt
 
 COLOURS = ("#8a8f98", "#1b1f24", "#2a7f9e", "#d1495b", "#e08e45", "#5b8e4e", "#9d78b5", "#c2a33a")
 _SETTLED = 10
-"""Samples after which a curve's error says how high to draw."""
+"""Number of samples after which a curve's error sets the upper limit of the axis."""
 STYLE: dict[str, Any] = {
     "font.size": 9,
     "axes.spines.top": False,

@@ -1,4 +1,4 @@
-"""Missions on several cores, as the comparisons of planners fly them."""
+"""Runs the missions of planner comparisons on several cores."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ each plug-in planner (``module:function``)."""
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """One mission to fly."""
+    """One mission to run."""
 
     region: str
     planner: str
@@ -41,7 +41,7 @@ class Flight:
     orbital_offset_ppb: float = 0.0
     """The orbital map that the ground is given is this gain times the true one, plus this offset."""
     label: str = ""
-    """What the row is called in tables; the planner's name if empty."""
+    """Name of the row in tables; the planner's name if empty."""
     variation: int | None = None
     """Seed of another variation of an embedded region; its own if None. A region from a file has no other."""
 

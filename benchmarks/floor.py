@@ -1,11 +1,10 @@
 """The floor under every planner: the best design that can be found with the field's true covariance known, offline.
 
 The covariance is fitted to many noiseless cells of the reference field, which no mission ever sees. Designs of all
-samples then descend the average posterior variance from several beginnings, with no regard to metres (or within a
-budget, where one is given). How well a design does on the one field that there is, is in part luck: equally good
-designs differ by some per cent. So the RMSE is the mean over all designs whose expected RMSE is within ``ALIKE`` of
-the best one's, and over several draws of the sensor's noise; the length is that of the shortest tour found through the
-best design.
+samples then descend the average posterior variance from several beginnings, without a limit on metres, or within a
+budget. The error of one design on one field is partly chance: equally good designs differ by some per cent. So the RMSE
+is the mean over all designs whose expected RMSE is within ``ALIKE`` of the best one's, and over several draws of the
+sensor's noise; the length is that of the shortest tour found through the best design.
 
     python -m benchmarks.floor --region t1 --region t2 [--budget M] [--json FILE]
 """
@@ -64,13 +63,13 @@ class Floor:
     samples: int
     budget_m: float | None
     rmse_ppb: float
-    """On the reference field, the mean over designs and noise."""
+    """RMSE on the reference field, mean over designs and noise."""
     expected_rmse_ppb: float
-    """What the best design's posterior variance says."""
+    """Expected RMSE from the best design's posterior variance."""
     length_m: float
     """Of the tour through the best design, round obstacles, from the start."""
     designs: int
-    """How many designs the mean is over."""
+    """Number of designs in the mean."""
     seconds: float
 
 
@@ -86,7 +85,7 @@ def floor(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Floor:
-    """The floor of a region for so many samples, within a budget of metres if there is one."""
+    """The floor of a region for a number of samples, within a budget of metres if one is given."""
     begun = time.perf_counter()
     truth = true_covariance(region, noise_std_ppb, seed, cells)
     traversable = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable
@@ -126,7 +125,7 @@ def floor(
 def true_covariance(
     region: Region, noise_std_ppb: float = DEFAULT_NOISE_STD_PPB, seed: int = 0, cells: int = CELLS
 ) -> Hyperparameters:
-    """The covariance that makes the reference field likeliest, as a belief that measures with the given noise."""
+    """The maximum-likelihood covariance of the reference field, for a belief with the given noise."""
     rng = np.random.default_rng(seed)
     seen = rng.choice(region.he3_ppb.size, min(cells, region.he3_ppb.size), replace=False)
     values = region.he3_ppb.ravel()[seen]

@@ -33,8 +33,8 @@ def run(
 ) -> list[Row]:
     """One row a mission; the table printed, the frontier drawn into `out`, rows written to `json`.
 
-    regions: embedded names; region: a field as .npz in their place; peers: also fly SGP-Tools, once a budget
-    and region. Raises InvalidInput for budgets that are not positive.
+    regions: embedded names; region: a field as .npz in their place; peers: also run SGP-Tools, once per budget and
+    region. Raises InvalidInput for budgets that are not positive.
     """
     if seeds < 1 or not budgets or not all(budget > 0 for budget in budgets) or not (regions or region):
         raise InvalidInput(
@@ -81,7 +81,7 @@ def _peer_rows(missions: dict[Flight, Mission], pool: WorkerPool, say: Callable[
         progress(
             f"  {flight.region:<4} sgptools  budget {flight.budget_m:.0f} m  seed {flight.seed}  "
             f"rmse {row['rmse_ppb']:.4f} ppb  {row['path_length_m']:.0f} m  "
-            f"{row['blocked_legs']} legs led round obstacles"
+            f"{row['blocked_legs']} legs led around obstacles"
         )
     return [rows[flight] for flight, _ in asked if flight in rows]
 

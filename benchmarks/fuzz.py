@@ -1,10 +1,10 @@
-"""Fuzz everything that takes input from outside: no traceback, no defect, no hang, nothing changed by what was refused.
+"""Fuzz everything that takes input from outside: no traceback, no defect, no hang, and refused input changes nothing.
 
 Each surface (command line, scenario files, region files, messages, page requests) gets its share of random examples
-from one seed. A faulty example is printed with the seed that makes it again.
+from one seed. A faulty example is printed with its seed.
 
     examples   in all, shared out among the surfaces
-    faults     examples with an outcome that is neither right nor a refusal in one line
+    faults     examples whose outcome is neither success nor a refusal in one line
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SHOWN_FAULTS = 50
 
 
 def surfaces() -> dict[str, Callable[[Path], Surface]]:
-    """How to make each surface in a folder of its own."""
+    """Constructor of each surface, which takes a separate folder."""
     from benchmarks.fuzzing.command_line import CommandLine
     from benchmarks.fuzzing.messages import Messages
     from benchmarks.fuzzing.page_requests import PageRequests

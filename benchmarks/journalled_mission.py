@@ -1,4 +1,4 @@
-"""A mission in real processes with journals, to which anything may happen: its judge says what was lost or doubled.
+"""A mission in real processes with journals, for fault tests; at the end it counts lost and doubled samples.
 
 Used by the benchmarks that kill, stop and starve processes. The recorder, where one is wanted, only listens.
 """
@@ -34,7 +34,7 @@ SERVICES = ("rover", "ground", "link", "field")
 """The processes that a mission needs."""
 RECORDER = "recorder"
 READY_WITHIN_S = 600.0
-"""Only a process that hangs takes as long."""
+"""Time limit [s] that only a hanging process reaches."""
 POLL_S = 0.005
 
 
@@ -88,7 +88,7 @@ class JournalledMission:
         self.close()
 
     def close(self) -> None:
-        """End all that runs."""
+        """End all processes."""
         if self._client is not None:
             self._client.close()
         for process in self._processes.values():
@@ -123,7 +123,7 @@ class JournalledMission:
         self._wait_until_ready(name)
 
     def last_words(self, name: str) -> str:
-        """The last line that this start of the process wrote."""
+        """The last line that the present start of the process wrote."""
         lines = self._logs[name].read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else ""
 
@@ -150,7 +150,7 @@ class JournalledMission:
             time.sleep(POLL_S * 10)
 
     def judged(self) -> tuple[int, int, int]:
-        """How many samples were lost, how many doubled, and whether the map is another one after a restart."""
+        """Lost samples, doubled samples, and 1 if a restart of the ground changed the map, else 0."""
         track: MissionTrack = self.ask(TRACK, NoParameters())
         before = self._layers()
         self.restart("ground")
@@ -175,7 +175,7 @@ class JournalledMission:
                 time.sleep(0.1)
 
     def _reported(self) -> dict[str, set[tuple[int, int]]]:
-        """Samples that came down, each with the numbers of the messages that told of it."""
+        """The samples that arrived, each with the sequences of the messages that reported it."""
         identity = {**identity_of(self.scenario), "node": "ground"}
         reported: dict[str, set[tuple[int, int]]] = {}
         for path in sorted(self._folder.glob("ground-*.mcap")):

@@ -4,7 +4,7 @@ Each killed process is started again at once. A mission must come to its end wit
 none reported under two numbers, and the map unchanged to the byte by one more restart of the ground.
 
     restart_s   from the start of the new process until it takes part again: read code, region and journal, joined both
-                networks, knows the time; the middle and the worst of all kills
+                networks, knows the time; median and maximum over all kills
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def run(
     *,
     say: Callable[[str], None] = print,
 ) -> Row:
-    """Kill each of the four services so many times, over as many missions as needed; the outcome.
+    """Kill each of the four services that many times, over as many missions as needed; returns the counts.
 
     within: seconds of wall time that one mission may take. settings: other values of the scenario, as for ``--set``.
-    Raises He3Error when a sample was lost or doubled, a mission stuck, or a map came back otherwise.
+    Raises He3Error when a sample was lost or doubled, a mission was stuck, or a restart changed the map.
     """
     if kills < 1 or rounds < 1:
         raise InvalidInput(f"expected one kill and one round at least, got {kills} and {rounds}")

@@ -6,7 +6,7 @@ error of a message is
 
     error = (mission time at its arrival - the `made_at` of its header) - light time
 
-so it holds everything that the light time does not: both hops over Zenoh, the link's queue and its timers. Then an
+so it includes all delays except the light time: both hops over Zenoh, the link's queue and its timers. Then an
 operator sets the light time to 3.0 s while all of it runs, and what follows is measured again.
 
     owlt_s          the one-way light time that was asked for [s]
@@ -67,7 +67,7 @@ def run(
 ) -> list[Row]:
     """A row for each direction, and for both together, before and after the change; printed, and written to ``json``.
 
-    messages: sent each way. interval_s: between two of them. Raises InvalidInput for figures that make no sense.
+    messages: sent each way. interval_s: between two of them. Raises InvalidInput for figures out of range.
     """
     if messages < 1 or interval_s < 0 or not 0 <= changed_to_s <= 86_400:
         raise InvalidInput(
@@ -104,13 +104,13 @@ def run(
 
 
 def _changed(client: MissionClient, change: LinkChange, check: Callable[[], None]) -> LinkStatus:
-    """The link's word on a change of it."""
+    """The link's reply to a change."""
     status: LinkStatus = _once_it_answers(partial(client.change_link, change), check)
     return status
 
 
 def _once_it_answers(ask: Callable[[], T], check: Callable[[], None] = lambda: None) -> T:
-    """What the link answers; its routers are there a moment before it does."""
+    """The link's first reply; its routers listen before it can answer."""
     give_up = time.monotonic() + SETTLING_S
     while True:
         check()
@@ -164,7 +164,7 @@ CLOCKS: dict[Side, Topic] = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
 
 
 def _one_side(side: Side, endpoint: str, mission: str) -> None:
-    """Send and hear as each line on standard input says; the delays [ns] of what came, as a line of JSON."""
+    """Send and receive as the lines on standard input request; prints the delays [ns] of arrivals as JSON lines."""
     sys.setswitchinterval(0.0005)
     came = _Arrivals()
     with Client(endpoint, mission, "bench", side) as client:
@@ -195,7 +195,7 @@ def _send(session: Session, side: Side, mission: str, clock: ClockState, numbers
 
 
 class _Arrivals:
-    """Payloads and the wall times [ns] at which they came."""
+    """Payloads and the wall times [ns] of their arrival."""
 
     def __init__(self) -> None:
         self._came: list[tuple[bytes, int]] = []
@@ -208,7 +208,7 @@ class _Arrivals:
             self._news.notify_all()
 
     def wait(self, count: int, within_s: float) -> list[tuple[bytes, int]]:
-        """What came, once that many have come or the time is over; it is forgotten."""
+        """Returns and clears the arrivals, once there are that many or the time is over."""
         with self._news:
             self._news.wait_for(lambda: len(self._came) >= count, within_s)
             came, self._came = self._came, []

@@ -44,7 +44,7 @@ Row = dict[str, Any]
 
 LOOK_EVERY_S = 0.05
 HANGS_AFTER_S = 300.0
-"""How long time may stand for one and the same reason."""
+"""Longest wall time [s] that time may stop for one reason."""
 
 
 def run(
@@ -112,7 +112,7 @@ def _lockstep(chosen: Chosen, logs: Path) -> Row:
 
 
 def _when(client: MissionClient, launcher: Launcher, wanted: Callable[[TimeStatus], bool]) -> tuple[float, TimeStatus]:
-    """Wall time and status as soon as the status of time is wanted; raises He3Error when time stands for too long."""
+    """Wall time and status once `wanted` holds for the status; raises He3Error if time stops for too long."""
     reason, since = "", time.monotonic()
     while True:
         launcher.check()
@@ -145,7 +145,7 @@ def _row(driver: str, events: int, lasted_s: float, start_s: float, wall_s: floa
 
 
 class _Waiting:
-    """An executor that counts how long its results are waited for."""
+    """An executor that measures the time spent waiting for its results."""
 
     def __init__(self, executor: Executor) -> None:
         self.waited_s = 0.0
@@ -156,7 +156,7 @@ class _Waiting:
 
 
 class _Awaited(Future[Any]):
-    """The result of another future; the wait for it is counted."""
+    """A future that wraps another one and measures the wait for its result."""
 
     def __init__(self, future: Future[Any], waiting: _Waiting) -> None:
         super().__init__()

@@ -5,7 +5,7 @@ Every figure is of the same machine, the same run, the same samples and hyperpar
     update_s            one sample taken into mean and variance of every cell, without a refit (median)
     stream_s            what the memory allows: as many float32 values read as the update reads of the rows it keeps,
                         the new row and the two float64 sums written, and the Cholesky factor copied to a longer one, as
-                        fast as plain array operations do it (median)
+                        fast as plain array operations allow (median)
     read_fraction       the part that the update reads (median) of what it keeps, n float32 values a cell; the rest can
                         change nothing. The squared exponential, being separable, keeps and reads none, and may take
                         less than its stream_s, which is that of reading all n
@@ -161,7 +161,7 @@ def _touched(n: int, cells: int, fraction: float) -> int:
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
+    """The machine on which the figures were measured."""
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,

@@ -45,18 +45,18 @@ class Mission:
 
     row: Row
     path_m: FloatArray
-    """(K, 2) all that was driven [m]."""
+    """(K, 2) path driven [m]."""
     samples_m: FloatArray
-    """(n, 2) where samples were taken [m]."""
+    """(n, 2) places of the samples [m]."""
     values_ppb: FloatArray
-    """(n,) what they said [ppb]."""
+    """(n,) measured values [ppb]."""
     rmse_history: tuple[float, ...]
     """RMSE [ppb] after each sample, under the hyperparameters of its round."""
     mean_ppb: NDArray[np.float32]
     std_ppb: NDArray[np.float32]
     traversable: NDArray[np.bool_]
     ended: str = ""
-    """Why the mission ended before its last round, or nothing."""
+    """Why the mission ended before its last round; empty if it did not."""
 
 
 @dataclass(slots=True)
@@ -88,11 +88,11 @@ def run_mission(
     orbital_ppb: FloatArray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Mission:
-    """The mission that this planner flies over the region, and its row of figures.
+    """A mission with this planner over the region, with its row of figures.
 
     prior: None or "orbital", a trend learned from the region's orbital map or from ``orbital_ppb`` in its place.
     start_m: where the rover stands at first, ``start_of`` the region if None. progress is called with the number of
-    samples taken and of all. Raises InvalidInput for names that are not known.
+    samples taken and the total. Raises InvalidInput for names that are not known.
     """
     begun = time.perf_counter()
     if prior not in (None, "orbital"):

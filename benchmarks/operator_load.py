@@ -1,4 +1,4 @@
-"""Operators' questions under load: 50 clients asking 20 times a second while a mission runs, beside a bare queryable.
+"""Query times under load: 50 clients send 20 queries per second each to a running mission, and to a bare queryable.
 
 Two missions of the same scenario and seed, each in separate processes at the same rate: one left alone, one asked by
 `clients` sessions, each `per_second` times a second, mostly for points, some for boxes, a few for whole layers. In the
@@ -39,16 +39,16 @@ from services.runtime.transport.opening import open_client
 
 SCENARIO = "t1-paper"
 POINT_SHARE, BOX_SHARE = 0.90, 0.08
-"""The rest are whole layers, of 1 MB each."""
+"""Shares of point and box queries; the rest are whole layers of 1 MB each."""
 BARE_SHARE = 0.2
-"""Of the questions that are put to the bare queryable, besides."""
+"""Share of additional queries to the bare queryable."""
 LAYERS_TIMED = 400
 WARM_UP_S = 3.0
 
 
 @dataclass(slots=True)
 class Times:
-    """Seconds that questions took, by kind, and what went wrong."""
+    """Query times [s] by kind, and the errors."""
 
     by_kind: dict[str, list[float]] = field(
         default_factory=lambda: {kind: [] for kind in ("point", "box", "layer", "bare")}
@@ -138,7 +138,7 @@ def _measured(client: MissionClient) -> dict[str, int]:
 
 
 def _pace(alone: dict[str, int], under_load: dict[str, int]) -> float:
-    """How much further a mission is under load: 1 unchanged, less is slower, by the last sample that both have."""
+    """Progress of the loaded mission relative to the other at the last common sample: 1 unchanged, below 1 slower."""
     both = alone.keys() & under_load.keys()
     if not both:
         return float("nan")

@@ -1,6 +1,6 @@
 """The paper's table and figures: planners on regions over seeds, beside what was published.
 
-The yardstick is `rrtstar` with the paper's protocol and kernel. Our planners are held against it on the same fields,
+The yardstick is `rrtstar` with the paper's protocol and kernel. Our planners are compared with it on the same fields,
 noise, start and number of samples, and scored on all cells:
 
     rrt, rrtstar          the paper's protocol and the kernel that it states, squared exponential; no limit on metres

@@ -13,7 +13,7 @@ from he3.errors import He3Error
 from services.runtime.child import ROOT, child_environment, python_command
 
 SETTLING_S = 300.0
-"""How long a process may take to start, and to answer beyond what it was asked to do. Only one that hangs takes it."""
+"""Time limit [s] for a process to start, and to answer after its task; only a hanging process reaches it."""
 
 
 class Peer:

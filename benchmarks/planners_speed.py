@@ -1,4 +1,4 @@
-"""How fast planning is: one plan of each planner, what a process of its own adds, and a whole mission.
+"""Planning times: one plan of each planner, the overhead of the planner process, and a whole mission.
 
     plan_s           one plan with 0, 75 or 145 samples known, in this process (median over seeds)
     process_plan_s   the same through the planner process: request there, a fork, answer back
@@ -6,7 +6,7 @@
     mission_wall_s   that mission: planning, measuring, the map after each sample, a refit each round
     rmse_ppb, path_length_m   how the mission went, for orientation; ``he3 bench paper`` compares planners
 
-A row for each planner. Before them, what planning rests on: leg checks a second, one at a time as OMPL asks for them
+A row for each planner. Before them, the basic operations: leg checks a second, one at a time as OMPL asks for them
 and many at once, and the planner process with a task that does nothing.
 """
 
@@ -59,7 +59,7 @@ def run(
 ) -> Row:
     """All figures, as printed and as written to ``json``: ``{"foundations": {...}, "rows": [...]}``.
 
-    Raises InvalidInput for a region, a planner or a kernel that there is not, or for less than one repeat.
+    Raises InvalidInput for an unknown region, planner or kernel, or for less than one repeat.
     """
     if repeats < 1:
         raise InvalidInput(f"expected one repeat or more, got {repeats}")
@@ -111,7 +111,7 @@ def _row(
 
 
 def request_with(region: Region, kernel: str, known: int, seed: int) -> PlanningRequest:
-    """What a planner is asked when so many samples, at places drawn by the seed, are known."""
+    """A planning request with that many samples at random places."""
     rng = np.random.default_rng([seed, known])
     terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
     cells = np.argwhere(OpenGround(region.grid, terrain.traversable).connected_to(START_M))

@@ -1,7 +1,7 @@
 """How long a map query takes while the ground computes a plan, beside a bare Zenoh queryable in the same run.
 
 A whole mission runs in separate processes, fast, so that plan follows upon plan. An operator asks for the map at a
-point, and in turn asks a queryable in a process of its own that answers each query with the same number of bytes and
+point, and in turn asks a queryable in a separate process that answers each query with the same number of bytes and
 does nothing else. Only pairs of queries count that were asked while a plan was being computed, from beginning to end;
 the first plan, for which the planner process only starts, does not count, and at least `plans` others do.
 
@@ -46,7 +46,7 @@ from services.runtime.transport.opening import open_client
 
 BARE_KEY = "bench/bare"
 GIVE_UP_S = 300.0
-"""Wall time within which the mission must have planned for long enough."""
+"""Time limit [s of wall time] to collect the queries."""
 
 Row = dict[str, Any]
 
@@ -64,7 +64,7 @@ def run(
 ) -> Row:
     """The figures of `queries` pairs asked while plans were being computed; printed, and written to ``json``.
 
-    rate: mission seconds per wall second. plans: no plan counts for more than its share of so many.
+    rate: mission seconds per wall second. plans: each plan contributes at most `queries / plans` queries.
     Raises InvalidInput for figures that make no sense, He3Error when the mission
     has not planned for long enough to ask that often.
     """
@@ -100,7 +100,7 @@ def run(
 
 
 class _Planning:
-    """Whether the ground is computing a plan, as it says itself."""
+    """Whether the ground is computing a plan, according to its status."""
 
     def __init__(self, client: MissionClient) -> None:
         self.status: GroundStatus | None = None
@@ -111,7 +111,7 @@ class _Planning:
 
     @property
     def revision(self) -> int | None:
-        """After which plan the next one is being computed; None while none is, or the first."""
+        """Revision of the plan before the one being computed; None if none is being computed, or the first."""
         status = self.status
         return None if status is None or not status.plans_in_work else status.plan_revision or None
 
@@ -158,7 +158,7 @@ def _measured(
 
 
 def _asked(session: zenoh.Session, selector: str) -> float:
-    """Seconds until the answer was here; raises He3Error when there was none."""
+    """Seconds until the answer arrived; raises He3Error if none did."""
     began = time.perf_counter()
     replies = list(session.get(selector))
     took = time.perf_counter() - began

@@ -1,6 +1,6 @@
-"""SGP-Tools beside our planners: the same field, start, samples and noise; its places, its order, our ruler.
+"""SGP-Tools beside our planners: the same field, start, samples and noise; its places and order, measured as ours.
 
-It works in an environment of its own (benchmarks/peers/requirements.txt). It is given the kernel that a Gaussian
+It runs in a separate environment (benchmarks/peers/requirements.txt). It is given the kernel that a Gaussian
 process learned from 150 samples of the very field, which favours it. Its places are moved to the nearest open ground,
 its path is measured along legs that avoid obstacles, and its samples are scored on all cells: with the Gaussian
 process that scores ours, and with its own.
@@ -43,7 +43,7 @@ TIMEOUT_S = 900
 
 MAX_ASKINGS = 3
 TOLERANCE = 0.01
-"""Share of the budget by which its path, led round obstacles, may be longer; else it is asked again."""
+"""Share of the budget by which its path around obstacles may exceed the budget; else it is run again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +53,16 @@ class PeerResult:
     places_m: FloatArray
     path_m: FloatArray
     blocked_legs: int
-    """Straight legs of its path that cross obstacles, before we led them round."""
+    """Straight legs of its path that cross obstacles, before the detours."""
     row: dict[str, Any]
 
 
 def peer_python() -> Path:
-    """The interpreter of the peers' environment; raises InvalidInput with what to do when there is none."""
+    """The interpreter of the peers' environment; raises InvalidInput, with instructions, if there is none."""
     path = Path(os.environ.get(VARIABLE, DEFAULT))
     if not path.is_file():
         raise InvalidInput(
-            f"SGP-Tools needs an environment of its own, expected its interpreter at {path}, found none; make it with "
+            f"SGP-Tools needs a separate environment, expected its interpreter at {path}, found none; make it with "
             f"'python3 -m venv .venv-peers && .venv-peers/bin/pip install -r benchmarks/peers/requirements.txt' or "
             f"name one in {VARIABLE}"
         )

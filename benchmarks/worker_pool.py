@@ -9,8 +9,8 @@ Within the ``with`` statement SIGINT and SIGTERM do not interrupt this process. 
 benchmark prints and writes the results that it has. At the end of the statement the workers are killed and the signal
 is raised again. Work that takes more than a moment belongs in a task, or after the statement.
 
-A worker computes one task at a time and keeps what it has imported and cached. It leads a process group of its own,
-which is killed when the pool ends, and when this process dies, however it dies.
+A worker computes one task at a time and keeps what it has imported and cached. It leads a separate process group, which
+is killed when the pool ends or this process dies.
 """
 
 from __future__ import annotations

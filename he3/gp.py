@@ -106,7 +106,7 @@ class GaussianProcess:
         """A positive lower bound on the posterior variance anywhere, in standardised units.
 
         After n samples at the very place the variance is k / (1 + n k / s^2), with k the kernel's variance and s^2 the
-        noise's; samples elsewhere tell no more. The bound is half of that, which only a rounding error falls below.
+        noise's; samples elsewhere tell no more. The bound is half of that; only rounding errors fall below it.
         """
         prior = self.hyperparameters.kernel.prior_variance
         return 0.5 * prior / (1.0 + len(self) * prior / self.hyperparameters.noise_variance)

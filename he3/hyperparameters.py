@@ -163,7 +163,7 @@ def parameter_bounds(kernel: Kernel, spacing_m: float = 0.0, extent_m: float = E
 
 
 def _widening(extent_m: float) -> float:
-    """How many times wider the site is than ``EXTENT_M``, which the length scales here are for; at least 1."""
+    """Ratio of the site's width to ``EXTENT_M``, for which the length scales here are given; at least 1."""
     if not (math.isfinite(extent_m) and extent_m > 0):
         raise InvalidInput(f"expected a positive width of the site, got {extent_m!r} m")
     return max(1.0, extent_m / EXTENT_M)
@@ -201,7 +201,7 @@ def fit_hyperparameters(
     trend: OrbitalTrend | None = None,
     extent_m: float = EXTENT_M,
 ) -> Hyperparameters:
-    """The hyperparameters under which the samples are likeliest, within the bounds of this module.
+    """The maximum-likelihood hyperparameters of the samples, within the bounds of this module.
 
     xy_m: places (n, 2) [m]. values_ppb: observations (n,) [ppb]. kernel_name: one of ``KERNELS``, or "auto", which fits
     every kernel and keeps the most cautious that the evidence allows. extent_m: the site's longer side [m], up to
@@ -223,7 +223,7 @@ def fit_hyperparameters(
 def information_criterion(fitted: Hyperparameters) -> float:
     """Akaike's information criterion as a log evidence: log likelihood - p, p parameters (Akaike 1974); more is better.
 
-    Its price of a parameter does not grow with the samples, so that their number alone never rules out a kernel that
+    Its penalty per parameter does not grow with the number of samples, which therefore never rules out a kernel that
     contains another.
     """
     return fitted.log_likelihood - len(fitted.kernel.parameters())
@@ -247,7 +247,7 @@ class _Data:
         return self.values if self.trend is None else self.values - self.trend.at(self.xy)
 
     def scale_ppb(self, residual: FloatArray) -> float:
-        """Standard deviation of the residual [ppb], or the least one that a fit believes in."""
+        """Standard deviation of the residual [ppb], at least the smallest that a fit accepts."""
         level = float(np.abs(self.values).max()) if len(self) else 0.0
         of_level = MIN_SCALE_OF_LEVEL if len(self) >= MIN_SAMPLES else MIN_SCALE_OF_LEVEL_OF_FEW
         least = max(MIN_SCALE_IN_NOISE * self.noise_std_ppb, of_level * level)

@@ -1,4 +1,4 @@
-"""I-optimal sample places: those that make the whole field known, rather than those where it is least known.
+"""I-optimal sample places: they minimise the average variance over the field, not the variance at one place.
 
 The criterion is the posterior variance averaged over the field (I-optimality: Fedorov 1972; as "integrated mean squared
 error" in Sacks, Welch, Mitchell & Wynn, Stat. Sci. 4, 1989): for the field f at nodes g of weights w, with samples at
@@ -170,7 +170,7 @@ class AverageVariance:
         """V before any further sample."""
 
     def _least_variance(self, free: int) -> float:
-        """Half of what as many samples at one place would leave there: V is never below it, rounding may be."""
+        """A lower bound on V: half the variance that as many samples at one place would leave there."""
         return 0.5 / (1.0 + (len(self._sampled) + free) / self._noise)
 
     def _conditioned(self, p: FloatArray) -> tuple[float, NDArray[np.floating], FloatArray, NDArray[np.floating]]:

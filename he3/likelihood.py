@@ -35,7 +35,7 @@ def log_marginal_likelihood(
 ) -> tuple[float, FloatArray]:
     """Log marginal likelihood of observations z (n,), and its gradient (parameters + 1,).
 
-    r2: squared distances (n, n) [m^2] between their places, which an optimiser computes once. noise_variance and
+    r2: squared distances (n, n) [m^2] between their places, which are computed once per fit. noise_variance and
     trend_covariance (n, n) are in the squared unit of the observations. Raises NumericalFailure if the covariance
     cannot be factorised.
     """

@@ -1,8 +1,8 @@
 """Refusal of rasters with missing values, before anything is computed from them.
 
-Rasters mark a missing value by NaN, or by a number that cannot be measured: -9999, -32768, -3.4e38, 65535 and others.
-A computation would take it for a value: one cell of -9999 m makes the standard deviation of relief so large that
-hollows become open ground. Each refusal is one line with the number of cells and the place of the first.
+Rasters mark a missing value by NaN, or by a number that is no possible measurement: -9999, -32768, -3.4e38, 65535 and
+others. A computation would take it for a value: one cell of -9999 m makes the standard deviation of relief so large
+that hollows become open ground. Each refusal is one line with the number of cells and the place of the first.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def expect_measured(name: str, values: FloatArray, low: float, high: float, unit
 
 
 def expect_no_walls(name: str, elevation_m: FloatArray, resolution_m: float) -> None:
-    """Raises InvalidInput if an elevation (rows, columns) [m] has steps between cells that no ground has.
+    """Raises InvalidInput if an elevation (rows, columns) [m] has steps between cells higher than any real terrain.
 
     What is left of missing values after a raster was resampled is such a step.
     """

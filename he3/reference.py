@@ -75,8 +75,8 @@ class OrbitalWindow:
 class Region:
     """A finished region: the ground truth of a site. All maps are (rows, columns) over ``grid``, read-only.
 
-    he3_ppb is the reference field; orbital_ppb is what an orbiter measures of it: the coarse map, resampled, without
-    the variation within its pixels. seed and origin are None for a region given as finished arrays.
+    he3_ppb is the reference field; orbital_ppb is the map of an orbiter: coarse, resampled, without the variation
+    within its pixels. seed and origin are None for a region given as finished arrays.
     """
 
     name: str

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegolithModel:
-    """The coefficients of the chemistry. They are a choice: measured soils scatter about it by several wt % of TiO2."""
+    """The coefficients of the chemistry. Measured soils scatter about this relation by several wt % of TiO2."""
 
     titanium_slope: float = constants.TITANIUM_SLOPE
     titanium_intercept: float = constants.TITANIUM_INTERCEPT

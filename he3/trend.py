@@ -83,7 +83,7 @@ class OrbitalTrend:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrendOnCells:
-    """What is left of the trend's columns: on the cells, residual (p, cells), and whitened at the samples (n, p)."""
+    """The trend's columns after conditioning: residual on the cells (p, cells), whitened at the samples (n, p)."""
 
     residual: FloatArray
     whitened: FloatArray
@@ -97,7 +97,7 @@ class TrendOnCells:
         )
 
     def subtract(self, start: int, rows_of_v: NDArray[np.floating], cells: slice) -> None:
-        """Subtract in place, on the cells, what k samples from number ``start`` on explain; rows_of_v is (k, cells)."""
+        """Subtract on the cells, in place, what k samples from ``start`` on explain; rows_of_v is (k, cells)."""
         self.residual[:, cells] -= self.whitened[start : start + len(rows_of_v)].T.astype(rows_of_v.dtype) @ rows_of_v
 
     def contribution(

@@ -134,7 +134,7 @@ def _best_move(d: FloatArray, tolerance: float) -> IntArray | None:
 
 
 def _kicked(d: FloatArray, order: IntArray, kicks: int, generator: np.random.Generator) -> IntArray:
-    """The shortest order found by so many kicks, each followed by best moves."""
+    """The shortest order found by that number of kicks, each followed by best moves."""
     n = len(order)
     if n < 8:
         return order

@@ -1,7 +1,7 @@
 """The command line with every flag of every command at random values: done, or refused in one line that names the flag.
 
-Commands that would start a mission and stay (`up`, `demo`, `web`, `bench`) are only given lines with at least one value
-that cannot be right, so that none of them starts; `run` flies a mission of one sample when all of its flags are right.
+Commands that keep running (`up`, `demo`, `web`, `bench`) always get at least one invalid value, so that none of them
+starts; `run` runs a mission of one sample if all of its flags are valid.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NEVER_RIGHT = {"scenario": "no/such/scenario.toml", "--rate": "-3", "--port": "9
 
 
 class CommandLine:
-    """The `he3` command, called in this process from a folder of its own, where no mission runs."""
+    """The `he3` command, called in this process, in a separate folder where no mission runs."""
 
     name = "cli"
 
@@ -166,7 +166,7 @@ def _called(words: list[str]) -> tuple[int, str, str]:
 
 @contextmanager
 def _standing_in(folder: Path, runtime: Path) -> Iterator[None]:
-    """Work in that folder, with run files looked for in the other one."""
+    """Within this context `folder` is the working directory, and run files are searched in the other folder."""
     here, before = Path.cwd(), os.environ.get("XDG_RUNTIME_DIR")
     os.chdir(folder)
     os.environ["XDG_RUNTIME_DIR"] = str(runtime)
@@ -197,7 +197,7 @@ def _wrong(code: int, err: str, before: dict[str, Any], after: dict[str, Any], o
     if code == 2 and len(lines) != 1 and not (out and not lines):
         return f"exit 2 with {len(lines)} lines on standard error: {err[:300]!r}"
     if code == 1 and not lines:
-        return "exit 1 without a word on standard error"
+        return "exit 1 without a line on standard error"
     if code and lines and not lines[-1].isprintable():
         return f"control characters in the error: {lines[-1][:200]!r}"
     if code == 2 and before != after:

@@ -1,6 +1,6 @@
 """Messages and queries on every topic, mutated from real ones, fed to the real nodes of a mission in virtual time.
 
-Nothing that comes over the wire may raise in a node. A message that is refused is counted and leaves the state of every
+No input over the wire may raise in a node. A message that is refused is counted and leaves the state of every
 node as it was; one that is accepted may change the mission, but the mission continues.
 """
 

@@ -1,6 +1,6 @@
-"""Requests to the page of a real mission in processes of its own: never a status of 500 and above, never a hang.
+"""Random requests to the page of a mission in real processes: no status of 500 or above, no hang.
 
-The mission runs at rate 1: on the clock of the requests it hardly moves.
+The mission runs at rate 1, so it hardly changes during the requests.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ BODIES = (b"", b"[" * 30_000, b"9" * 6_000, b"\xff\xfe")
 
 
 class PageRequests:
-    """A mission, the page's server, and requests that no browser would send."""
+    """A mission, the page's server, and malformed requests."""
 
     name = "page"
 
@@ -152,7 +152,7 @@ class PageRequests:
         return what, None
 
     def _gone(self, error: Exception) -> str | None:
-        """A server may close a connection that speaks no HTTP; it must live on."""
+        """What is wrong after the server closed a connection: it may refuse bytes that are no HTTP, but not end."""
         return None if self._server.poll() is None else f"the server has ended: {type(error).__name__}: {error}"
 
     def _request(self, rng: Random) -> tuple[str, str, list[tuple[str, str]], bytes | None]:

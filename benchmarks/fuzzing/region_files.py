@@ -42,7 +42,7 @@ SENTINELS = (
 
 
 class RegionFiles:
-    """The region loader, fed with files in a folder of its own."""
+    """The region loader, fed with files in a separate folder."""
 
     name = "region"
 

@@ -1,4 +1,4 @@
-"""Scenario files with every key at random values: accepted and then flown for a while, or refused in one line."""
+"""Scenario files with every key at random values: accepted and then run for a while, or refused in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from services.mission.in_process import InProcessMission
 from services.mission.scenario import Scenario, load_scenario
 
 INSTANTS = 300
-"""How many instants of an accepted mission are flown: enough for a plan, a drive, a sample and its way to the map."""
+"""How many instants of an accepted mission are run: enough for a plan, a drive, a sample and its way to the map."""
 
 
 def keys_of(model: type[BaseModel], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -78,7 +78,7 @@ class ScenarioFiles:
                 if not mission.simulation.step():
                     return "accepted, and the mission stands still"
             except He3Error as error:
-                return f"accepted, and refused in flight: {error}"
+                return f"accepted, and refused during the mission: {error}"
         return None
 
     def _ordinary(self) -> dict[str, Any]:

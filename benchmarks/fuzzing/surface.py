@@ -18,7 +18,7 @@ class Hang(BaseException):
 
 
 class Surface(Protocol):
-    """One way in for input from outside."""
+    """One entry for input from outside."""
 
     name: str
 
@@ -26,7 +26,7 @@ class Surface(Protocol):
         """Feed one random input to the real code: what it was, and what was wrong with the outcome (None: nothing)."""
 
     def close(self) -> None:
-        """End what the surface has started."""
+        """End the processes that the surface has started."""
 
 
 @contextmanager

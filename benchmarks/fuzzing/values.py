@@ -47,7 +47,7 @@ def number(rng: Random) -> float:
 
 
 def text(rng: Random) -> str:
-    """A text that has made trouble elsewhere, or a random one."""
+    """A text from a list of known problem cases, or a random one."""
     if rng.random() < 0.8:
         return rng.choice(EDGE_TEXTS)
     return "".join(chr(rng.choice((rng.randint(1, 126), rng.randint(0xA0, 0x2FF)))) for _ in range(rng.randint(1, 12)))

@@ -1,4 +1,4 @@
-"""Places and a path from SGP-Tools, in an environment of its own (it needs an older numpy than we do).
+"""Places and a path from SGP-Tools, in a separate environment (it needs an older numpy than we do).
 
 Reads one JSON document on standard input and writes one on standard output; `benchmarks/sgptools_peer.py` calls it.
 Request: {"task": "place", "open_m": [[x, y], ...], "start_m": [x, y], "samples": n, "budget_m": m, "kernel": {...},
@@ -18,8 +18,8 @@ import time
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 UNITS_PER_M = 100.0
-"""The library takes what the path is too long off a bound in nats. In metres that weighs too little: asked for 2.2 km,
-it came back with 5.2. In centimetres it keeps to what it is asked for to some per cent."""
+"""Length unit of the library. It subtracts the excess length of the path from a bound in nats. In metres the excess has
+too little weight: a budget of 2.2 km gave a path of 5.2 km. In centimetres it keeps the budget to some per cent."""
 
 
 def kernel_of(kernel: dict):

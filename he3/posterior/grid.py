@@ -223,7 +223,7 @@ class GridPosterior:
         self._recompute()
 
     def _run_tasks(self, tasks: Iterable[Task]) -> None:
-        """Run all tasks, on this thread and the others; which thread runs which changes no result."""
+        """Run all tasks, on this thread and the others; the results do not depend on the assignment."""
         waiting = deque(tasks)
 
         def run_waiting() -> None:

@@ -95,7 +95,7 @@ def covariance_on_cells(
 
 
 def _of_squared_distance(kernel: Kernel, r2: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The kernel at squared distances [m^2] in their own precision; float32 distances are used up."""
+    """The kernel at squared distances [m^2], in their precision; float32 distances are overwritten."""
     if r2.dtype == np.float32:
         kernel.fill(r2, r2)
         return r2

@@ -2,9 +2,8 @@
 
 On a tile, a sum of n rows times coefficients is bounded by the sum of |coefficient| times the row's peak there. The
 rows with the smallest such products are left out, as many as together stay below the tolerance of the sum. This is a
-bound, not an estimate. Samples that are far away, or screened by others, drop out by the hundred.
-
-The time left is the time that memory takes to deliver the rows. Where most of a block is needed, the block is read in
+bound, not an estimate. This leaves out most samples that are far away or screened by others. The remaining time is the
+time to read the rows from memory. Where most of a block is needed, the block is read in
 place; scattered rows are first copied together, because a matrix product over consecutive rows is much faster.
 """
 

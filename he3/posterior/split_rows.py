@@ -1,6 +1,6 @@
 """Rows of V for the sum of a smooth kernel S and a rough one R, of which only the rough part's rows are stored.
 
-The smooth part makes every sample matter everywhere, so that screening could leave out nothing of V = L^-1 K. But the
+In the smooth part every sample has influence everywhere, so screening could leave out nothing of V = L^-1 K. But the
 two parts can be separated: with w = L^-T l, and M the Cholesky factor of the rough covariance plus noise,
 
     (k_n - w' K) / d = (s_n - w' S) / d + (r_n - (M' w)' U) / d,      U = M^-1 R(samples, cells)

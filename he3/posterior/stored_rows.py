@@ -123,7 +123,7 @@ class StoredRows:
         return on_part
 
     def _scratch_arrays(self, count: int) -> list[RowBlock]:
-        """Arrays (cells,), the same ones at each call: new memory takes longer to get than to fill."""
+        """Arrays (cells,), the same at each call, because allocation takes longer than filling."""
         while len(self._scratch) < count:
             self._scratch.append(np.empty(self._tiled.cells, dtype=self._dtype))
         return self._scratch[:count]

@@ -26,7 +26,7 @@ Cells = slice | IntArray
 
 @dataclass(slots=True, eq=False)
 class PosteriorSums:
-    """Mean (cells,) and variance (cells,) without the trend, in float64, and what is left of the trend's columns."""
+    """Mean (cells,) and variance (cells,) without the trend, in float64, and the trend's columns after conditioning."""
 
     mean: FloatArray
     variance: FloatArray
@@ -64,7 +64,8 @@ class PosteriorSums:
     ) -> tuple[FloatArray, FloatArray]:
         """Posterior mean and variance on the cells, each (k,), trend included.
 
-        whitened: all samples' whitened residuals (n,). least_variance: the variance without the trend cannot be less.
+        whitened: all samples' whitened residuals (n,). least_variance: lower bound on the variance without the trend;
+        smaller values are raised to it.
         """
         mean, variance = self.mean[cells], np.maximum(self.variance[cells], least_variance)
         if self.trend is not None:

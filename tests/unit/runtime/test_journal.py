@@ -66,7 +66,7 @@ def inputs(count: int) -> list[tuple[int, Input]]:
 
 
 def folder_with(path: Path, kept: list[tuple[int, Input]]) -> Path:
-    """The file of a journal that holds those inputs, of a process that ended without a word."""
+    """The file of a journal that holds those inputs, of a process that ended without a message."""
     writer = JournalFolder(path, "rover", WHO, CODEC).begin()
     for now, each in kept:
         writer.append(now, [each])
