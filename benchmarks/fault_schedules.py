@@ -125,7 +125,7 @@ def _random_command(rng: np.random.Generator, at_s: float, extent_m: float) -> F
 
 
 def telecommand(fault: Fault, begins: bool, command_id: str) -> Telecommand | None:
-    """The operator's commands at the begin and at the end of that fault; None: no command."""
+    """The operator's commands when that fault begins and ends; None: no command."""
     kind = CommandKind(fault.who)
     if kind is CommandKind.SET_KEEP_OUT and fault.place_m is not None:
         (x, y), half = fault.place_m, fault.amount
@@ -140,7 +140,7 @@ def telecommand(fault: Fault, begins: bool, command_id: str) -> Telecommand | No
 
 
 def link_change(fault: Fault, begins: bool, light_time_s: float) -> LinkChange:
-    """The link changes at the begin and at the end of that fault."""
+    """The changes of the link when that fault begins and ends."""
     match fault.kind:
         case FaultKind.BLACKOUT:
             edge = AtEdge.DROP if begins and fault.amount else AtEdge.HOLD

@@ -95,7 +95,7 @@ def _judged(surface: Surface, rng: Random) -> tuple[str, str | None]:
             return surface.example(rng)
     except Hang:
         return "(see the seed)", "hangs"
-    except Exception as error:  # noqa: BLE001 - whatever the code under test raises is what is looked for
+    except Exception as error:  # noqa: BLE001 - any exception of the code under test is a fault to report
         where = error.__traceback__
         while where is not None and where.tb_next is not None:
             where = where.tb_next

@@ -9,8 +9,8 @@ Every figure is of the same machine, the same run, the same samples and hyperpar
     read_fraction       the part that the update reads (median) of what it keeps, n float32 values a cell; the rest can
                         change nothing. The squared exponential, being separable, keeps and reads none, and may take
                         less than its stream_s, which is that of reading all n
-    refit_s             new hyperparameters from the last ones (warm start), and all of the map made anew
-    predict_s           all of the map made anew, mean and standard deviation of every cell
+    refit_s             new hyperparameters from the last ones (warm start), and the whole map recomputed
+    predict_s           the whole map recomputed, mean and standard deviation of every cell
     sklearn_predict_s   the same from scikit-learn, already fitted, in its fastest chunking, on as many threads
 
 A row for each number of samples and kernel. ``run`` prints them as they come and writes them as JSON.

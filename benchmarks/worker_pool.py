@@ -103,7 +103,7 @@ class WorkerPool:
     def items(
         self, function: Callable[[Task], Iterable[Result]], tasks: Sequence[Task]
     ) -> Iterator[tuple[Task, Result]]:
-        """Each task with every item of ``function(task)``, an item as soon as it is there; else as `results`."""
+        """Each task with each item of ``function(task)``, as soon as it arrives; otherwise like `results`."""
         # A worker that is still busy belongs to an iteration that was left.
         self._end([worker for worker in self._workers if worker.task not in (None, _STARTING)])
         waiting = deque(range(len(tasks)))

@@ -3,7 +3,7 @@
     he3 run t1 --in-process --planner examples.most_uncertain:most_uncertain
     he3 bench paper --seeds 3 --regions t1 --planners rrtstar,tour,examples.most_uncertain:most_uncertain
 
-It has neither tree nor utility. It is greedy: each place is chosen given the samples before it, whatever the length of
+It has neither tree nor utility. It is greedy: each place is chosen given the samples before it, for any length of
 the path to it. Compare the metres that it drives.
 """
 

@@ -62,7 +62,7 @@ VARIANCE_BOUNDS = (0.02, 10.0)  # 1, of the samples' variance, see above
 PART_VARIANCE_BOUNDS = (0.001, 10.0)  # 1, of the samples' variance, see above
 # 1, smallest noise variance that any computation uses, as a share of the field's prior variance: a noise of a
 # ten-thousandth of the field's standard deviation. It bounds the condition number of the covariance of n samples by
-# n 1e8, wherever they lie and whatever the field's unit, which a float64 Cholesky factorisation survives.
+# n 1e8, for any places and any unit of the field, which a float64 Cholesky factorisation survives.
 NOISE_VARIANCE_FLOOR = 1e-8
 CAUTIOUS_FIRST = ("smooth+rough", "matern12", "matern32", "matern52", "se")
 """Kernels, the least smooth first: not differentiable, the sum first because it contains most others; then the rest by

@@ -70,8 +70,8 @@ class OrbitalTrend:
     def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
         """Columns (N, 2) at places (N, 2) [m] whose outer product is the covariance of gain and offset.
 
-        In units of scale_ppb. A prior that allows more than ``MAX_TREND_STD`` of them is narrowed to that: as good as
-        flat, and the covariance keeps enough digits for the rest of the field.
+        In units of scale_ppb. A prior standard deviation above ``MAX_TREND_STD`` is reduced to that. The prior is then
+        still nearly flat, and the covariance keeps enough digits for the rest of the field.
         """
         contrast = self.at(points_m) - self._mean_ppb
         gain_std = min(self.gain_std, MAX_TREND_STD * scale_ppb / self._contrast_ppb) if self._contrast_ppb else 0.0

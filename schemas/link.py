@@ -111,7 +111,7 @@ class LinkChange(Wire):
     reorder: Fraction | None = None
     corrupt: Fraction | None = None
     contact: bool | None = None
-    """False: black-out from now on; True: contact from now on, whatever the schedule; None: no change."""
+    """False: black-out from now on; True: contact from now on, against the schedule; None: no change."""
     contact_as_scheduled: bool = False
     """Return to windows or duty cycle after `contact` overrode them."""
     at_edge: AtEdge | None = None

@@ -42,7 +42,7 @@ def _harmless(text: str) -> str:
 
 
 Text = Annotated[str, Field(max_length=MAX_TEXT), AfterValidator(_harmless)]
-"""A text for people. What would steer a terminal or turn the direction of writing is escaped, in whatever comes in."""
+"""A text for people. Characters that control a terminal or the writing direction are escaped in all input."""
 
 
 class Wire(BaseModel):

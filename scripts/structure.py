@@ -185,7 +185,7 @@ def longest_classes(root: Path, sources: dict[Path, str]) -> list[LongClass]:
 
 
 _MESSAGE_FIELD = re.compile(r"schemas/\w+\.py:\d+: unused variable ")
-"""A field of a message is written for who receives the message, which may be a client of somebody else's."""
+"""A field of a message is used by its receiver, which may be a client of other authors."""
 
 
 def unused_in(root: Path) -> list[str]:

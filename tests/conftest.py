@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 # No bound of wall time on an example: the gate has to be green on a slow machine too. The examples follow from the
-# test's own source, so that a red run is due to the change at hand; `--hypothesis-profile=search` draws new ones.
+# test's own source, so that a failing run is due to the present change; `--hypothesis-profile=search` draws new ones.
 settings.register_profile(
     "gate", deadline=None, print_blob=True, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )

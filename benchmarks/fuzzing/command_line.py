@@ -54,7 +54,7 @@ class CommandLine:
         """Nothing to end."""
 
     def example(self, rng: Random) -> tuple[str, str | None]:
-        """One command line: the words, and what was wrong."""
+        """One command line: its words, and a line on its fault, None if there was none."""
         path, command = rng.choice(self._commands)
         words = [*path, *self._arguments(rng, path, command)]
         shown = " ".join(word if len(word) < 60 else f"{word[:57]}..." for word in words)

@@ -50,7 +50,7 @@ class Messages:
         """Nothing to end."""
 
     def example(self, rng: Random) -> tuple[str, str | None]:
-        """One message or query: the topic and the bytes, and what was wrong."""
+        """One message or query: topic and bytes, and a line on its fault, None if there was none."""
         if self._left == 0:
             self._begin(rng)
         self._left -= 1

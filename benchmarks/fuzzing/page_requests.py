@@ -121,7 +121,7 @@ class PageRequests:
             self._closing.pop()()
 
     def example(self, rng: Random) -> tuple[str, str | None]:
-        """One request: its first line and body, and what was wrong."""
+        """One request: its first line and body, and a line on its fault, None if there was none."""
         method, target, headers, body = self._request(rng)
         what = f"{method} {target[:200]} {dict(headers)} {(body or b'')[:200]!r}"
         connection = http.client.HTTPConnection(self._host, self._port, timeout=ANSWER_S)

@@ -53,7 +53,7 @@ class RegionFiles:
         """Nothing to end."""
 
     def example(self, rng: Random) -> tuple[str, str | None]:
-        """One file: what was changed in it, and what was wrong."""
+        """One file: the change made in it, and a line on its fault, None if there was none."""
         arrays, what = _arrays(rng)
         payload = _packed(arrays)
         if rng.random() < 0.1:

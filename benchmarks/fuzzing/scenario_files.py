@@ -50,7 +50,7 @@ class ScenarioFiles:
         """Nothing to end."""
 
     def example(self, rng: Random) -> tuple[str, str | None]:
-        """One scenario file: which keys were changed, and what was wrong."""
+        """One scenario file: the changed keys, and a line on its fault, None if there was none."""
         document = self._ordinary()
         changes = []
         for _ in range(rng.choice((0, 1, 1, 1, 2, 3))):

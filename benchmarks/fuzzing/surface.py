@@ -23,7 +23,7 @@ class Surface(Protocol):
     name: str
 
     def example(self, rng: Random) -> tuple[str, str | None]:
-        """Feed one random input to the real code: what it was, and what was wrong with the outcome (None: nothing)."""
+        """Feed one random input to the real code: its description, and a line on its fault, None if there was none."""
 
     def close(self) -> None:
         """End the processes that the surface has started."""

@@ -78,7 +78,7 @@ class RoundPlanning:
         return self._task is not None
 
     def start(self, number: int, start_m: Place, remaining: RemainingBudget) -> Compute:
-        """Plan the round of that number from that place, within what is left of the budget."""
+        """Plan the round of that number from that place, within the remaining budget."""
         pending = self._round_log.pending
         samples = min(self._scenario.samples_per_round, remaining.samples)
         self._tasks += 1

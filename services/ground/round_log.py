@@ -129,9 +129,9 @@ class RoundLog:
         self.chain = [record for record in self.chain if id(record) not in dropped]
 
     def begin(self, record: RoundRecord) -> bool:
-        """Note the begin of a round; returns whether that version had been replaced. The chain then ends with it.
+        """Note that a round has begun; returns whether that version had been replaced. The chain then ends with it.
 
-        Of two versions that were both begun the rover gave up the older one.
+        If two versions of a round have begun, the rover gave up the older one.
         """
         record.begun = True
         if record in self.chain:

@@ -46,7 +46,7 @@ class Transit:
     reordered: bool
     """Whether later packets may overtake it."""
     delays: tuple[MissionTime, ...]
-    """From its last bit sent to its last bit received [ns], of each copy."""
+    """Delay of each copy, from its last bit sent to its last bit received [ns]."""
 
 
 def transit(

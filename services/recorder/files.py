@@ -91,7 +91,7 @@ class RecordingFile:
 def open_recording(path: Path) -> RecordingFile:
     """An empty file of that name, its folder made; an earlier recording is kept beside it as mission-1.mcap, -2, ...
 
-    Raises He3Error if that cannot be done, InvalidInput if another process writes that recording.
+    Raises He3Error if it cannot be made, InvalidInput if another process writes that recording.
     """
     lock = lock_beside(path, f"{path}: expected a recording that no other process writes")
     try:

@@ -55,7 +55,7 @@ OpenSide = Callable[[ProcessContext, Side, str], Session | None]
 
 
 def connect_side(context: ProcessContext, side: Side, endpoint: str) -> Session | None:
-    """A client session on that side, as soon as its router is there."""
+    """A client session on that side, once its router answers."""
     identity = context.options.identity
     return connect_client(side, endpoint, context.mission, context.inbox.stopped, context.log.warning, identity)
 
@@ -86,7 +86,7 @@ def serve(
 def run_process(
     service: Service, options: Options, inbox: Inbox, make_driver: MakeDriver, open_side: OpenSide = connect_side
 ) -> None:
-    """Run the service until it is told to stop; all that was opened is closed then. Raises He3Error."""
+    """Run the service until it is told to stop; every open session and file is closed at the end. Raises He3Error."""
     with ExitStack() as stack:
         context = _context(service, options, inbox, stack)
         driver = make_driver(context)

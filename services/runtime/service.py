@@ -44,4 +44,4 @@ class Service:
     onlooker: bool = False
     """It only subscribes: in lockstep, virtual time never waits for it."""
     completes_file: bool = False
-    """It completes a file when it is told to stop; on a slow machine that takes its time."""
+    """Whether it completes a file when it is told to stop, and so is given more time."""

@@ -1,4 +1,4 @@
-"""Lockstep over Zenoh, in real processes: the same mission as in one process, to the byte, whatever the load."""
+"""Lockstep over Zenoh, in real processes: the same mission as in one process, to the byte, under any load."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Delivery(NamedTuple):
     """When it was sent: the link hears it in the same instant."""
     arrived: int
     idle: bool
-    """Whether whatever had been sent before it that way had left for certain."""
+    """Whether every message sent before it in that direction had certainly left."""
 
 
 def deliveries(events: bytes, rates: dict[str, int]) -> list[Delivery]:

@@ -1,4 +1,4 @@
-"""As whom an operator's command joins a mission: the identity that was named, or what the machine offers."""
+"""The identity with which an operator's command joins a mission: the named one, or one found on this machine."""
 
 from __future__ import annotations
 

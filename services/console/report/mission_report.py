@@ -154,7 +154,7 @@ def remove_part(path: Path) -> None:
 
 
 def write_report(report: MissionReport, path: Path) -> None:
-    """Write the report as one JSON document; raises He3Error when that cannot be done."""
+    """Write the report as one JSON document; raises He3Error if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_output(path, f"{report.model_dump_json(indent=2)}\n".encode())

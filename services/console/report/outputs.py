@@ -67,7 +67,7 @@ def _check_writable(flag: str, path: Path) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """The folder, made if need be; raises He3Error when that cannot be done."""
+    """The folder, made if it does not exist; raises He3Error if it cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

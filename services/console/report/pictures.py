@@ -321,7 +321,7 @@ def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the figure as PNG, the same bytes for the same figure; raises He3Error when that cannot be done."""
+    """Write the figure as PNG, the same bytes for the same figure; raises He3Error if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open_output(path) as stream:

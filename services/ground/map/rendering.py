@@ -47,7 +47,7 @@ class Renderer:
         self._bytes = 0
 
     def __call__(self, topic: Topic, request: Wire, snapshot: MapSnapshot) -> Encoded | None:
-        """The answer as bytes; None where it is to be a JSON message as everywhere else. Raises He3Error."""
+        """The answer as bytes; None if the answer is a JSON message. Raises He3Error."""
         if topic is MAP_LAYER and isinstance(request, MapLayerQuery):
             if request.layer in _TABLES:
                 return rendered_table(request, as_of(snapshot, request.as_of))

@@ -219,7 +219,7 @@ class Simulation:
         return max(self.now, min(times)) if times else None
 
     def _round(self) -> None:
-        """Let every node handle what was there when the round began."""
+        """Let every node handle the inputs that waited when the round began."""
         ready = [scheduler for scheduler in self._schedulers.values() if scheduler.waiting or self._is_due(scheduler)]
         for scheduler, actions in [(scheduler, scheduler.run(self.now)) for scheduler in ready]:
             if scheduler.name in self._crashing:

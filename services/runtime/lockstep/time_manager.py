@@ -164,7 +164,7 @@ class TimeManager:
     # --- steps --------------------------------------------------------------------------------------------------
 
     def poke(self, name: str, process: str) -> None:
-        """Let the process act in the next step, because an input waits for it that is not counted."""
+        """Let the process act in the next step, because an uncounted input waits for it."""
         member = self.members.get(name)
         if member is not None and member.process == process:
             member.poked = True

@@ -203,7 +203,7 @@ def certificate_pem(certificate: x509.Certificate) -> bytes:
 
 
 def key_pem(key: PrivateKey) -> bytes:
-    """The private key, without a password: what starts by itself has no one to type it."""
+    """The private key, without a password, because services start without a person who could type it."""
     return key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )

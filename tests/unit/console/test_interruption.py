@@ -1,4 +1,4 @@
-"""A command that is told to end: one line and its exit code, whatever becomes of the exception on its way."""
+"""A command that is told to end: one line and its exit code, also if a library replaces the exception."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Both halves of custody over the real link: each message is delivered once and in order, whatever happens."""
+"""Both halves of custody over the real link: each message is delivered once and in order, under any faults."""
 
 from __future__ import annotations
 

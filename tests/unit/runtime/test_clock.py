@@ -1,4 +1,4 @@
-"""Mission time: exact, agreed on by all processes, and never backwards, whatever is done to the machine's clocks."""
+"""Mission time: exact, agreed on by all processes, and never backwards, for any change of the machine's clocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Log lines: one line each, whatever a message holds."""
+"""Log lines: one line each, for any content of a message."""
 
 import io
 

@@ -59,7 +59,7 @@ class FakeQuery:
 
 
 class OneTopicBus:
-    """Hands what is asked to whoever serves."""
+    """Passes queries to the registered server."""
 
     def serve(self, _topic: Any, on_query: Any) -> None:
         self.ask = on_query

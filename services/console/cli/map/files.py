@@ -80,7 +80,7 @@ def form_of(file: Path) -> str:
 
 
 def written(file: Path, payload: bytes) -> str:
-    """Write the file; returns the line that says so. Raises He3Error when that cannot be done."""
+    """Write the file; returns a line that reports it. Raises He3Error if it cannot be written."""
     from he3.errors import He3Error
     from services.runtime.output_files import write_output
 

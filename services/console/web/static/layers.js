@@ -52,7 +52,7 @@ async function loadMap() {
   map.draw();
 }
 
-// The next map is loaded whatever is shown: another mission may count its revisions from 0.
+// The next map is loaded in any case: another mission may count its revisions from 0.
 export function forgetMap() { shownKey = ""; }
 
 function showScale(layer, stops, [low, high], about) {

@@ -1,4 +1,4 @@
-"""The page's requests: whatever is no request is refused with one line, and nothing else ever happens."""
+"""The page's requests: anything else is refused with one line and has no effect."""
 
 from __future__ import annotations
 

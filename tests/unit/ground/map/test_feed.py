@@ -1,4 +1,4 @@
-"""The map's feed: a reader ends with the ground's bytes, whenever it joins and whatever frames it loses."""
+"""The map's feed: a reader ends with the ground's bytes, for any time of joining and any lost frames."""
 
 from __future__ import annotations
 
