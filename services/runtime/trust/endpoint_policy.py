@@ -7,7 +7,9 @@ import re
 
 from he3.errors import InvalidInput
 
-INSECURE_WARNING = "INSECURE: {endpoint} is not on loopback and has no TLS: anyone who reaches it can read, forge and command everything"
+INSECURE_WARNING = (
+    "INSECURE: {endpoint} is not on loopback and has no TLS: any client can read, forge and command everything"
+)
 _ENCRYPTED = ("tls/", "quic/")
 
 
