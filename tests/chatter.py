@@ -1,7 +1,7 @@
-"""Nodes that say, ask, answer, compute and wait at random: what any two drivers of virtual time must agree on.
+"""Nodes that send, query, reply, compute and wait at random: any two drivers of virtual time must agree on them.
 
-Everything that a node does follows from its seed and from the order and time of what reaches it, so the smallest
-difference between two drivers grows into another history at once. Also a program, for a chatter in its own process:
+A node's actions follow from its seed and from the order and time of its inputs, so the smallest difference between two
+drivers changes the whole history. Also a program, for a chatter in its own process:
 ``python chatter.py NAME SEED SCENARIO [options of a service]``.
 """
 
@@ -133,7 +133,7 @@ def chatters(seed: int, budget: int = 40) -> list[Chatter]:
 
 
 class DawdlingExecutor:
-    """Computes in other threads, and takes its time."""
+    """Computes in other threads, with random delays."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(2)

@@ -26,18 +26,18 @@ def start(command: Sequence[str | Path], *, env: dict[str, str] | None = None, *
 def run(
     command: Sequence[str | Path], *, env: dict[str, str] | None = None, **options: Any
 ) -> subprocess.CompletedProcess[str]:
-    """What that command printed and its exit code, once it has ended; options as for `subprocess.run`."""
+    """The output and exit code of that command, once it has ended; options as for `subprocess.run`."""
     captured = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.run(command, check=False, **_with_defaults(env, captured | options))
 
 
 def he3(*words: str) -> list[str]:
-    """The command ``he3`` with those words."""
+    """The command ``he3`` with those arguments."""
     return python_command("services.console", *words)
 
 
 def he3_here(*words: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """What the command ``he3`` with those words prints and its exit code, without the time that a process takes."""
+    """Output and exit code of ``he3`` with those arguments, run in this process to save time."""
     out, err = io.StringIO(), io.StringIO()
     with patch.dict(os.environ, env or {}), redirect_stdout(out), redirect_stderr(err):
         code = main(words)

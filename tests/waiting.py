@@ -1,4 +1,4 @@
-"""Waiting in tests: for an event, however long it takes; for what is promised, by the speed of the machine."""
+"""Waiting in tests: for an event, for a long time; for a promised duration, scaled by the speed of the machine."""
 
 from __future__ import annotations
 

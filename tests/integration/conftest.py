@@ -71,7 +71,7 @@ class Process:
         return "\n".join(self.lines)
 
     def line(self, part: str, after: int = 0) -> str:
-        """The first line from number `after` on that contains `part`, as soon as it is there."""
+        """The first line from number `after` on that contains `part`; waits for it."""
 
         def found() -> str | None:
             return next((line for line in self.lines[after:] if part in line), None)
@@ -149,7 +149,7 @@ class Listener:
             self._news.notify_all()
 
     def wait(self, wanted: Callable[[Header, Any], bool] = lambda *_: True) -> Heard:
-        """The first message that is wanted, of those that came and those that come."""
+        """The first wanted message, among past and future ones."""
 
         def found() -> Heard | None:
             return next((each for each in self.heard if wanted(each.header, each.body)), None)
@@ -164,7 +164,7 @@ class Listener:
 
 
 class PatientClient(Client):
-    """A client that waits for its answers as long as a test waits."""
+    """A client whose timeout is the test's."""
 
     def query(self, topic: Topic, request: Wire, timeout_s: float = PATIENCE_S) -> Any:
         return super().query(topic, request, timeout_s)
@@ -179,7 +179,7 @@ class PatientClient(Client):
 
 
 class Mission:
-    """The processes of one mission, on ports of its own."""
+    """The processes of one mission, on separate ports."""
 
     def __init__(self, scenario: str, flags: Sequence[str] = (), name: str | None = None) -> None:
         self.scenario = scenario
@@ -229,7 +229,7 @@ class Mission:
         return {name: process.end() for name, process in running.items()}
 
     def close(self) -> None:
-        """End what is left; fails when anything of it broke."""
+        """End the remaining processes; fails if one of them failed."""
         try:
             codes = self.stop()
         finally:

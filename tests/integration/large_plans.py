@@ -1,4 +1,4 @@
-"""Two small services for a test: a ground that sends thirty plans of 100 kB, and a rover that counts what comes.
+"""Two small services for a test: a ground that sends thirty plans of 100 kB, and a rover that counts them.
 
 Run as ``python large_plans.py ground|rover SCENARIO ...``, with the flags of every service.
 """
@@ -56,7 +56,7 @@ class Sender:
 
 
 class Receiver:
-    """Notes each plan, and finishes when all have come."""
+    """Notes each plan, and finishes when all have arrived."""
 
     interface = Interface("rover", (Side.MOON,), subscribes=(PLAN,))
 

@@ -1,4 +1,4 @@
-"""A mission at rate 1 as its operators and strangers meet it: light times, changes of the link, bad input, restarts."""
+"""A mission at rate 1, seen by operators and other clients: light times, changes of the link, bad input, restarts."""
 
 from __future__ import annotations
 
@@ -81,13 +81,13 @@ def ordinary_link(earth):
 
 @pytest.fixture
 def moon(mission):
-    """A session on the Moon: what the rover hears, this hears too."""
+    """A session on the Moon, which receives the same messages as the rover."""
     with mission.client(Side.MOON, name=f"listener-{next(_numbers)}") as client:
         yield client
 
 
 def command(client, kind=CommandKind.PAUSE, **more):
-    """A command with an id of its own, issued at the ground; its first status."""
+    """Issue a command with a new id at the ground; its first status."""
     return client.query(ISSUE_COMMAND, Telecommand(command_id=f"test-{next(_numbers)}", kind=kind, **more))
 
 
@@ -210,7 +210,7 @@ def test_a_command_takes_its_light_time_and_a_change_of_it_holds_for_what_follow
 
 @pytest.fixture
 def slow_time(earth):
-    """Mission time that goes so slowly that what is on its way stays there, on any machine."""
+    """Mission time so slow that messages stay in flight, on any machine."""
     earth.query(CLOCK_SET, ClockChange(rate=0.05))
     yield
     earth.query(CLOCK_SET, ClockChange(rate=1.0))

@@ -1,4 +1,4 @@
-"""The benchmarks of running services, in small: what they print and write, and bounds that hold on a busy machine."""
+"""Short runs of the benchmarks of services: their output and files, and bounds that hold on a busy machine."""
 
 from __future__ import annotations
 

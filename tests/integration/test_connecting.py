@@ -1,4 +1,4 @@
-"""Connecting to a router that is slow, silent or gone: waited for, reported, or said at once, with the reason."""
+"""Connecting to a router that is slow, silent or gone: waited for and reported, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ time.sleep(600)
 
 @pytest.fixture
 def silent() -> Iterator[str]:
-    """An endpoint where a program takes connections and says nothing."""
+    """An endpoint where a program accepts connections and sends nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield f"tcp/127.0.0.1:{server.getsockname()[1]}"
 

@@ -1,4 +1,4 @@
-"""Services end in time, in order and in silence, whenever they are told to."""
+"""Services end in time, in order and without output, whenever they are told to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mission on a full disk is flown to its end, and what could not be written is named with its cause."""
+"""A mission on a full disk runs to its end, and reports each output that could not be written, with the cause."""
 
 from __future__ import annotations
 

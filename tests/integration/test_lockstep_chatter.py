@@ -1,4 +1,4 @@
-"""Random nodes, each in a process of its own over Zenoh in lockstep: the history that they have in one process."""
+"""Random nodes in separate processes over Zenoh in lockstep have the same history as in one process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``he3 up --lockstep`` and ``he3 time``: an operator's hand on virtual time, from the shell."""
+"""``he3 up --lockstep`` and ``he3 time``: an operator controls virtual time from the shell."""
 
 from __future__ import annotations
 

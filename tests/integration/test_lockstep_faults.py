@@ -57,7 +57,7 @@ class Lockstep:
         return until(seen, lambda: f"another status than {self.control()}\n{self.mission['link'].text}")
 
     def standing(self, **wanted: object) -> TimeStatus:
-        """The status once time stands where the operator wanted it to."""
+        """The status once time has stopped where the operator asked."""
         self.control(**wanted)
         return self.until(  # what happens at one instant takes several rounds
             lambda status: status.paused and not status.waits_for and status.next_at != status.now
@@ -85,7 +85,7 @@ def lockstep(missions: Callable[..., object], tmp_path: Path) -> Callable[..., L
 
 @pytest.fixture(scope="module")
 def shared_lockstep(shared_missions: Callable[..., object]) -> Lockstep:
-    """A mission for tests after which it is as it was; none of them sees its end."""
+    """A mission shared by tests that leave it unchanged and do not wait for its end."""
     mission = shared_missions("short", "--lockstep", "--set", "rounds=200")
     mission.start("link", flags=WAIT_FOR)
     mission.start("field", "rover", "ground")

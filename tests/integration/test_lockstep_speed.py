@@ -1,4 +1,4 @@
-"""The benchmark of lockstep tells what it promises, beside the in-process driver."""
+"""The benchmark of lockstep prints all its figures, with the in-process driver for comparison."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The process that answers operators, seen from its owner: what it was shown, it answers from, also after its death."""
+"""The query process, seen from its owner: it answers from the last snapshot, also after it died and was restarted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kill -9` on a process that started others: every descendant ends, down to the children of children."""
+"""`kill -9` on a process that started others: every descendant ends, children of children included."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Links on which Zenoh's own recovery gives up, with real processes: long, lossy, dark and thin. Nothing is lost.
+"""Links on which Zenoh's own recovery gives up, with real processes: delay, loss, black-out, low rate.
 
 The missions run so fast that hours take seconds; light time and rates are in mission time, and a second of mission time
 is still longer than what the machine's timers are off by.

@@ -1,4 +1,4 @@
-"""The delay study: a pipeline hides light time, stop-and-wait pays it every round, and the map is the same."""
+"""The delay study: a pipeline hides light time, stop-and-wait loses it every round, and the map is the same."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The map's benchmark tells what it promises, for every kernel, without taking long on a small site."""
+"""The map's benchmark prints all its figures for every kernel, in short time on a small site."""
 
 import json
 from pathlib import Path

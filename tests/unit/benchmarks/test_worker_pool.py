@@ -1,4 +1,4 @@
-"""The worker pool: results as they come, errors where the results are wanted, all workers gone at the end."""
+"""The worker pool: results as they arrive, errors raised in the caller, all workers ended at the end."""
 
 from __future__ import annotations
 

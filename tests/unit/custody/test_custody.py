@@ -65,7 +65,7 @@ class Station:
     sent: int = 0
 
     def start(self) -> None:
-        """The first start, or one that forgets everything but what waits to be acknowledged."""
+        """Start, or restart with no state but the messages that await acknowledgement."""
         self.incarnation += 1
         self.sequences: Counter[str] = Counter()
         self.receiver = CustodyReceiver(self.config)
@@ -73,13 +73,13 @@ class Station:
             self.sender = CustodySender(self.name, self.config)
 
     def restart(self) -> None:
-        """A start that goes on from a checkpoint."""
+        """Restart from a checkpoint."""
         self.incarnation += 1
         self.sequences = Counter()
         self.reload()
 
     def reload(self) -> None:
-        """Put a sender and a receiver in place that were restored from a checkpoint."""
+        """Replace sender and receiver by ones restored from a checkpoint."""
         sender, receiver = CODEC.decode(CODEC.encode((self.sender.checkpoint(), self.receiver.checkpoint())))
         self.sender, self.receiver = CustodySender(self.name, self.config), CustodyReceiver(self.config)
         self.sender.restore(sender)
@@ -201,7 +201,7 @@ class World:
         return all(station.sender.depth == 0 for station in self.stations)
 
     def check(self) -> None:
-        """Each message came once, and each topic in order."""
+        """Fail unless each message was delivered once, and each topic in order."""
         for sender, receiver in ((self.ground, self.rover), (self.rover, self.ground)):
             for topic in (COMMAND, COMMAND_REPORT, EVENT):
                 sent = [(header.incarnation, header.sequence) for at, header, _ in sender.offered if at is topic]

@@ -43,7 +43,7 @@ def offered(ground: CustodyEndpoint, number: int, now: int) -> list[Publish]:
 
 
 def arrives(rover: CustodyEndpoint, published: Publish, now: int) -> tuple[list[str], list[Publish]]:
-    """Ids of the commands handed up, and what is sent."""
+    """Ids of the delivered commands, and the messages sent."""
     header, body = decode(published.topic, published.payload, "short")
     deliveries, actions = rover.received(published.topic, header, body, len(published.payload), now)
     return [delivery.body.command_id for delivery in deliveries], [
@@ -52,7 +52,7 @@ def arrives(rover: CustodyEndpoint, published: Publish, now: int) -> tuple[list[
 
 
 def acknowledgements(rover: CustodyEndpoint, sent: list[Publish], now: int) -> list[Publish]:
-    """Those sent at once, and those that its timer brings."""
+    """The acknowledgements sent at once, and those sent by the timer."""
     return [*sent, *(action for action in rover.timer_elapsed(now) if isinstance(action, Publish))]
 
 

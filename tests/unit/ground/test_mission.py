@@ -226,7 +226,7 @@ class Rover:
 
 
 class Mission:
-    """Ground and rover, and what passed between them."""
+    """Ground and rover, and the messages between them."""
 
     def __init__(self, plan: Scenario, site: Region | None = None, planner: Planner = straight, **rover: float) -> None:
         self.region = site or region()
@@ -260,7 +260,7 @@ class Mission:
         return [note.text for _, _, note in self.simulation.log_records if note.level is Level.WARNING]
 
     def tell_ground(self, topic: Topic, body: Wire, made_at: int | None = None) -> None:
-        """A message to the ground from nowhere; handled at once."""
+        """Send the ground a message without a sender; it is handled at once."""
         made = self.simulation.now if made_at is None else made_at
         self._tellers += 1
         header = Header(mission="test", source=f"teller-{self._tellers}", incarnation=1, sequence=0, made_at=made)

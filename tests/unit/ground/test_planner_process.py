@@ -1,4 +1,4 @@
-"""Tasks in a process of their own: equal answers, errors as raised, killable, no orphans however the owner ends."""
+"""Tasks in separate processes: equal answers, errors as raised, killable, no orphans at any end of the owner."""
 
 import contextlib
 import math

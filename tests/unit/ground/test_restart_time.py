@@ -1,4 +1,4 @@
-"""A ground station that is restarted late in a mission is back soon, with the same map to the byte.
+"""A ground station that is restarted late in a mission is ready soon, with the same map to the byte.
 
 The promise is about a whole mission, 150 samples on 500 x 500 cells. The gate holds it for a part of one.
 """

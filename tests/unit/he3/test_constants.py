@@ -1,4 +1,4 @@
-"""Every constant says where it comes from, and agrees with figures that are common knowledge."""
+"""Every constant has its source, and agrees with well-known figures."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def test_the_orbital_map_is_the_coarse_helium_at_the_pixel_centres() -> None:
 
 
 def test_relief_at_the_regions_edge_knows_the_ground_beyond_it() -> None:
-    """A pit just outside the western edge must not change what lies on it by being invented away."""
+    """A pit just outside the western edge counts in the relief at the edge."""
     north, east = pixel_centres_m()
     pit = -1900 - 12 * np.exp(-((north[:, None] - 250) ** 2 + (east[None, :] + 75) ** 2) / (2 * 50**2))
     with_pit = reference(window(elevation_m=pit))

@@ -1,4 +1,4 @@
-"""Orders of visits: complete, deterministic, and as short as they ought to be."""
+"""Orders of visits: complete, deterministic, and short."""
 
 from itertools import permutations
 

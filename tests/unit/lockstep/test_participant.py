@@ -42,7 +42,7 @@ class Scripted:
 
 
 class ManualExecutor:
-    """Ends nothing by itself."""
+    """An executor whose computations end only when the test says so."""
 
     def __init__(self) -> None:
         self.futures: list[Future[object]] = []
@@ -54,7 +54,7 @@ class ManualExecutor:
 
 
 class Carrier:
-    """A transport that keeps what it is given."""
+    """A transport that stores what it receives."""
 
     def __init__(self) -> None:
         self.sent: list[tuple[Action, Stamp | None]] = []

@@ -1,7 +1,7 @@
-"""Whatever comes over the wire, on any topic: what is not exactly asked for is refused in a line, and changes nothing.
+"""Bad messages on every topic: each is refused in one line, and changes nothing.
 
 The examples and what is wrong with them are made from each topic's own JSON Schema, so that a new topic, or a new field
-of an old one, is held to this from its first day.
+of an old one, is tested from the beginning.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def body_example(topic: Topic) -> dict[str, Json]:
 
 
 def wrong_values(schema: Json, definitions: Json) -> Iterator[tuple[str, Json]]:
-    """What is wrong, and a value that is, for a field of that schema."""
+    """A description of the error and a wrong value, for a field of that schema."""
     if "$ref" in schema:
         yield from wrong_values(definitions[schema["$ref"].rsplit("/", 1)[-1]], definitions)
         return
@@ -127,7 +127,7 @@ def text(head: Json, body: Json) -> bytes:
 
 
 def bad_messages(topic: Topic) -> Iterator[tuple[str, bytes]]:
-    """What is wrong with a message, and the message."""
+    """A description of the error and the message with it."""
     body = body_example(topic)
     good = text(header(), body)
     decode(topic, good, MISSION)  # else nothing below would mean anything
@@ -176,7 +176,7 @@ def bad_messages(topic: Topic) -> Iterator[tuple[str, bytes]]:
 
 
 def is_one_clear_line(line: str, topic: Topic) -> bool:
-    """It names the place, is short, and is one line."""
+    """Whether the text names the place, is short, and is one line."""
     return topic.key(MISSION) in line and "\n" not in line and len(line) < 400 and ("expected" in line or ":" in line)
 
 
@@ -233,7 +233,7 @@ NODES = ("field", "rover", "link", "ground")
 
 
 def states(mission: InProcessMission) -> dict[str, bytes]:
-    """Everything that each node and its host know, but for how many messages they refused."""
+    """The state of each node and its host, without the number of refused messages."""
     states = {}
     for name in NODES:
         host = mission.simulation.host(name)

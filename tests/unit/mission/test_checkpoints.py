@@ -1,4 +1,4 @@
-"""A checkpoint keeps everything: rover and ground restored from one are, part by part, what they were."""
+"""A checkpoint is complete: rover and ground restored from one are equal to the originals, part by part."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MADE_AGAIN = {
 
 
 def differences(a: Any, b: Any, path: str = "", seen: set[tuple[int, int]] | None = None) -> Iterator[str]:
-    """Where two objects differ, all the way down; what is made again is left out."""
+    """The paths at which two objects differ, recursively; parts that are rebuilt are left out."""
     seen = set() if seen is None else seen
     if a is b or (id(a), id(b)) in seen:
         return

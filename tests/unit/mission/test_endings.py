@@ -1,4 +1,4 @@
-"""A mission that can no longer change ends, with what it has and with the reason; one that can change goes on."""
+"""A mission that can no longer change ends, with its samples and the reason; one that can still change continues."""
 
 from __future__ import annotations
 

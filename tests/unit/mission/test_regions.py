@@ -1,4 +1,4 @@
-"""The embedded regions against the published figures, and files from outside against everything that can be wrong."""
+"""The embedded regions against the published figures, and region files with every possible error."""
 
 from __future__ import annotations
 

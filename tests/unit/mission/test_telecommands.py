@@ -1,4 +1,4 @@
-"""Telecommands from the operator's word to its end: rover, link and ground together, every case that may come up."""
+"""Telecommands from issue to end: rover, link and ground together, in every case."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def flat_region(closed: tuple[slice, slice] | None = None) -> Region:
 
 
 class Flown:
-    """A mission in virtual time, commanded and listened to."""
+    """A mission in virtual time that receives commands; its reports are recorded."""
 
     def __init__(self, truth: Region | None = None, known: Region | None = None, **sections: Any) -> None:
-        """truth: what the Moon is; known: what the ground believes it to be."""
+        """truth: the real terrain; known: the ground's map of it."""
         self.scenario: Scenario = checked_scenario(
             {
                 "name": "commanded", "region": "t1", "rounds": 3, "samples_per_round": 2, "start_m": [40.0, 40.0],
@@ -126,7 +126,7 @@ class Flown:
         return [report.stage.value for report in self.status(name).stages]
 
     def told(self, name: str = "c1") -> str:
-        """What `he3 commands` prints of it."""
+        """The output of `he3 commands`."""
         return "\n".join(command_lines([self.status(name)]))
 
     def restart(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""Missions on the widest sites that a region may have: what the scenario accepts, messages and rover accept too."""
+"""Missions on the widest sites that a region may have: messages and rover accept what the scenario accepts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole missions of 30 rounds, as the paper flew them: metres and errors as published, and better where claimed."""
+"""Whole missions of 30 rounds, by the paper's protocol: metres and errors as published, and better where claimed."""
 
 from functools import cache
 from math import inf

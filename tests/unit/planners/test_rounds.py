@@ -1,4 +1,4 @@
-"""What holds for every planner: nothing returned crosses an obstacle, leaves the region or breaks the budget."""
+"""Rules for every planner: no returned path crosses an obstacle, leaves the region or exceeds the budget."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -31,7 +31,7 @@ def quick(name, request):
 
 
 def request_over(mask, start_m=(5.2, 5.2), **changes):
-    """A request over a small field with everything that a planner wants to know."""
+    """A request over a small field with every field set."""
     given_values = {
         "grid": SiteGrid(*mask.shape),
         "traversable": mask,
@@ -54,7 +54,7 @@ def request_over(mask, start_m=(5.2, 5.2), **changes):
 
 
 def expect_sound(request: PlanningRequest, answer: PlannedRound) -> None:
-    """Hold a round against the request by means of its own: dense sampling, no code of the planners."""
+    """Check a round against its request by dense sampling, without code of the planners."""
     path, grid = answer.path_m, request.grid
     assert path[0].tolist() == list(request.start_m)
     assert answer.length_m <= request.budget_m * (1 + 1e-12)

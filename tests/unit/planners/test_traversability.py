@@ -1,4 +1,4 @@
-"""Open ground: a leg is free when every cell it touches is traversable, held against exact rational geometry."""
+"""Open ground: a leg is free when every cell it touches is traversable, checked against exact rational geometry."""
 
 from fractions import Fraction
 

@@ -1,4 +1,4 @@
-"""A full disk: the recorder says so once and goes on, and records again when there is room."""
+"""A full disk: the recorder reports it once, continues, and records again when there is room."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from services.runtime.node import Effect, LogRecord, Received, SetTimer, Started
 
 
 class Disk:
-    """A raw file on a disk with room for so many more bytes; it takes part of a write, as a real disk does."""
+    """A raw file on a disk with room for a number of bytes; it accepts part of a write, as a real disk does."""
 
     def __init__(self, path: Path, room: int = 10**9) -> None:
         self.path = path

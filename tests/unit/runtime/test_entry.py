@@ -1,4 +1,4 @@
-"""Importing changes nothing, and what a process needs is in force before it imports numpy."""
+"""Importing changes nothing, and the environment of a process is set before it imports numpy."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ MEASUREMENT = MeasurementRequest(sample_id="s1", x_m=1.0, y_m=2.0, depth_m=0.1)
 
 
 class Scripted:
-    """A node that keeps what it sees and does what it is told next."""
+    """A node that stores its events and returns scripted effects."""
 
     def __init__(self, **interface: object) -> None:
         self.interface = Interface(**{"name": "rover", "sides": (Side.MOON,), "custody": False, **interface})

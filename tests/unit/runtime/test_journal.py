@@ -75,7 +75,7 @@ def folder_with(path: Path, kept: list[tuple[int, Input]]) -> Path:
 
 
 def ended(writer: JournalWriter) -> None:
-    """What the end of its process does to a journal: the file is closed as it is."""
+    """End the journal's process: the file is closed as it is."""
     writer._stream.close()
 
 

@@ -44,7 +44,7 @@ class Shown:
 
 
 class FakeQuery:
-    """A question as Zenoh hands it over, whose end can be waited for."""
+    """A query as Zenoh delivers it; a test can wait for its end."""
 
     def __init__(self, payload: bytes | None = None, **parameters: str) -> None:
         self.payload = payload

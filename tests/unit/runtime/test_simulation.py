@@ -32,7 +32,7 @@ from services.runtime.node import (
 
 
 class Scripted:
-    """A node that does what a function says and remembers what it saw."""
+    """A node whose effects come from a function; it stores its events."""
 
     def __init__(self, interface: Interface, script: Callable[[Event, int], Iterable[Effect]]) -> None:
         self.interface = interface

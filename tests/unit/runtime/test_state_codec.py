@@ -1,4 +1,4 @@
-"""The state codec: every value comes back as it was, and nothing comes in that the codec was not given."""
+"""The state codec: every value is decoded unchanged, and only registered types are decoded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the documentation names exists: files, modules and links."""
+"""Every file, module and link in the documentation exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever is wrong with a command line or a scenario: one line on standard error, exit code 2, nothing written."""
+"""Every error in a command line or a scenario: one line on standard error, exit code 2, nothing written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waiting for a telecommand: until the stage that is wanted, or until nothing more can come of it."""
+"""Waiting for a telecommand: until the given stage, or until the command has ended."""
 
 from __future__ import annotations
 

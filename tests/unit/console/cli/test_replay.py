@@ -1,4 +1,4 @@
-"""``he3 replay``: of a damaged recording the whole messages are printed, and what is missing is said."""
+"""``he3 replay``: the intact messages of a damaged recording are printed, and missing ones are reported."""
 
 from __future__ import annotations
 

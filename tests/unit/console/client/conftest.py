@@ -1,4 +1,4 @@
-"""A Zenoh session for the tests of the client: answers are values, and messages come when a test says so."""
+"""A Zenoh session for the tests of the client: answers are values, and a test decides when messages arrive."""
 
 from __future__ import annotations
 

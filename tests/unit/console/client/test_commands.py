@@ -1,4 +1,4 @@
-"""Telecommands as a program issues them."""
+"""Telecommands that a Python program issues."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from services.console.client.commands import Commanding
 
 
 class Unasked(Commanding):
-    """A client that is asked for no time and sends nothing."""
+    """A client that never reads the time and sends nothing."""
 
     def __init__(self) -> None:
         pass

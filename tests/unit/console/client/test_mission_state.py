@@ -1,4 +1,4 @@
-"""The newest facts of a mission: out of turn, repeated, and of a mission that was started anew."""
+"""The newest facts of a mission: messages out of turn, repeated messages, and a mission that is started anew."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Times as text and back: exact to the nanosecond, and refused when they make no sense."""
+"""Times as text and back: exact to the nanosecond, and refused when invalid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures: metres on the axes, one scale for reference and map, everything drawn that was given."""
+"""Pictures: metres on the axes, one scale for reference and map, and every given path and sample is drawn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page's addresses: every one that is printed opens, every name has one spelling."""
+"""The page's addresses: every printed address opens in a browser, every name has one spelling."""
 
 from __future__ import annotations
 

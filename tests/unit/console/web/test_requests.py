@@ -52,7 +52,7 @@ BAD = {
 
 
 def _refusal(function: Callable[..., Any], *arguments: Any) -> str:
-    """Why that was refused; empty if it was not. Any other exception is the test's failure."""
+    """The text of the refusal; empty if there is none. Any other exception fails the test."""
     try:
         function(*arguments)
     except InvalidInput as error:

@@ -60,7 +60,7 @@ def boxes(draw: st.DrawFn) -> tuple[MapSnapshot, MapBoxQuery]:
 
 
 def cells_of(shown: MapSnapshot, request: MapLayerQuery | MapBoxQuery) -> list[tuple[float, float, float]]:
-    """(x, y, value) of every cell of the answer, from what a client sees of it."""
+    """(x, y, value) of every cell of the answer, from the fields that a client sees."""
     topic = MAP_LAYER if isinstance(request, MapLayerQuery) else MAP_BOX
     if request.format is MapFormat.JSON:
         about = answer(topic, request, shown).model_dump()

@@ -1,4 +1,4 @@
-"""Within all that a scenario accepts, the map is the exact posterior.
+"""For all values that a scenario accepts, the map is the exact posterior.
 
 The range: noise of 0 to 1000 ppb, fields of 1e-3 to 1e6 ppb, cells of 0.01 to 1000 m, places anywhere,
 coincident ones too. The authority is scikit-learn, and for few samples the same posterior in 50 decimal digits.

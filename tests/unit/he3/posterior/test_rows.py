@@ -1,4 +1,4 @@
-"""A sample's row on the grid is exact, from every source and with what screening leaves out."""
+"""A sample's row on the grid is exact, from every source, also with rows left out by screening."""
 
 from collections.abc import Callable, Iterable
 

@@ -1,4 +1,4 @@
-"""Every cell of a grid is in one tile, and values find their way there and back."""
+"""Every cell of a grid is in one tile, and values survive reordering by tile and back."""
 
 from itertools import pairwise
 
