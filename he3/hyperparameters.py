@@ -65,8 +65,8 @@ PART_VARIANCE_BOUNDS = (0.001, 10.0)  # 1, of the samples' variance, see above
 # n 1e8, for any places and any unit of the field, which a float64 Cholesky factorisation survives.
 NOISE_VARIANCE_FLOOR = 1e-8
 CAUTIOUS_FIRST = ("smooth+rough", "matern12", "matern32", "matern52", "se")
-"""Kernels, the least smooth first: not differentiable, the sum first because it contains most others; then the rest by
-how often their fields can be differentiated."""
+"""Kernels, the least smooth first. The kernels of fields without derivatives come first, and of these the sum, which
+contains most others; the rest follow by the number of derivatives of their fields."""
 VERY_STRONG_EVIDENCE = 5.0  # 1, natural logarithm of a ratio of evidences (Kass & Raftery 1995)
 MIN_SAMPLES = 5  # 1, below it the likelihood tells next to nothing: the previous or default kernel is kept
 MIN_SCALE_IN_NOISE = 5.0  # 1, samples that vary by fewer noise standard deviations do not show the field's variation

@@ -86,7 +86,7 @@ def _farthest_insertion(distances: FloatArray) -> IntArray:
 
 
 def _improved(d: FloatArray, order: IntArray) -> IntArray:
-    """The order after best moves until none is left, or a bound on their number is reached."""
+    """The order after best moves, until no move shortens it or a bound on their number is reached."""
     tolerance = MIN_GAIN * max(_length(d, order), 1.0)
     for _ in range(20 * len(order)):
         moved = _best_move(d[np.ix_(order, order)], tolerance)

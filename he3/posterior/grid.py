@@ -242,7 +242,7 @@ class GridPosterior:
 
 
 def expect_map_fits(grid: SiteGrid, kernel_name: str, samples: int) -> None:
-    """Raises InvalidInput if the map of so many samples, with that kernel or "auto", would take too much memory."""
+    """Raises InvalidInput if the map of that many samples, with that kernel or "auto", would take too much memory."""
     separable = kernel_name == SquaredExponential.name
     _expect_room(grid, samples, 0 if separable else grid.rows * grid.columns * np.dtype(np.float32).itemsize)
 

@@ -32,7 +32,7 @@ PRIOR_MEAN_PPB = 7.5
 PRIOR_SCALE_PPB = 4.0
 PRIOR_KERNEL = "matern52"  # where the kernel is chosen by the evidence, and there is none yet
 BELOW_ZERO_PPB = 1e3  # an instrument may read so far below zero, or beyond what a soil can hold
-NOISE_STDS = 10.0  # or so many standard deviations of its noise: of honest readings none is lost
+NOISE_STDS = 10.0  # or this many standard deviations of its noise, so that no valid reading is refused
 
 
 MAP_THREADS = 2

@@ -84,7 +84,7 @@ class RecordingWriter:
             self.stored = self.messages
 
     def write_gap(self, count: int, first: MissionTime, last: MissionTime) -> None:
-        """Note that so many messages were not recorded here; when the first and the last were received [ns]."""
+        """Note that `count` messages were not recorded here, and when the first and the last were received [ns]."""
         self.flush(now=True)
         self._writer.add_metadata(GAP_RECORD, {"count": str(count), "first": str(first), "last": str(last)})
 

@@ -1,7 +1,7 @@
 """Files that a mission writes: for their owner alone, and never through a symbolic link that another user could plant.
 
-Processes run with a umask of 077 (`services.runtime.entry`), so files have mode 0600 and folders 0700. Here is how they
-are opened. Everything raises OSError; the caller says what could not be written.
+Processes run with a umask of 077 (`services.runtime.entry`), so files have mode 0600 and folders 0700. This module
+opens them. Its functions raise OSError; the caller reports what could not be written.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def write_output(path: Path, content: bytes) -> None:
 
 
 def replace_output(path: Path, content: bytes) -> None:
-    """Put a file with that content in place of an earlier one, in one step: a reader sees the one or the other."""
+    """Write a file in place of an earlier one, in one step: a reader sees the old file or the new one."""
     scratch = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
         with open_output(scratch, new=True) as stream:

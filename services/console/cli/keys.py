@@ -21,7 +21,7 @@ Examples:
   he3 keys issue operator anna --in keys/       keys/identities/operator-anna, for the operator's machine
   he3 up t1 --keys keys/                        a mission over TLS with these keys
   he3 command pause --identity keys/identities/operator-anna
-  he3 keys list --in keys/                      who has what until when
+  he3 keys list --in keys/                      all identities and their expiry dates
   he3 keys renew operator anna --in keys/
   he3 keys revoke operator anna --in keys/
 """
@@ -38,10 +38,10 @@ RoleName = Annotated[
         metavar="ROLE", help="field, rover, link, ground, recorder, viewer (reads), operator (commands) or controller."
     ),
 ]
-PersonName = Annotated[str, typer.Argument(metavar="NAME", help="Of the process or person: a-z, 0-9, '-' and '_'.")]
-Days = Annotated[
+PersonName = Annotated[str, typer.Argument(metavar="NAME", help="Name of the process or person: a-z, 0-9, '-' and
+'_'.")] Days = Annotated[
     float,
-    typer.Option("--days", metavar="D", help="How long it is valid [days].", callback=within(0, MAX_DAYS, above=True)),
+    typer.Option("--days", metavar="D", help="Days of validity.", callback=within(0, MAX_DAYS, above=True)),
 ]
 Hosts = Annotated[
     list[str] | None,
@@ -56,7 +56,7 @@ def init(
     days: Days = 90.0,
     authority_days: Annotated[
         float,
-        typer.Option("--authority-days", metavar="D", help="How long the authority is valid [days].",
+        typer.Option("--authority-days", metavar="D", help="Validity of the authority [days].",
                      callback=within(0, MAX_DAYS, above=True)),
     ] = 3650.0,
 ) -> None:  # fmt: skip
@@ -80,7 +80,7 @@ def issue(role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0
 
 @app.command(epilog=EXAMPLES)
 def renew(role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None) -> None:
-    """Issue a new certificate for the same key. What runs takes it up when it starts again."""
+    """Issue a new certificate for the same key. Running processes use it after a restart."""
     from services.runtime.trust.authority import Authority
     from services.runtime.trust.certificates import subject
 
@@ -99,7 +99,7 @@ def revoke(role: RoleName, name: PersonName, folder: In = KEYS) -> None:
 
 @app.command("list", epilog=EXAMPLES)
 def list_(folder: In = KEYS, json: AsJson = False) -> None:
-    """List what was issued, until when it is valid, and what is revoked."""
+    """List all identities with their expiry dates and revocations."""
     import json as json_format
 
     from services.runtime.trust.authority import Authority
@@ -131,7 +131,7 @@ def _row(entry: RosterEntry, now: datetime) -> dict[str, Any]:
 def zenoh(
     folder: Folder,
     scenario: ScenarioRef,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the files are written.")] = Path("zenoh"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")] = Path("zenoh"),
 ) -> None:
     """Write the access rules of both routers as Zenoh configuration, as the link applies them."""
     from services.console.launch.scenarios import choose

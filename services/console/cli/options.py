@@ -76,7 +76,7 @@ AllowPlugin = Annotated[
     typer.Option(
         "--allow-plugin",
         help="Run the code of a planner module:function that the scenario's file names; "
-        "one that --planner or --set names needs no leave.",
+        "a planner from --planner or --set is always run.",
     ),
 ]
 Settings = Annotated[
@@ -114,7 +114,11 @@ Insecure = Annotated[
 ]
 Keys = Annotated[
     Path | None,
-    typer.Option("--keys", metavar="DIR", help="The mission's keys (he3 keys init): TLS, and each role its rights."),
+    typer.Option(
+        "--keys",
+        metavar="DIR",
+        help="The mission's keys (he3 keys init), for TLS and access rules.",
+    ),
 ]
 Lockstep = Annotated[
     bool, typer.Option("--lockstep", help="Separate processes in virtual time: exact, repeatable, as fast as possible.")

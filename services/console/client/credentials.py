@@ -19,7 +19,7 @@ IDENTITY = "HE3_IDENTITY"
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """What a client shows to the router."""
+    """The identity that a client presents to the router."""
 
     identity: Identity | None
     """None for a mission without TLS."""

@@ -22,7 +22,7 @@ PROCESS_NAME = "main"
 LAUNCHER_NAME = "launcher"
 """Name of the viewer as which a launcher follows its mission."""
 DEMO_NAME = "demo"
-"""Name of the people for whom temporary keys are made."""
+"""Name of the people in temporary keys."""
 TEMPORARY = timedelta(days=30)
 """Validity of keys that are made for one mission."""
 
@@ -32,9 +32,9 @@ class LaunchKeys:
     """Folders of identities."""
 
     processes: dict[str, Path]
-    """By the name of the process."""
+    """Identities by the name of the process."""
     viewer: Path
-    """As which the mission is followed until its end."""
+    """The identity with which the mission is followed until its end."""
 
 
 def issue_for_processes(authority: Authority, valid_for: timedelta) -> list[Path]:

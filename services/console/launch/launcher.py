@@ -20,7 +20,7 @@ from services.runtime.child import child_environment, exit_in_words, python_comm
 from services.runtime.output_files import open_output
 
 STOP_WITHIN_S = 1.5
-"""How long a service may take to end before it is killed."""
+"""Time [s] that a service has to end before it is killed."""
 COMPLETE_WITHIN_S = 20.0
 """The same for a service that completes a file."""
 

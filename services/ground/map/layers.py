@@ -29,7 +29,7 @@ UNITS = {
     MapLayer.EXCEEDANCE: "1",
 }
 EDGE_CELLS = 1e-6
-"""A place so little [cells of the map] south or west of an edge lies on it: coordinates are rounded on their way."""
+"""Tolerance [cells of the map] for rounding: a place this close to an edge, south or west of it, lies on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +140,7 @@ def check_threshold(layer: MapLayer, threshold_ppb: float | None) -> None:
 
 
 def centres(edge_m: float, count: int, cell_m: float) -> FloatArray:
-    """Coordinates of the centres of so many cells, the first of which begins at the edge."""
+    """Coordinates of the centres of `count` cells, the first of which begins at the edge."""
     return np.asarray(edge_m + (np.arange(count) + 0.5) * cell_m, dtype=np.float64)
 
 

@@ -87,7 +87,7 @@ def tree_path(
 
 
 def exploration_tree(ground: OpenGround, start_m: Place, *, iterations: int, seed: int, growth: GrowthSettings) -> Tree:
-    """The RRT* tree over everything reachable from the start, without a target, after so many iterations."""
+    """The RRT* tree over everything reachable from the start, without a target, after that number of iterations."""
     with _SEEDING:
         growing = _tree_growth(ground, start_m, start_m, optimal=True, seed=seed, growth=replace(growth, goal_bias=0.0))
         information = growing.problem.getSpaceInformation()
@@ -134,7 +134,7 @@ class _TreeGrowth:
     optimal: bool
 
     def solve(self, iterations: int, refine: int) -> None:
-        """Grow for so many iterations, or for ``refine`` of them if RRT* has reached the target by then.
+        """Grow for ``iterations``, or up to ``refine`` iterations if RRT* has reached the target by then.
 
         OMPL's RRTstar has one "range", which is both the longest extension and the largest rewiring radius. The paper
         has 10 m for the one and up to 50 m for the other. So the range is the step while an iteration extends the tree,

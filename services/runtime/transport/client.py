@@ -91,7 +91,7 @@ class Client:
         return decode(topic, self._reply(topic, b"", timeout_s)[0], self._mission)
 
     def _require_right(self, topic: Topic, roles: tuple[Role, ...]) -> None:
-        """Raise NotAllowed if the router would drop this in silence."""
+        """Raise NotAllowed if the router would drop this without an answer."""
         if self._identity is not None and self._identity.role not in roles:
             expected = " or ".join(roles) or "none"
             raise NotAllowed(

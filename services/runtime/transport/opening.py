@@ -62,7 +62,7 @@ def open_router(side: Side, endpoint: str, mission: str = "", identity: Identity
     """A session that listens as that side's router; raises PeerUnreachable, with the reason, when it cannot.
 
     identity: the router lets in those that its roster names, over TLS, and allows each role what the topic table says
-    about that mission; None: it lets everyone do everything.
+    about that mission; None: every client may do everything.
     """
     config = session_config(side, "router", endpoint, identity)
     if identity is not None:
@@ -80,8 +80,8 @@ def open_client(
     """A session that is connected to that side's router; raises PeerUnreachable when no router listens there.
 
     Zenoh waits up to a minute for a program that accepts the connection and sends nothing, in a call that no signal
-    interrupts. So the call runs in a thread. while_waiting: called meanwhile, again and again, with how long was
-    waited [s]; what it raises ends the waiting.
+    interrupts. So the call runs in a thread. while_waiting: called meanwhile, again and again, with the time waited so
+    far [s]; an exception from it ends the wait.
     """
     config = session_config(side, "client", endpoint, identity)
     ended = threading.Event()

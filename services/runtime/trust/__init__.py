@@ -1,7 +1,7 @@
-"""Who is who in a mission: its certificate authority, identities, the roster of those it trusts, and access rules.
+"""Trust in a mission: its certificate authority, identities, the roster of trusted certificates, and access rules.
 
-`authority` issues, renews and revokes; `identity` reads what a process was given; `roster` says whose signature counts.
-It imports `schemas`, and knows neither Zenoh nor nodes.
+`authority` issues, renews and revokes; `identity` reads the folder of a process; `roster` lists the certificates whose
+signatures count. It imports `schemas`, and knows neither Zenoh nor nodes.
 
 A mission's folder of keys:
 
@@ -10,7 +10,7 @@ A mission's folder of keys:
     DIR/roster.json                                   every certificate ever issued, and which are revoked; signed
     DIR/identities/ROLE-NAME/                         one folder for each, to be copied to its machine:
         certificate.pem, key.pem                        for TLS and for signatures (Ed25519)
-        authority.pem, roster.json                      whom to believe; public
+        authority.pem, roster.json                      the trusted certificates; public
         page-certificate.pem, page-key.pem,             people only: for `he3 web` as a server, or for a browser
         page-authority.pem
 

@@ -1,8 +1,8 @@
 """Zenoh's access rules for each router, made from the topic table and the roster: what is not allowed is denied.
 
-A rule is about one role, one right and one direction. A right to publish, for example, is the peer's messages going in
-and the news of who subscribes coming out. Keys are spelled out, one by one: a pattern such as `tm/**` would not match
-the keys of lockstep, which end with `@counted`, and would match what is added tomorrow.
+A rule is about one role, one right and one direction. A right to publish, for example, covers the peer's messages going
+in and the declarations of subscribers coming out. Keys are spelled out, one by one: a pattern such as `tm/**` would not
+match the keys of lockstep, which end with `@counted`, and would match keys that are added later.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _GOES_IN: dict[Right, tuple[str, ...]] = {
     Right.APPEAR: ("liveliness_token",),
     Right.WATCH: ("declare_liveliness_subscriber", "liveliness_query"),
 }
-"""Zenoh's messages from a peer to the router, by what the peer has the right to do."""
+"""Zenoh's messages from a peer to the router, by the peer's right."""
 _COMES_OUT: dict[Right, tuple[str, ...]] = {
     Right.PUBLISH: ("declare_subscriber",),
     Right.SUBSCRIBE: ("put",),
@@ -63,7 +63,7 @@ _COMES_OUT: dict[Right, tuple[str, ...]] = {
     Right.APPEAR: (),
     Right.WATCH: ("liveliness_token",),
 }
-"""The same from the router to the peer."""
+"""Zenoh's messages from the router to a peer, by the peer's right."""
 
 Keys = dict[Right, tuple[str, ...]]
 

@@ -42,13 +42,13 @@ from services.runtime.trust.roster import Roster, RosterDocument, RosterEntry, r
 
 AUTHORITY_VALID_FOR = timedelta(days=3650)
 IDENTITY_VALID_FOR = timedelta(days=90)
-"""An identity is renewed before; a mission is over by then."""
+"""Validity of an identity; longer missions renew it."""
 
 Clock = Callable[[], datetime]
 
 
 class Authority:
-    """The authority of one mission. Its methods change the folder; two at a time exclude each other."""
+    """The authority of one mission. Its methods change the folder, one at a time."""
 
     def __init__(self, folder: Path, clock: Clock = utc_now) -> None:
         """Raises InvalidInput, in one line, for a folder that is no folder of keys.
@@ -85,7 +85,7 @@ class Authority:
 
     @property
     def roster(self) -> Roster:
-        """Everything that was issued, as it is now."""
+        """The present roster: every certificate that was issued."""
         return read_roster(self.folder / ROSTER, self.certificate)
 
     def folder_of(self, who: Subject) -> Path:
@@ -146,7 +146,7 @@ class Authority:
 
     @contextmanager
     def _changing(self) -> Iterator[RosterDocument]:
-        """The roster as it is, while no other process changes it."""
+        """Within this context: the present roster, which no other process changes meanwhile."""
         with lock_beside(self.folder / ROSTER, f"{self.folder}: expected a folder of keys that nothing else changes"):
             require_valid_at(self.certificate, self._clock(), f"{self.folder}: the authority")
             yield self.roster.document

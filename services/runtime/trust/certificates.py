@@ -36,12 +36,12 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """Whom a certificate is for."""
+    """The owner of a certificate: role, name and generation."""
 
     role: Role
     name: str
     generation: int = 1
-    """1, and one more after each revocation."""
+    """Begins at 1, and grows by one with each revocation."""
 
     @property
     def common_name(self) -> str:
@@ -54,7 +54,7 @@ class Subject:
 
 
 def subject(role: str, name: str) -> Subject:
-    """The subject of that role and name; raises InvalidInput for a role that does not exist and a name that is none."""
+    """The subject of that role and name; raises InvalidInput for an unknown role or an invalid name."""
     if role not in set(Role):
         raise InvalidInput(f"role: expected one of {', '.join(Role)}, got '{role[:40]}'")
     if not _NAME.fullmatch(name):
@@ -107,9 +107,9 @@ def page_certificate(
     expires: datetime,
     hosts: tuple[str, ...] = (),
 ) -> x509.Certificate:
-    """The certificate of a person for the page: as a browser that shows it, or as the server on those hosts.
+    """The certificate of a person for the page: for the browser, and for the page's server on those hosts.
 
-    It is signed by an authority of its own: as a server's it must not be taken for a router's.
+    It is signed by a separate authority, so a page's certificate is never accepted as a router's.
     """
     usages = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
     public_key = key.public_key()
@@ -183,7 +183,7 @@ def _general_name(host: str) -> x509.GeneralName:
 
 
 def _digest(key: PrivateKey) -> hashes.SHA256 | None:
-    """Ed25519 has its own digest."""
+    """The digest to sign with; None for Ed25519, which has its own."""
     return None if isinstance(key, Ed25519PrivateKey) else hashes.SHA256()
 
 

@@ -14,7 +14,7 @@ _ENCRYPTED = ("tls/", "quic/")
 
 
 def is_encrypted(endpoint: str) -> bool:
-    """Whether peers at that endpoint prove who they are."""
+    """Whether the endpoint uses TLS, with which peers prove their identity."""
     return endpoint.startswith(_ENCRYPTED)
 
 
@@ -35,7 +35,7 @@ def is_local(endpoint: str) -> bool:
 
 
 def check_endpoint(endpoint: str, *, identified: bool, insecure: bool = False) -> str | None:
-    """None, or the warning that is due, for an endpoint that may be used.
+    """A warning, or None, for an endpoint that may be used.
 
     identified: whether the process has an identity. insecure: whether the user has asked for it.
     Raises InvalidInput, in one line, for TLS without an identity, an identity without TLS, and an endpoint that others
@@ -52,7 +52,7 @@ def check_endpoint(endpoint: str, *, identified: bool, insecure: bool = False) -
     if not insecure:
         raise InvalidInput(
             f"{endpoint}: expected TLS off loopback: tls/... with --identity DIR (see 'he3 keys'), "
-            "or --insecure to let everyone who reaches it command the mission"
+            "or --insecure to let every client command the mission"
         )
     return INSECURE_WARNING.format(endpoint=endpoint)
 

@@ -1,4 +1,4 @@
-"""An identity: the folder that a process or a person was given, read and checked at start."""
+"""An identity: the folder of a process or a person with certificate and key, read and checked at start."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PAGE_CERTIFICATE, PAGE_KEY, PAGE_AUTHORITY = "page-certificate.pem", "page-key.p
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who this process is, with the key that proves it."""
+    """The identity of this process, with its private key."""
 
     folder: Path
     subject: Subject
@@ -37,7 +37,7 @@ class Identity:
     key: Ed25519PrivateKey = field(repr=False)
     authority: x509.Certificate = field(repr=False)
     roster: Roster = field(repr=False)
-    """As it was when the identity was read; `read_roster(roster_path, authority)` reads a newer one."""
+    """The roster when the identity was read; `read_roster(roster_path, authority)` reads a newer one."""
 
     @property
     def role(self) -> Role:

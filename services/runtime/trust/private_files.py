@@ -45,7 +45,7 @@ def require_private_folder(path: Path) -> None:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Write that file, mode 0600, in place of an earlier one; a reader sees the one or the other.
+    """Write that file, mode 0600, in place of an earlier one; a reader sees the old file or the new one.
 
     Raises He3Error if it cannot be written.
     """

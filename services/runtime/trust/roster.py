@@ -33,7 +33,7 @@ from services.runtime.trust.private_files import read_private
 
 FILE = "roster.json"
 _PURPOSE = b"he3 roster 1\n"
-"""Stands before what is signed: a signature of the authority under anything else is no roster's."""
+"""Prefix of the signed bytes, so that no other signature of the authority counts as a roster's."""
 
 
 class RosterEntry(BaseModel):
@@ -79,7 +79,7 @@ class RosterDocument(BaseModel):
     authority: str
     """Fingerprint of the authority's certificate."""
     revision: Annotated[int, Field(ge=1, lt=2**53)]
-    """One more at each change."""
+    """Grows by one with each change."""
     entries: Annotated[tuple[RosterEntry, ...], Field(max_length=2000)] = ()
 
     def canonical(self) -> bytes:
@@ -90,7 +90,7 @@ class RosterDocument(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Roster:
-    """Whom this mission trusts."""
+    """The certificates that this mission trusts."""
 
     authority: x509.Certificate
     document: RosterDocument

@@ -58,7 +58,7 @@ def _body(rules: dict[str, Any]) -> str:
             "        ],",
             "      },",
         ]
-    lines += ["    ],", "", "    // Who has which role.", "    subjects: ["]
+    lines += ["    ],", "", "    // Common names of each role.", "    subjects: ["]
     lines += [
         f'      {{ id: "{each["id"]}", cert_common_names: {json.dumps(each["cert_common_names"])} }},'
         for each in rules["subjects"]

@@ -15,7 +15,7 @@ from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, IdentityFold
 def follow(
     limit_s: Annotated[
         float | None,
-        typer.Option("--seconds", metavar="S", help="End after so many seconds of wall time; else on Ctrl-C.",
+        typer.Option("--seconds", metavar="S", help="End after S seconds of wall time; without it, on Ctrl-C.",
                      callback=within(0, MAX_WAIT_S)),
     ] = None,
     mission: Mission = None,

@@ -109,7 +109,7 @@ def optimise_places(
     steps: int,
     first_step_m: float = FIRST_STEP_M,
 ) -> FloatArray:
-    """The places (n, 2) [m], in the order of their tour, after so many steps down the gradient of V + lambda L.
+    """The places (n, 2) [m], in the order of their tour, after that number of steps down the gradient of V + lambda L.
 
     price: the least lambda, in units of V per metre. first_step_m: root mean square step at the beginning [m].
     """
