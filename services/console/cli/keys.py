@@ -38,8 +38,10 @@ RoleName = Annotated[
         metavar="ROLE", help="field, rover, link, ground, recorder, viewer (reads), operator (commands) or controller."
     ),
 ]
-PersonName = Annotated[str, typer.Argument(metavar="NAME", help="Name of the process or person: a-z, 0-9, '-' and
-'_'.")] Days = Annotated[
+PersonName = Annotated[
+    str, typer.Argument(metavar="NAME", help="Name of the process or person: a-z, 0-9, '-' and '_'.")
+]
+Days = Annotated[
     float,
     typer.Option("--days", metavar="D", help="Days of validity.", callback=within(0, MAX_DAYS, above=True)),
 ]
