@@ -1,0 +1,136 @@
+"""Rights over real TLS: a router's rules, certificates that do not count, and a whole mission with keys."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import timedelta
+from typing import NamedTuple
+
+import pytest
+import zenoh
+
+from he3.errors import NotAllowed, PeerUnreachable
+from schemas.commands import CommandKind, Telecommand
+from schemas.roles import Role
+from schemas.topics import COMMAND, GROUND_STATUS, ISSUE_COMMAND, PLAN, Side
+from services.console.launch.endpoints import free_endpoints
+from services.runtime.transport.client import Client
+from services.runtime.transport.opening import open_client, open_router
+from services.runtime.trust.authority import Authority
+from services.runtime.trust.certificates import Subject, utc_now
+from services.runtime.trust.identity import Identity, load_identity
+from tests.processes import he3, run
+from tests.waiting import until
+
+MISSION = "m"
+
+
+class Site(NamedTuple):
+    """An Earth router with keys."""
+
+    authority: Authority
+    endpoint: str
+    identities: dict[str, Identity]
+
+    def session(self, ends: ExitStack, who: str) -> zenoh.Session:
+        session = open_client(Side.EARTH, self.endpoint, identity=self.identities[who])
+        ends.callback(session.close)
+        return session
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Iterator[Site]:
+    earlier = utc_now() - timedelta(days=2)
+    folder = tmp_path_factory.mktemp("site") / "keys"
+    Authority.create(folder, clock=lambda: earlier)
+    authority = Authority(folder)
+    roles = (Role.LINK, Role.GROUND, Role.RECORDER, Role.VIEWER, Role.OPERATOR)
+    found = {role.value: load_identity(authority.issue(Subject(role, "a"))) for role in roles}
+    found["revoked"] = load_identity(authority.issue(Subject(Role.OPERATOR, "gone")))
+    authority.revoke(Subject(Role.OPERATOR, "gone"))
+    old = Authority(folder, lambda: earlier).issue(Subject(Role.OPERATOR, "old"), timedelta(days=1))
+    found["expired"] = load_identity(old, earlier)
+    foreign = Authority.create(folder.parent / "foreign").issue(Subject(Role.OPERATOR, "a"))
+    shutil.copy(authority.folder_of(Subject(Role.LINK, "a")) / "authority.pem", foreign / "authority.pem")
+    found["foreign"] = Identity(foreign, found["operator"].subject, *(None,) * 4)  # type: ignore[arg-type]
+    link = load_identity(authority.folder_of(Subject(Role.LINK, "a")))
+    endpoint = free_endpoints("tls").earth
+    router = open_router(Side.EARTH, endpoint, MISSION, link)
+    yield Site(authority, endpoint, found)
+    router.close()
+
+
+def test_what_the_table_allows_arrives_and_what_it_does_not_is_dropped(site):
+    plan, status = PLAN.key(MISSION), GROUND_STATUS.key(MISSION)
+    with ExitStack() as ends:
+        heard: list[bytes] = []
+        held = [site.session(ends, "recorder").declare_subscriber(key, lambda s: heard.append(s.payload.to_bytes()))
+                for key in (plan, status)]  # fmt: skip
+        ground = site.session(ends, "ground")
+        publishers = [ground.declare_publisher(key) for key in (plan, status)]
+        until(lambda: all(each.matching_status.matching for each in publishers), "the router to know the recorder")
+        for who in ("viewer", "operator", "revoked"):
+            session = site.session(ends, who)
+            for key in (plan, status):
+                session.put(key, f"forged by {who}".encode())
+            assert list(session.get(plan, timeout=5.0)) == []  # the router has handled what this session sent before
+        for number in range(2):
+            ground.put((plan, status)[number], b"genuine %d" % number)
+        until(lambda: len(heard) >= 2, "what the ground sent")
+        assert sorted(heard) == [b"genuine 0", b"genuine 1"]
+        del held
+
+
+def test_a_session_that_the_rules_give_nothing_sees_nothing(site):
+    with ExitStack() as ends:
+        seen: list[str] = []
+        held = [
+            site.session(ends, who).declare_subscriber(key, lambda _, who=who: seen.append(who))
+            for who in ("revoked", "viewer")
+            for key in (COMMAND.key(MISSION), "he3/**")
+        ]
+        recorder = site.session(ends, "recorder")
+        arrived: list[bytes] = []
+        held.append(recorder.declare_subscriber(COMMAND.key(MISSION), lambda s: arrived.append(s.payload.to_bytes())))
+        publisher = site.session(ends, "ground").declare_publisher(COMMAND.key(MISSION))
+        until(lambda: publisher.matching_status.matching, "the router to know the recorder")
+        publisher.put(b"pause")
+        until(lambda: arrived, "the command at the recorder")
+        assert seen == []
+
+
+@pytest.mark.parametrize("who", ["expired", "foreign"])
+def test_a_certificate_that_does_not_count_gets_no_session(site, who):
+    with pytest.raises(PeerUnreachable, match="no earth router"):
+        open_client(Side.EARTH, site.endpoint, identity=site.identities[who])
+
+
+def test_only_a_link_can_pose_as_a_router(site):
+    endpoint = free_endpoints("tls").earth
+    false_router = open_router(Side.EARTH, endpoint, MISSION, site.identities["operator"])
+    try:
+        with pytest.raises(PeerUnreachable, match="no earth router"):
+            open_client(Side.EARTH, endpoint, identity=site.identities["ground"])
+    finally:
+        false_router.close()
+
+
+def test_a_client_says_which_role_a_query_takes(site):
+    with (
+        Client(site.endpoint, MISSION, identity=site.identities["viewer"]) as client,
+        pytest.raises(NotAllowed, match=r"earth/ground/command: expected an identity of role operator, got viewer.a"),
+    ):
+        client.query(ISSUE_COMMAND, Telecommand(command_id="c", kind=CommandKind.PAUSE))
+
+
+def test_a_mission_with_keys_runs_to_its_end_in_lockstep(tmp_path):
+    keys = str(tmp_path / "keys")
+    assert run(he3("keys", "init", keys)).returncode == 0
+    small = ["--set", "rounds=1", "--set", "samples_per_round=2", "--json", "-q"]
+    flown = run(he3("run", "short", "--lockstep", "--keys", keys, *small))
+    assert flown.returncode == 0, flown.stderr
+    report = json.loads(flown.stdout)
+    assert (report["completed"], report["samples"]) == (True, 2)
