@@ -1,4 +1,4 @@
-"""What light time and black-outs cost: mission time and error of the map, stop-and-wait beside pipelined.
+"""The cost of light time and black-outs in mission time and map error, stop-and-wait compared with pipelined.
 
 The same mission, from the same seed, for each light time (0 s, the Moon at 1.28 s, studied relays at 3 and 5 s, Mars at
 20 min) and for each share of the time without contact; each run twice: stop-and-wait, where every round waits for the

@@ -1,4 +1,4 @@
-"""How fast virtual time goes in separate processes in lockstep, beside all in one process; and that both are the same.
+"""The speed of virtual time in lockstep, compared with one process; the event logs of both must be equal.
 
 The same mission runs once in this process and once as four processes over Zenoh, whose time the link keeps.
 
@@ -54,7 +54,7 @@ def run(
     *,
     say: Callable[[str], None] = print,
 ) -> list[Row]:
-    """A row for each driver; printed, and written to ``json``. Raises He3Error when a mission does not end well."""
+    """A row for each driver; printed, and written to ``json``. Raises He3Error if a mission fails."""
     chosen = choose(scenario, seed=seed)
     say(
         f"{'driver':<12} {'events':>8} {'mission':>9} {'start':>8} {'wall':>8} {'planning':>9} "

@@ -1,4 +1,4 @@
-"""How fast the map is: one more sample, a refit, the whole posterior; beside scikit-learn and the memory's own speed.
+"""Times of the map: one more sample, a refit, the whole posterior; compared with scikit-learn and the memory's speed.
 
 Every figure is of the same machine, the same run, the same samples and hyperparameters:
 

@@ -48,7 +48,7 @@ TOLERANCE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class PeerResult:
-    """What SGP-Tools reached on one field with one budget."""
+    """The result of SGP-Tools on one field with one budget."""
 
     places_m: FloatArray
     path_m: FloatArray

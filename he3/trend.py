@@ -103,7 +103,7 @@ class TrendOnCells:
     def contribution(
         self, whitened_values: FloatArray, cells: slice | IntArray = slice(None)
     ) -> tuple[FloatArray, FloatArray]:
-        """What the trend adds to mean and variance on the cells, each (k,). whitened_values: (n,)."""
+        """The trend's parts of mean and variance on the cells, each (k,). whitened_values: (n,)."""
         residual = self.residual[:, cells]
         covariance = np.linalg.inv(self.whitened.T @ self.whitened + np.eye(len(residual)))
         coefficients = covariance @ (self.whitened.T @ whitened_values)

@@ -1,1 +1,1 @@
-"""What goes over the wire, and nothing else."""
+"""The messages on the wire, their codec and the table of topics; no other code."""

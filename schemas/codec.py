@@ -118,7 +118,7 @@ def _adapter(body_type: type[Wire]) -> TypeAdapter[Any]:
 
 
 def _refuse_other_version(payload: bytes, where: str) -> None:
-    """Raise Refused if the message is of another schema version: every other complaint follows from that."""
+    """Raise Refused if the message is of another schema version: its other errors follow from the version."""
     try:
         version = json.loads(payload)["header"]["version"]
     except (ValueError, TypeError, KeyError, RecursionError):

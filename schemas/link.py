@@ -32,7 +32,7 @@ class DirectionConditions(Wire):
 
     one_way_light_time_s: Seconds = 1.282
     jitter_s: Seconds = 0.0
-    """Half width of a uniform addition to the light time; order is kept unless `reorder` says otherwise."""
+    """Half width of a uniform addition to the light time; order is kept unless `reorder` is set."""
     rate_bit_s: Annotated[float, Field(ge=1, le=1e12)] | None = None
     """None: transmission takes no time."""
     loss: Fraction = 0.0
@@ -216,7 +216,7 @@ class ClockState(Wire):
 
 
 class Acknowledgement(Wire):
-    """What a receiver of custody messages has received: all below `next_sequence` except the gaps."""
+    """The messages that a receiver under custody has received: all below `next_sequence` except the gaps."""
 
     stream: Text
     """Topic name of the messages acknowledged."""

@@ -1,4 +1,4 @@
-"""How a query is refused on the wire: a code for programs, and one line of text for people.
+"""The refusal of a query on the wire: a code for programs, and one line of text for people.
 
 The body of a Zenoh error reply is one JSON object, without an envelope:
 ``{"error": "map: expected a place within ...", "code": "outside_region"}``. Programs decide by the code alone.

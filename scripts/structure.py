@@ -107,14 +107,14 @@ def modules_of(root: Path) -> list[Path]:
 
 
 def imports_of(root: Path) -> Imports:
-    """What each module of the packages imports of them when it runs: imports for annotations alone do not count."""
+    """The imports among the packages' modules at run time: imports for annotations alone do not count."""
     sys.path.insert(0, str(root))
     graph = grimp.build_graph(*PACKAGES, cache_dir=None, exclude_type_checking_imports=True)
     return {module: set(graph.find_modules_directly_imported_by(module)) for module in graph.modules}
 
 
 def packages_within(imports: Imports, package: str) -> Imports:
-    """What each direct child of `package` imports of its siblings, each taken as a whole."""
+    """The imports among the direct children of `package`, each taken as a whole."""
 
     def child(module: str) -> str | None:
         inner = module.removeprefix(package + ".")

@@ -27,7 +27,7 @@ from services.console.launch.launcher import Launcher
 
 MISSION = "fuzzed"
 ANSWER_S = 60.0
-"""How long an answer may take on a busy machine."""
+"""Time limit [s] for an answer, on a busy machine."""
 
 QUERIES: dict[str, dict[str, str]] = {
     "/api/map/point": {"x": "5", "y": "6", "threshold": "8"},

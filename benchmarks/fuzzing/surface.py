@@ -1,4 +1,4 @@
-"""What a surface is, how one example is judged, and how a hang is noticed."""
+"""The interface of a surface, the check of one example, and the detection of a hang."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def noticing_a_hang(seconds: float = HANG_S) -> Iterator[None]:
 
 
 def one_line(message: str) -> str | None:
-    """What is wrong with an error's message: it must be one non-empty line of bounded length; None: nothing."""
+    """The fault of an error message, which must be one non-empty line of bounded length; None if it has none."""
     if not message.strip():
         return "the error has no message"
     if "\n" in message.strip("\n"):

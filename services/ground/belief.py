@@ -70,7 +70,7 @@ class Belief:
 
     @property
     def process(self) -> GaussianProcess:
-        """The same belief at arbitrary places: immutable."""
+        """The belief as an immutable Gaussian process, which predicts at any place."""
         return self._process
 
     @property

@@ -38,7 +38,7 @@ class CommandHistory:
 
     grid: SiteGrid
     round_trip_s: float = 0.0
-    """Light time there and back as the scenario says [s]."""
+    """Round-trip light time of the scenario [s]."""
     _statuses: dict[str, CommandStatus] = field(default_factory=dict)
     _sent: list[str] = field(default_factory=list)
 

@@ -1,4 +1,4 @@
-"""Follows the execution of rounds in the rover's reports, and says what changes for planning."""
+"""Follows the execution of rounds in the rover's reports, and derives the changes for planning."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNOCCUPIED = frozenset({RoverMode.IDLE, RoverMode.PARKED, RoverMode.SAFE})
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a report changes for planning."""
+    """The changes for planning that follow from a report."""
 
     changed: bool = False
     """Whether anything has changed, so that the next step may be due."""

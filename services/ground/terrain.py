@@ -1,4 +1,4 @@
-"""Where the rover's centre may be, as the ground knows it: orbital terrain less keep-outs and obstacles met."""
+"""The ground's map of where the rover's centre may be: orbital terrain less keep-outs and obstacles met."""
 
 from __future__ import annotations
 

@@ -254,7 +254,7 @@ class Channel:
 
 
 def transmission_time(size_bits: int, rate_bit_s: float | None) -> MissionTime:
-    """How long so many bits take at that rate [ns], rounded up; 0 without a rate. Exact for every float."""
+    """Time to send that many bits at that rate [ns], rounded up; 0 without a rate. Exact for every float."""
     if rate_bit_s is None:
         return 0
     numerator, denominator = rate_bit_s.as_integer_ratio()

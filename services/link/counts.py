@@ -1,4 +1,4 @@
-"""What happened to the packets of one direction, counted."""
+"""Counts of the packets of one direction, by outcome."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ MAX_ROUND_SIDES: Final = 100.0  # of a site so large that this allows more, time
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """What a plan must fit."""
+    """The facts with which a plan must agree."""
 
     accepted: MissionPlan | None
     """The last plan accepted."""

@@ -29,7 +29,7 @@ MAX_KEEP_OUTS: Final = 100
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """What the rover can do on a telecommand."""
+    """The operations of the rover that telecommands use."""
 
     site: SiteGrid
     vehicle: Vehicle

@@ -2,7 +2,7 @@
 
 A step is a scan, a drive over one path section, a bite of the drill, an analysis or a measurement. Between steps the
 rover is at a safe point: there the waiting telecommands are executed, and then the next step is chosen. The parts below
-know nothing of the executive: each returns the outcome of its step, and the executive decides how to proceed.
+do not depend on the executive: each returns the outcome of its step, and the executive decides how to proceed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the rover reports to the ground: events and the stages of telecommands, with place, time and odometer."""
+"""The rover's reports to the ground: events and the stages of telecommands, with place, time and odometer."""
 
 from __future__ import annotations
 

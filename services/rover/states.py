@@ -12,7 +12,7 @@ from schemas.telemetry import RoverMode
 
 
 class State(StrEnum):
-    """What the rover is doing, in more detail than the mode that it reports."""
+    """The rover's internal state, in more detail than the mode that it reports."""
 
     IDLE = "idle"
     """Landed, and no plan accepted yet."""
@@ -32,7 +32,7 @@ class State(StrEnum):
 
 
 class Trigger(StrEnum):
-    """What makes the rover change its state."""
+    """The causes of a change of state."""
 
     SCAN = "scan the path ahead"
     PATH_CLEAR = "the path ahead is clear"

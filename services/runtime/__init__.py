@@ -1,4 +1,4 @@
-"""What every process stands on.
+"""The common base of all processes.
 
 Without I/O: `node` is the contract of nodes, `host` and `scheduler` stand around one, `custody` keeps what crosses the
 link. With I/O: `entry` is what a process does first, `child` how it starts another one of ours. `process` is the shell

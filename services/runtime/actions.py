@@ -1,4 +1,4 @@
-"""What a host wants a driver to do: a node's effects with messages as bytes, each on its side of the link."""
+"""The actions that a host requests from its driver: a node's effects with messages as bytes, each on its side."""
 
 from __future__ import annotations
 

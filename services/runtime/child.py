@@ -1,4 +1,4 @@
-"""How one of our processes starts another one of ours: this is the parent's end, `services.runtime.entry` the child's.
+"""Starts one of our processes from another: this is the parent's end, `services.runtime.entry` the child's.
 
 A child never imports from the working directory, computes with one BLAS thread unless the user asked for more, and
 ends with its parent.

@@ -1,4 +1,4 @@
-"""Mission time: a clock state says what time it was at its anchor and how fast it runs. The time manager changes it.
+"""Mission time: a clock state has the mission time at its anchor and the rate. The time manager changes it.
 
 Two clocks of the machine take part. The wall clock is the one that all processes share, so they agree on an anchor by
 it. But it can be set, by NTP or by a user; so each process carries mission time forward from the anchor by its own

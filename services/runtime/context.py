@@ -1,4 +1,4 @@
-"""What a driver works with in a service's process: the node's scheduler, the sessions, the clock, the log.
+"""The context of a driver in a service's process: the node's scheduler, the sessions, the clock, the log.
 
 `services.runtime.process` makes it and hands it to a driver. A driver decides when the node acts; what all drivers have
 in common is here.
@@ -31,7 +31,7 @@ IDLE_S = 0.5
 
 
 class Traffic(Protocol):
-    """What a driver does with messages and queries that arrive. Called in Zenoh's threads: it may only enqueue them."""
+    """Receives messages and queries for a driver. Called in Zenoh's threads: it may only enqueue them."""
 
     def received_as(self, topic: Topic) -> Topic:
         """The topic on whose key that topic's messages reach this process."""

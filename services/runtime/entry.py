@@ -1,4 +1,4 @@
-"""What each of our processes does first, before it imports numpy or anything else that takes time.
+"""The first steps of each of our processes, before it imports numpy or any other slow module.
 
 Importing a module of this project changes nothing. So the modules that are run as programs call `prepare_process`
 and import the rest inside a function. This module itself imports only what the interpreter has imported already: a

@@ -1,4 +1,4 @@
-"""What a driver reports to a host: everything that can happen to a process, one frozen type each.
+"""The inputs that a driver reports to a host: all events of a process, one frozen type each.
 
 An input is a value, so it can be kept in a journal before it is handled, and be handled again after a restart. The
 time at which it is handled is not part of it. `services.runtime.actions` is the other direction.

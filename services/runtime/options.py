@@ -47,7 +47,7 @@ class Options:
     events: Path | None
     """File that gets a line for each event handled."""
     identity: Identity | None = None
-    """Who this process is; None on loopback without keys."""
+    """The identity of this process; None on loopback without keys."""
     insecure: tuple[str, ...] = ()
     """A warning for each endpoint that others can reach without TLS, which the user has asked for."""
 

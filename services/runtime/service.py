@@ -1,4 +1,4 @@
-"""What distinguishes one service's process from another's, as its `__main__` declares it."""
+"""The properties of one service's process, as its `__main__` declares them."""
 
 from __future__ import annotations
 

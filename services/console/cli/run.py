@@ -131,7 +131,7 @@ def run_and_report(
 
     A picture or a recording that could not be written is reported on standard error; it is no failure. Raises He3Error,
     after all of that, if the report could not be written, for a mission that failed, and for one that took no sample:
-    its map says nothing about the site.
+    its map has no information on the site.
     """
     from schemas.wire import printable
     from services.console.client.time_format import speed

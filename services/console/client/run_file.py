@@ -105,7 +105,7 @@ def running_missions() -> list[RunningMission]:
 
 
 def announced_as(earth: str, mission: str) -> RunningMission | None:
-    """What is announced on this machine about the mission of that name and Earth endpoint; None if nothing is."""
+    """The announcement on this machine of the mission with that name and Earth endpoint; None if there is none."""
     return next((each for each in running_missions() if (each.earth, each.mission) == (earth, mission)), None)
 
 

@@ -23,7 +23,7 @@ from services.runtime.child import child_environment, python_command
 LOWEST_PRIORITY = 19
 LOOK_EVERY_S = 0.2
 END_WITHIN_S = 1.0
-"""How long the child may take to end before it is killed."""
+"""Time [s] that the child has to end before it is killed."""
 
 
 class Baseline:

@@ -176,4 +176,4 @@ def _stops_within_s(name: str) -> float:
 
 
 _TELLING = re.compile(r"he3 \w+: |[\w.]+(Error|Exception)\b")
-"""A log line that says why a service ended: its own last line, or the last line of a traceback."""
+"""A log line with the reason why a service ended: its own last line, or the last line of a traceback."""

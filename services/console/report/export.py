@@ -85,4 +85,4 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 WRITERS: Final[Mapping[str, Callable[[Export, Path], None]]] = {".npz": write_npz, ".csv": write_csv}
-"""What writes a map, by the suffix of the file."""
+"""Functions that write a map, by the suffix of the file."""

@@ -62,7 +62,7 @@ class MapPublisher:
     ) -> Iterable[PublishSnapshot]:
         """A new snapshot if there is something new; ended: whether the mission is over.
 
-        plan_ends: when the rover will have done what is planned, as the ground expects; asked for new snapshots only.
+        plan_ends: the expected end of all planned rounds; called for new snapshots only.
         """
         self._note_changes(now)
         driven, planned = self._round_log.paths()

@@ -7,5 +7,5 @@ from services.runtime.queries.server import QueryService
 
 
 def map_queries() -> QueryService:
-    """How the query process of the map answers."""
+    """The queries of the map, and the functions that answer them."""
     return QueryService(MAP_TOPICS, answer, render=Renderer(), keep=with_history)

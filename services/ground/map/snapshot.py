@@ -34,9 +34,9 @@ class MapSnapshot:
     driven_path_m: tuple[Waypoint, ...]
     """The parts of planned paths that the rover is known to have driven."""
     planned_path_m: tuple[Waypoint, ...]
-    """What is planned and not over, from where the rover is known to be."""
+    """The planned path ahead, from the last known place of the rover."""
     plan_ends: MissionTime | None
-    """When the rover will have done what is planned, as the ground expects."""
+    """Expected time at which the rover has done all planned rounds."""
     revision: int
     """Grows by one with every change of the map; track and plan may change without."""
     mission_time_ns: MissionTime

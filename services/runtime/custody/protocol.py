@@ -25,7 +25,7 @@ class CustodyQueueFull(He3Error):
 
 @dataclass(frozen=True, slots=True)
 class CustodyConfig:
-    """How long to wait for an acknowledgement, and how much to keep. Times in seconds of mission time."""
+    """Waiting times and capacities of custody. Times are in seconds of mission time."""
 
     round_trip_s: float = 2.6
     """First estimate of the round trip; later ones are measured."""
@@ -65,12 +65,12 @@ class CustodyConfig:
 
 
 def _variation_s(way: DirectionConditions) -> float:
-    """How much later than the light time says a message may arrive [s]."""
+    """The longest delay of a message beyond the light time [s]."""
     return way.jitter_s + (way.one_way_light_time_s if way.reorder > 0 else 0.0)
 
 
 class MessageState(Enum):
-    """Where a kept message stands."""
+    """States of a kept message."""
 
     WAITING = "waiting to be sent"
     SENT = "sent, timer running"
@@ -80,7 +80,7 @@ class MessageState(Enum):
 
 
 class Signal(Enum):
-    """What happens to a kept message."""
+    """Events of a kept message."""
 
     TRANSMITTED = "transmitted"
     TIMED_OUT = "not acknowledged in time"

@@ -1,6 +1,6 @@
 """When to send a message again: the round trip as measured, the waits that follow from it, and suspended timers.
 
-The wait for an acknowledgement is one round trip, what is queued ahead at the known rate, and a margin. It is doubled
+The wait for an acknowledgement is one round trip, the time to send the bytes queued ahead, and a margin. It is doubled
 with each repetition of its stream that brings no answer. Times are integer nanoseconds of mission time.
 """
 
@@ -40,7 +40,7 @@ class RoundTrip:
         self.mean += (round_trip - self.mean) // 8
 
     def checkpoint(self) -> SavedState:
-        """What was measured, as named parts."""
+        """The measured mean and variation, as named parts."""
         return {"mean": self.mean, "variation": self._variation}
 
     def restore(self, state: SavedState) -> None:
@@ -118,7 +118,7 @@ class RetransmissionTimer:
     # --- checkpoints --------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """What was measured and whether timers are suspended, as named parts."""
+        """The round trip and whether timers are suspended, as named parts."""
         return {"round_trip": self._round_trip.checkpoint(), "idle_at": self._idle_at, "probe_at": self._probe_at}
 
     def restore(self, state: SavedState) -> None:

@@ -1,4 +1,4 @@
-"""The sender's streams: the messages of one topic and incarnation, and what an acknowledgement says of them."""
+"""The sender's streams: the messages of one topic and incarnation, and their state according to an acknowledgement."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class SendWindow:
             self._under_way_bytes -= len(message.payload)
 
     def restore(self, streams: Iterable[SendStream]) -> None:
-        """Become the window over these streams: each message says whether it is queued or under way."""
+        """Rebuild the window from these streams: each message records whether it is queued or under way."""
         self._new, self._repetitions = [], []
         self._under_way = self._under_way_bytes = 0
         for stream in streams:

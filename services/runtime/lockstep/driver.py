@@ -45,7 +45,7 @@ class LockstepDriver:
     # --- joining ------------------------------------------------------------------------------------------------
 
     def begin(self) -> bool:
-        """Join; the reply to the join says where virtual time stands."""
+        """Join; the reply has the present virtual time."""
         context, side, inbox = self._context, self._side, self._context.inbox
         session = context.sessions[side]
         session.subscribe(CLOCKS[side], lambda payload, _: inbox.put(partial(self._take_clock, payload)))

@@ -1,4 +1,4 @@
-"""What reaches one participant's node, and what it sends, over Zenoh with the stamps of lockstep."""
+"""The inputs and outputs of one participant's node over Zenoh, with the stamps of lockstep."""
 
 from __future__ import annotations
 

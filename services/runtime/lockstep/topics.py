@@ -12,7 +12,7 @@ BUSY = {Side.MOON: counted(topics.MOON_BUSY), Side.EARTH: counted(topics.EARTH_B
 POKE = {Side.MOON: counted(topics.MOON_POKE), Side.EARTH: counted(topics.EARTH_POKE)}
 
 TO_TIME_MANAGER = (DONE, BUSY, POKE)
-"""What a participant publishes to the time manager, by side."""
+"""Topics that a participant publishes to the time manager, by side."""
 
 
 def grant_to(name: str, side: Side) -> Topic:

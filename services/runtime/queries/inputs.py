@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
 
 def query_input(topic: Topic, query: Query, token: int) -> QueryArrived | CheckedQueryArrived:
-    """The query as an input; the host itself reads a message. Raises InvalidInput with one line for bad parameters."""
+    """The query as an input, with its selector parameters read; the host decodes a query that carries a message.
+
+    Raises InvalidInput with one line for bad parameters.
+    """
     payload = query.payload
     if payload is None:
         return CheckedQueryArrived(topic, request_from_selector(topic, query.parameters), token)

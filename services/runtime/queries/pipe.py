@@ -1,8 +1,8 @@
-"""What goes through the pipes between a service's process, the owner, and its query process.
+"""The protocol of the pipes between a service's process, the owner, and its query process.
 
 The owner writes snapshots, numbered and pickled. The query process writes lines: that it is ready, which snapshot it
-answers from, and, every second, that it lives. The pipes join two processes of one program and one user: they are no
-way in for others.
+answers from, and, every second, that it lives. The pipes join two processes of one program and one user: no other
+program or user has access to them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The owner's end of a query process: a service's process gives each snapshot to a process that answers queries.
 
-Only the newest snapshot waits. A query process that dies is started again and given the newest. What it writes back is
-in `services.runtime.queries.pipe`, what it does in `services.runtime.queries.pipe_server`.
+Only the newest snapshot waits. A query process that dies is started again and given the newest.
+`services.runtime.queries.pipe` has the protocol, `services.runtime.queries.pipe_server` the query process.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ REPORT_AFTER_S = 5.0
 """Waiting for a query process is reported after this time."""
 START_AGAIN_S = 1.0
 CLOSE_WITHIN_S = 0.3
-"""How long a query process may take to end by itself; it has nothing to lose."""
+"""Time [s] that a query process has to end by itself; then it is killed, which loses no data."""
 
 
 class QueryProcess:

@@ -1,4 +1,4 @@
-"""How a query is read, for every process that serves one.
+"""Reads queries, for every process that serves them.
 
 A query that carries a message is the request itself, in our envelope. A query without a payload is made of its
 selector's parameters (``?x=120;y=340``), as any stock Zenoh client sends it.

@@ -62,7 +62,7 @@ class QueryService:
     render: Callable[[Topic, Any, Any], Encoded | None] = _no_rendering
     """(topic, request, snapshot) -> the reply if it is not JSON, else None; raises He3Error."""
     keep: Callable[[Any, Any | None], Snapshot] = _newest
-    """(new snapshot, what was kept before) -> what is kept, and answered from, from now on."""
+    """(new snapshot, kept state) -> the new kept state, from which queries are answered from now on."""
     threads: int = 2
 
 

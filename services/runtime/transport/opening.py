@@ -61,8 +61,8 @@ def tls_config(role: str, identity: Identity) -> dict[str, Any]:
 def open_router(side: Side, endpoint: str, mission: str = "", identity: Identity | None = None) -> zenoh.Session:
     """A session that listens as that side's router; raises PeerUnreachable, with the reason, when it cannot.
 
-    identity: the router lets in those that its roster names, over TLS, and allows each role what the topic table says
-    about that mission; None: every client may do everything.
+    identity: the router lets in those that its roster names, over TLS, and gives each role the rights of the topic
+    table in that mission; None: every client may do everything.
     """
     config = session_config(side, "router", endpoint, identity)
     if identity is not None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Right(StrEnum):
-    """What a role may do with a key."""
+    """The rights that a role may have on a key."""
 
     PUBLISH = "publish"
     SUBSCRIBE = "subscribe"
