@@ -28,7 +28,7 @@ def surfaces() -> dict[str, Callable[[Path], Surface]]:
     """Constructor of each surface, which takes a separate folder."""
     from benchmarks.fuzzing.command_line import CommandLine
     from benchmarks.fuzzing.messages import Messages
-    from benchmarks.fuzzing.page_requests import PageRequests
+    from benchmarks.fuzzing.page_requests import PageRequests, PageRequestsOverTls
     from benchmarks.fuzzing.region_files import RegionFiles
     from benchmarks.fuzzing.scenario_files import ScenarioFiles
 
@@ -38,6 +38,7 @@ def surfaces() -> dict[str, Callable[[Path], Surface]]:
         "region": RegionFiles,
         "messages": Messages,
         "page": PageRequests,
+        "page-tls": PageRequestsOverTls,
     }
 
 

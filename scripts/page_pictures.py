@@ -107,7 +107,7 @@ def main() -> None:
         wait_for(lambda: samples() >= 0, "a mission")
         with running("web", "--port", "0", "--authority") as server:
             assert server.stderr is not None
-            address = re.search(r"http://\S+", server.stderr.readline())
+            address = re.search(r"http://[^\s,]+", server.stderr.readline())
             assert address is not None
             fly()
             options = Options()

@@ -8,8 +8,10 @@ from __future__ import annotations
 import http.client
 import json
 import re
+import ssl
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 from random import Random
@@ -24,8 +26,16 @@ from he3.errors import He3Error
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import free_endpoints
 from services.console.launch.launcher import Launcher
+from services.runtime.trust.authority import Authority
+from services.runtime.trust.certificates import subject
+from services.runtime.trust.identity import PAGE_AUTHORITY, PAGE_CERTIFICATE, PAGE_KEY
 
 MISSION = "fuzzed"
+MOST_PER_S = 200.0
+"""Requests over TLS that are sent in a second at most."""
+LOOK_EVERY, SETTLED_AFTER = 500, 2000
+"""Requests between two looks at the memory, and after which it has to stay flat."""
+MOST_GROWTH = 1.1
 ANSWER_S = 60.0
 """Time limit [s] for an answer, on a busy machine."""
 
@@ -58,6 +68,7 @@ class PageRequests:
     """A mission, the page's server, and malformed requests."""
 
     name = "page"
+    _scheme = "http"
 
     def __init__(self, folder: Path) -> None:
         region = folder / "region.npz"
@@ -68,9 +79,11 @@ class PageRequests:
             f'name = "{MISSION}"\nregion = "{region}"\nrounds = 3\nsamples_per_round = 2\nstart_m = [5.0, 5.0]\n'
             "[ground]\nplanning_s = 1.0\nclearance_m = 1.0\n"
         )
+        self._folder = folder
+        self._cookie = ""
         self._closing: list[Any] = []
         endpoints = free_endpoints()
-        launcher = Launcher(scenario, endpoints, ("--rate", "1"), logs=folder)
+        launcher = self._launcher = Launcher(scenario, endpoints, ("--rate", "1"), logs=folder)
         launcher.__enter__()
         self._closing.append(lambda: launcher.__exit__(None, None, None))
         try:
@@ -82,24 +95,38 @@ class PageRequests:
 
     def _serve(self, earth: str) -> None:
         command = [sys.executable, "-m", "services.console", "web", "--port", "0", "--authority",
-                   "--mission", MISSION, "--earth", earth]  # fmt: skip
+                   "--mission", MISSION, "--earth", earth, *self._flags()]  # fmt: skip
         self._server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         self._closing.append(self._end_server)
         assert self._server.stderr is not None
         line = self._server.stderr.readline()
-        found = re.search(r"http://([\w.]+):(\d+)/", line)
+        found = re.search(r"https?://([\w.]+):(\d+)(/login\S*?)[,\s]", line)
         if found is None:
             raise He3Error(f"fuzz: expected the page's address, got {line!r}")
         self._host, self._port = found[1], int(found[2])
+        self._log_in(found[3])
         while not self._has_a_map():
             if self._server.poll() is not None:
                 raise He3Error("fuzz: the page's server has ended before the first request")
 
+    def _flags(self) -> list[str]:
+        """More flags of the page's server."""
+        return []
+
+    def _connection(self) -> http.client.HTTPConnection:
+        return http.client.HTTPConnection(self._host, self._port, timeout=ANSWER_S)
+
+    def _log_in(self, path: str) -> None:
+        connection = self._connection()
+        connection.request("GET", path)
+        self._cookie = connection.getresponse().getheader("set-cookie", "").partition(";")[0]
+        connection.close()
+
     def _has_a_map(self) -> bool:
         """Whether the page can answer queries of the map: the ground has a map soon after it has begun."""
-        connection = http.client.HTTPConnection(self._host, self._port, timeout=ANSWER_S)
+        connection = self._connection()
         try:
-            connection.request("GET", "/api/map/history")
+            connection.request("GET", "/api/map/history", headers={"cookie": self._cookie})
             return connection.getresponse().status == 200
         except ConnectionError:
             return False
@@ -124,7 +151,7 @@ class PageRequests:
         """One request: its first line and body, and a line on its fault, None if there was none."""
         method, target, headers, body = self._request(rng)
         what = f"{method} {target[:200]} {dict(headers)} {(body or b'')[:200]!r}"
-        connection = http.client.HTTPConnection(self._host, self._port, timeout=ANSWER_S)
+        connection = self._connection()
         try:
             connection.putrequest(method, target, skip_host="host" in {name.lower() for name, _ in headers},
                                   skip_accept_encoding=True)  # fmt: skip
@@ -157,6 +184,8 @@ class PageRequests:
 
     def _request(self, rng: Random) -> tuple[str, str, list[tuple[str, str]], bytes | None]:
         headers = [("host", f"{self._host}:{self._port}")]
+        if rng.random() < 0.9:
+            headers.append(("cookie", self._cookie))
         if rng.random() < 0.05:
             headers[0] = ("host", quote(values.text(rng)[:200].encode("utf-8", "surrogateescape")))
         if rng.random() < 0.5:
@@ -179,12 +208,70 @@ class PageRequests:
         body = json.dumps(document).encode("utf-8", "surrogatepass")
         if rng.random() < 0.1:
             body = rng.choice((*BODIES, body[: len(body) // 2], rng.randbytes(100)))
-        headers += [("content-type", "application/json"), ("x-he3-console", "1"), ("origin", f"http://{headers[0][1]}")]
+        headers += [
+            ("content-type", "application/json"),
+            ("x-he3-console", "1"),
+            ("origin", f"{self._scheme}://{headers[0][1]}"),
+        ]
         if rng.random() < 0.9:
             headers.append(("content-length", str(len(body) if rng.random() < 0.9 else rng.choice((0, len(body))))))
         if rng.random() < 0.1:
             headers = [header for header in headers if rng.random() < 0.7]
         return "POST", path, headers, body
+
+
+class PageRequestsOverTls(PageRequests):
+    """The same over TLS, at a bounded rate, with an eye on the memory of the page's server and of every service."""
+
+    name = "page-tls"
+    _scheme = "https"
+
+    def __init__(self, folder: Path) -> None:
+        keys = Authority.create(folder / "keys")
+        self._identity = keys.issue(subject("operator", "fuzz"))
+        self._tls = ssl.create_default_context(cafile=self._identity / PAGE_AUTHORITY)
+        self._examples = 0
+        self._began = time.monotonic()
+        self._settled_kb: dict[str, int] = {}
+        super().__init__(folder)
+
+    def _flags(self) -> list[str]:
+        return ["--page-identity", str(self._identity), "--certificate", str(self._identity / PAGE_CERTIFICATE),
+                "--key", str(self._identity / PAGE_KEY)]  # fmt: skip
+
+    def _connection(self) -> http.client.HTTPConnection:
+        return http.client.HTTPSConnection(self._host, self._port, timeout=ANSWER_S, context=self._tls)
+
+    def example(self, rng: Random) -> tuple[str, str | None]:
+        """One request, not before its turn, and whether memory and services are as they were."""
+        self._examples += 1
+        if self._examples == 1:
+            self._began = time.monotonic()
+        time.sleep(max(0.0, self._began + self._examples / MOST_PER_S - time.monotonic()))
+        what, wrong = super().example(rng)
+        if wrong is None and self._examples % LOOK_EVERY == 0:
+            wrong = self._grown()
+        return what, wrong
+
+    def _grown(self) -> str | None:
+        """Which process has grown or ended, in one line; None if none has."""
+        self._launcher.check()
+        pids = {"page": self._server.pid, **self._launcher.pids}
+        now_kb = {name: _resident_kb(pid) for name, pid in pids.items()}
+        if self._examples == SETTLED_AFTER:
+            self._settled_kb = now_kb
+        shown = ", ".join(f"{name} {kb / 1024:.0f} MB" for name, kb in now_kb.items())
+        print(f"fuzz: {self.name} {self._examples}: {shown}", file=sys.stderr)
+        for name, settled in self._settled_kb.items():
+            if now_kb[name] > MOST_GROWTH * settled:
+                return f"{name} has grown from {settled} kB to {now_kb[name]} kB"
+        return None
+
+
+def _resident_kb(pid: int) -> int:
+    """Memory of that process [kB]; Linux."""
+    found = re.search(r"^VmRSS:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text(encoding="ascii"), re.MULTILINE)
+    return 0 if found is None else int(found[1])
 
 
 def _word(rng: Random) -> str:

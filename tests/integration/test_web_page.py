@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import socket
+import ssl
 import subprocess
 import sys
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,9 @@ import pytest
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import free_endpoints
 from services.console.launch.launcher import Launcher
-from tests.processes import start
+from services.runtime.trust.authority import Authority
+from services.runtime.trust.certificates import subject as subject_of
+from tests.processes import he3, run, start
 from tests.waiting import PATIENCE_S, expect_within, until
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -46,9 +51,16 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MissionClient]
 
 
 @pytest.fixture(scope="module")
-def address(mission: MissionClient) -> Iterator[str]:
-    with Served(mission, "--authority") as where:
-        yield where
+def served(mission: MissionClient) -> Iterator[tuple[str, str]]:
+    """The address of a page, and the one with a login that may command."""
+    server = Served(mission, "--authority")
+    with server as where:
+        yield where, server.login
+
+
+@pytest.fixture(scope="module")
+def address(served: tuple[str, str]) -> str:
+    return served[0]
 
 
 class Served:
@@ -64,10 +76,16 @@ class Served:
         self.process = start(self._command, stderr=subprocess.PIPE, text=True)
         assert self.process.stderr is not None
         line = self.process.stderr.readline()
-        found = re.search(r"http://\S+", line)
+        if "INSECURE" in line:
+            line = self.process.stderr.readline()
+        found = re.search(r"(https?://[^/]+/)(login[^\s,]+)?", line)
         assert found is not None, line
-        until(lambda: get(f"{found[0]}api/map/point?x=1&y=1")[0] == 200, "an answer from the ground")
-        return found[0]
+        self.login = found[0]
+        if found[2] is not None and found[1].startswith("http:"):
+            get(self.login)
+        if found[1].startswith("http:"):
+            until(lambda: get(f"{found[1]}api/map/point?x=1&y=1")[0] == 200, "an answer from the ground")
+        return found[1]
 
     def __exit__(self, *_: object) -> None:
         self.process.kill()
@@ -80,7 +98,7 @@ def get(url: str, headers: dict[str, str] | None = None, document: object = None
     body = None if document is None else json.dumps(document).encode()
     request = urllib.request.Request(url, data=body, headers=headers or {})
     try:
-        with urllib.request.urlopen(request, timeout=PATIENCE_S) as response:
+        with BROWSER.open(request, timeout=PATIENCE_S) as response:
             return response.status, response.read()
     except urllib.error.HTTPError as error:
         with error:
@@ -89,6 +107,8 @@ def get(url: str, headers: dict[str, str] | None = None, document: object = None
         return 0, b""
 
 
+BROWSER = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+"""Keeps the session of each server that was logged in to."""
 OUR_PAGE = {"content-type": "application/json", "x-he3-console": "1"}
 
 
@@ -110,7 +130,7 @@ def test_without_authority_nothing_is_commanded_and_the_reason_is_said(mission: 
         before = len(mission.commands())
         for path, document in (("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("interest", {})):
             code, body = get(f"{own}/api/{path}", {**OUR_PAGE, "origin": own}, document)
-            assert (code, b"--authority" in body) == (400, True)
+            assert (code, b"--authority" in body) == (403, True)
         assert len(mission.commands()) == before
 
 
@@ -181,13 +201,135 @@ def test_the_page_is_reached_by_every_name_that_was_allowed_however_it_is_spelle
 @pytest.mark.skipif(not IPV6, reason="this machine has no IPv6")
 @pytest.mark.parametrize("bind", ["::1", "::"])
 def test_the_page_is_served_over_ipv6(mission: MissionClient, bind: str) -> None:
-    with Served(mission, "--bind", bind) as where:
+    with Served(mission, "--bind", bind, "--insecure") as where:
         assert where.startswith("http://[::1]:")
         assert get(f"{where}api/map/history", {"host": "[0::1]:1"})[0] == 200
 
 
+# --- who may do what ------------------------------------------------------------------------------------------------
+
+
+def test_reading_needs_no_login_on_this_machine_and_commanding_does(address: str, mission: MissionClient) -> None:
+    own, before = address.rstrip("/"), len(mission.commands())
+    stranger = urllib.request.build_opener()
+    assert opened(stranger, f"{own}/api/map/history")[0] == 200
+    assert json.loads(opened(stranger, f"{own}/api/session")[1])["roles"] == ["viewer"]
+    for path, document in (("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("acknowledge", {"id": "none"})):
+        assert post(stranger, own, path, document) == 403
+    for login in ("", "?token=", "?token=wrong"):
+        assert get(f"{own}/login{login}")[0] == 403
+    assert len(mission.commands()) == before
+    assert json.loads(get(f"{own}/api/session")[1])["roles"] == ["controller", "operator", "viewer"]
+
+
+def post(opener: urllib.request.OpenerDirector, own: str, path: str, document: object) -> int:
+    request = urllib.request.Request(
+        f"{own}/api/{path}", data=json.dumps(document).encode(), headers={**OUR_PAGE, "origin": own}
+    )
+    return opened(opener, request)[0]
+
+
+def opened(opener: urllib.request.OpenerDirector, what: str | urllib.request.Request) -> tuple[int, bytes]:
+    """Status and body of the answer; of a stream, what has come so far."""
+    try:
+        with opener.open(what, timeout=PATIENCE_S) as response:
+            return response.status, response.read(100_000)
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
+
+
+def test_a_session_cookie_is_for_this_page_alone(served: tuple[str, str]) -> None:
+    class Stay(urllib.request.HTTPRedirectHandler):
+        def redirect_request(self, *_: Any) -> None:
+            return None
+
+    with pytest.raises(urllib.error.HTTPError) as redirect:
+        urllib.request.build_opener(Stay()).open(served[1], timeout=PATIENCE_S)
+    with redirect.value:
+        cookie = redirect.value.headers["set-cookie"]
+        assert redirect.value.headers["location"] == "/"
+    assert all(word in cookie for word in ("HttpOnly", "SameSite=Strict", "Path=/"))
+    assert "token" not in cookie
+
+
+def test_off_loopback_the_page_is_not_served_without_tls(mission: MissionClient) -> None:
+    command = he3("web", "--port", "0", "--bind", "0.0.0.0", "--mission", mission.mission, "--earth", mission.earth)
+    done = run(command)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("he3: --bind 0.0.0.0: expected TLS off loopback: --identity")
+    assert len(done.stderr.splitlines()) == 1
+
+
+PEOPLE = {
+    "viewer": {"command": 403, "interest": 403, "link": 403, "acknowledge": 403},
+    "operator": {"command": 200, "interest": 200, "link": 403, "acknowledge": 200},
+    "controller": {"command": 403, "interest": 403, "link": 200, "acknowledge": 200},
+}
+DOCUMENTS: dict[str, dict[str, Any]] = {
+    "command": {"kind": "resume"}, "interest": {}, "link": {"loss": 0.0}, "acknowledge": {"id": "none"},
+}  # fmt: skip
+
+
+def test_under_tls_a_certificate_says_what_its_owner_may_do_and_a_stranger_may_do_nothing(
+    mission: MissionClient, tmp_path: Path
+) -> None:
+    authority = Authority.create(tmp_path / "keys")
+    folders = {role: authority.issue(subject_of(role, "anna")) for role in PEOPLE}
+    revoked = authority.issue(subject_of("operator", "rita"))
+    other = Authority.create(tmp_path / "others").issue(subject_of("operator", "mallory"))
+    identity = folders["viewer"]
+
+    def opener(folder: Path | None) -> urllib.request.OpenerDirector:
+        trusting = ssl.create_default_context(cafile=identity / "page-authority.pem")
+        if folder is not None:
+            trusting.load_cert_chain(folder / "page-certificate.pem", folder / "page-key.pem")
+        cookies = urllib.request.HTTPCookieProcessor()
+        return urllib.request.build_opener(urllib.request.HTTPSHandler(context=trusting), cookies)
+
+    def status(folder: Path | None, path: str, document: object = None) -> int:
+        if document is not None:
+            return post(opener(folder), own, path, document)
+        return opened(opener(folder), f"{own}/{path}")[0]
+
+    server = Served(mission, "--bind", "0.0.0.0", "--page-identity", str(identity), "--authority")
+    with server as where:
+        own = where.rstrip("/")
+        assert own.startswith("https://127.0.0.1:")
+        until(lambda: status(folders["viewer"], "api/map/history") == 200, "an answer from the ground")
+        for role, expected in PEOPLE.items():
+            assert {path: status(folders[role], path, DOCUMENTS[path]) for path in expected} == expected
+            session = json.loads(opened(opener(folders[role]), f"{own}/api/session")[1])
+            assert (session["name"], session["roles"]) == (f"{role}.anna", [role])
+        for path in ("", "api/session", "api/stream", "api/map/history"):
+            assert status(None, path) == 401
+        assert status(None, "command", {"kind": "pause"}) == 401
+        assert status(revoked, "api/session") == 200
+        authority.revoke(subject_of("operator", "rita"))
+        until(lambda: status(revoked, "api/session") == 403, "the revocation to count")
+        with pytest.raises((urllib.error.URLError, ssl.SSLError, ConnectionError)):
+            opener(other).open(f"{own}/api/session", timeout=PATIENCE_S)
+        with opener(None).open(server.login, timeout=PATIENCE_S) as logged_in:
+            assert logged_in.status == 200
+            assert logged_in.headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'")
+
+
+@pytest.mark.parametrize("said", [b"", b"GET /api/colours HTTP/1.1\r\nhost: 127.0.0.1\r\nx-slow: "])
+def test_a_thousand_connections_that_ask_nothing_keep_no_browser_waiting(address: str, said: bytes) -> None:
+    host, port = address.removeprefix("http://").rstrip("/").split(":")
+    with ExitStack() as idle:
+        for _ in range(1024):
+            connection = idle.enter_context(socket.create_connection((host, int(port)), timeout=PATIENCE_S))
+            with suppress(OSError):  # closed already, in favour of later ones
+                connection.sendall(said)
+        for _ in range(3):
+            began = time.monotonic()
+            assert get(f"{address}api/colours")[0] == 200
+            expect_within(3.0, time.monotonic() - began, "an answer")
+
+
 @pytest.fixture(scope="module")
-def browser(address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def browser(served: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     if CHROMIUM is None or DRIVER is None:
         pytest.skip("no browser: apt-get install chromium chromium-driver")
     selenium = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
@@ -197,7 +339,7 @@ def browser(address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = selenium.Chrome(options=options, service=selenium.ChromeService(DRIVER))
-    driver.get(address)
+    driver.get(served[1])
     yield driver
     driver.quit()
 

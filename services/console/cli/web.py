@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from he3.errors import InvalidInput
 from services.console.cli.options import Earth, IdentityFolder, Insecure, Mission, checked, within
 
 EXAMPLES = """\b
 Examples:
   he3 web                              the page at http://127.0.0.1:8030/
-  he3 web --authority                  command the rover and change the link from the page
-  he3 web --bind 0.0.0.0 --allow-host moonbase.lan      for other machines; there is no password
+  he3 web --authority                  prints an address with a login that may command and change the link
+  he3 web --bind 0.0.0.0 --allow-host moonbase.lan --identity keys/identities/operator-anna     for other machines
+  he3 web --bind 10.0.0.2 --certificate page.pem --key page-key.pem --login-file logins
 """
 
 MAX_PORT = 65_535
@@ -37,20 +40,50 @@ def web(
     bind: Annotated[
         str, typer.Option("--bind", metavar="ADDRESS", help="Address to listen on, IPv4 or IPv6.")
     ] = "127.0.0.1",
-    authority: Annotated[bool, typer.Option("--authority", help="Let the page send commands.")] = False,
+    authority: Annotated[
+        bool, typer.Option("--authority", help="Also print an address with a login that may command.")
+    ] = False,
     allow_host: Annotated[
         list[str] | None,
         typer.Option("--allow-host", metavar="NAME", help="Another name that browsers may reach the page by.",
                      callback=_hosts),
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option("--certificate", metavar="FILE", help="Serve over TLS with this certificate (PEM).")
+    ] = None,
+    key: Annotated[
+        Path | None, typer.Option("--key", metavar="FILE", help="Its key (PEM, no password, mode 0600).")
+    ] = None,
+    page_identity: Annotated[
+        Path | None,
+        typer.Option("--page-identity", metavar="DIR",
+                     help="Folder of the page's identity: its TLS, and people's certificates; else --identity's."),
+    ] = None,
+    login_file: Annotated[
+        Path | None,
+        typer.Option("--login-file", metavar="FILE", help="File for the addresses with logins; none is printed."),
     ] = None,
     mission: Mission = None,
     earth: Earth = None,
     identity: IdentityFolder = None,
     insecure: Insecure = False,
 ) -> None:  # fmt: skip
-    """Serve the operator's page: the live map, rover, link, commands and alarms. Read-only without --authority."""
-    from services.console.client.mission_client import MissionClient
-    from services.console.web.running import serve
+    """Serve the operator's page: the live map, rover, link, commands and alarms.
 
+    On this machine it can be read without a login. Commands need the address that --authority prints, or a certificate.
+    For other machines the page is served over TLS: with --identity, or with --certificate and --key.
+    """
+    from services.console.client.mission_client import MissionClient
+    from services.console.web.identity import Tls
+    from services.console.web.running import PageOptions, serve
+    from services.runtime.trust.identity import load_identity
+
+    if (certificate is None) != (key is None):
+        raise InvalidInput("--certificate and --key: expected both or neither, got one")
+    tls = None if certificate is None or key is None else Tls(certificate, key)
+    own = None if page_identity is None else load_identity(page_identity)
     with MissionClient(earth, mission, name="web", identity=identity, insecure=insecure) as client:
-        serve(client, bind, port, authority, tuple(allow_host or ()), lambda line: typer.echo(line, err=True))
+        who = client.identity if own is None else own
+        hosts = tuple(allow_host or ())
+        options = PageOptions(bind, port, authority, hosts, tls, who, insecure=insecure, login_file=login_file)
+        serve(client, options, lambda line: typer.echo(line, err=True))

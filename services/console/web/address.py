@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import ipaddress
 import re
 import socket
+import struct
+from pathlib import Path
 
 from he3.errors import He3Error, InvalidInput
 
@@ -15,6 +18,8 @@ _NAME = re.compile(r"(?!-)[a-z0-9_-]{1,63}(?<!-)(\.(?!-)[a-z0-9_-]{1,63}(?<!-))*
 _WITH_PORT = re.compile(r"(?P<host>\[[^\[\]]*\]|[^:\[\]]*)(?::(?P<port>\d{1,5}))?")
 _NOT_OURS = frozenset({errno.EADDRNOTAVAIL, errno.EINVAL, errno.EAFNOSUPPORT})
 """Error numbers of binding an address that no interface of this machine has."""
+_SIOCGIFADDR = 0x8915  # Linux, netdevice(7)
+LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 LOOPBACK = {socket.AF_INET: "127.0.0.1", socket.AF_INET6: "::1"}
 
 
@@ -95,20 +100,54 @@ def listening(bind: str, port: int) -> socket.socket:
     return made
 
 
-def url_of(listener: socket.socket, bind: str) -> str:
-    """The address of the page as a browser on this machine opens it."""
+def is_loopback(listener: socket.socket) -> bool:
+    """Whether only programs of this machine can reach that socket."""
+    here = address_of(listener.getsockname()[0])
+    return here is not None and here.is_loopback
+
+
+def urls_of(listener: socket.socket, bind: str, scheme: str = "http") -> list[str]:
+    """The addresses of the page as browsers open them: that of the machine itself first, then those of others."""
     host, port = listener.getsockname()[:2]
+    hosts = [host]
     if ipaddress.ip_address(host).is_unspecified:
-        host = LOOPBACK[socket.AddressFamily(listener.family)]
+        hosts = [LOOPBACK[socket.AddressFamily(listener.family)], *addresses_of_this_machine(listener.family)]
     elif address_of(_bare(bind)) is None and any(letter.isalpha() for letter in bind):
-        host = bind  # a name, such as localhost
-    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
+        hosts = [bind]  # a name, such as localhost
+    return [f"{scheme}://[{each}]:{port}/" if ":" in each else f"{scheme}://{each}:{port}/" for each in hosts]
+
+
+def addresses_of_this_machine(family: int) -> list[str]:
+    """Addresses at which other machines reach this one: IPv4, and for a socket of IPv6 both. Empty if none is known."""
+    found = [] if family == socket.AF_INET else [address for address in _ipv6_addresses() if not address.is_link_local]
+    usable = [address for address in (*_ipv4_addresses(), *found) if not address.is_loopback]
+    return [str(address) for address in usable]
+
+
+def _ipv4_addresses() -> list[Address]:
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        for _, name in socket.if_nameindex():
+            try:
+                reply = fcntl.ioctl(asking, _SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
+            except OSError:  # an interface without an address of IPv4
+                continue
+            found.append(ipaddress.ip_address(reply[20:24]))
+    return found
+
+
+def _ipv6_addresses() -> list[Address]:
+    try:
+        lines = Path("/proc/net/if_inet6").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return []
+    return [ipaddress.ip_address(bytes.fromhex(line.split()[0])) for line in lines]
 
 
 def own_names(listener: socket.socket, bind: str) -> frozenset[str]:
     """The names under which the server is reached besides the address that a connection comes to."""
     here = ipaddress.ip_address(listener.getsockname()[0])
-    names = {"127.0.0.1", "localhost", "::1", *(() if here.is_unspecified else (normal_host(bind), str(here)))}
+    names = {*LOOPBACK_NAMES, *(() if here.is_unspecified else (normal_host(bind), str(here)))}
     return frozenset(name for name in names if name is not None)
 
 

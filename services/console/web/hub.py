@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
     from services.console.client.mission_state import Happened, MissionState
 
+MAX_VIEWERS = 100
 MAX_WAITING = 400
 """Queue length of a browser; beyond it the stream ends, and the browser reconnects and receives everything anew."""
 TOLD_EVERY_S = 0.1
@@ -53,9 +54,8 @@ class Viewer:
 class Hub:
     """The mission's state with curves and alarms, sent to every browser."""
 
-    def __init__(self, mission: MissionClient, authority: bool, state_period_s: float = 60.0) -> None:
+    def __init__(self, mission: MissionClient, state_period_s: float = 60.0) -> None:
         self.mission = mission
-        self.authority = authority
         self._lock = threading.RLock()
         self._viewers: set[Viewer] = set()
         self._state_period_s = state_period_s
@@ -102,11 +102,14 @@ class Hub:
 
     # --- browsers ---------------------------------------------------------------------------------------------------
 
-    def enter(self, viewer: Viewer) -> None:
-        """Send this browser all data, and every change from now on."""
+    def enter(self, viewer: Viewer) -> bool:
+        """Send this browser all data, and every change from now on; False if there are too many browsers."""
         with self._lock:
+            if len(self._viewers) >= MAX_VIEWERS:
+                return False
             viewer.queue.put_nowait(_message("state", self._document()))
             self._viewers.add(viewer)
+            return True
 
     def leave(self, viewer: Viewer) -> None:
         with self._lock:
@@ -252,7 +255,6 @@ class Hub:
         return {
             "mission": self.mission.mission,
             "earth": self.mission.earth,
-            "authority": self.authority,
             "clock": self._clock_document(),
             "status": None if status is None else status.model_dump(mode="json"),
             "rover": self._rover_document(),

@@ -4,53 +4,140 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from he3.errors import He3Error
-from services.console.web.address import listening, own_names, url_of
+from he3.errors import He3Error, InvalidInput
+from schemas.roles import Role
+from services.console.web.access import READ, Access, Caller, no_certificates
+from services.console.web.address import is_loopback, listening, own_names, urls_of
 from services.console.web.hub import Hub
+from services.console.web.identity import Tls, certified_by, tls_of
+from services.runtime.output_files import replace_output
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
+    from services.runtime.trust.identity import Identity
+
+UNSAFE = "INSECURE: no TLS; whoever is on the way reads the logins and may command"
+READERS, COMMANDERS = frozenset({Role.VIEWER}), frozenset({Role.VIEWER, Role.OPERATOR, Role.CONTROLLER})
 
 
-def serve(
-    mission: MissionClient,
-    bind: str,
-    port: int,
-    authority: bool,
-    other_hosts: tuple[str, ...],
-    say: Callable[[str], None],
-) -> None:
-    """Serve until Ctrl-C; `say` is called with the line that has the page's address.
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """Where and how the page is served."""
 
-    other_hosts: further names of this server, each in the spelling of `host_name`. Raises InvalidInput for an address
-    that is not this machine's, He3Error when the port is taken or packages are missing.
+    bind: str
+    port: int
+    authority: bool = False
+    """Whether a login that may command is given out."""
+    other_hosts: tuple[str, ...] = ()
+    """Further names of this server, each in the spelling of `host_name`."""
+    tls: Tls | None = None
+    identity: Identity | None = None
+    """Of this server; people of its mission may log in by their certificates."""
+    insecure: bool = False
+    """Whether the page may be served without TLS off loopback."""
+    login_file: Path | None = None
+    """Gets the addresses with tokens; None: they are said."""
+
+
+def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], None]) -> None:
+    """Serve until Ctrl-C; `say` gets the lines with the page's addresses.
+
+    Raises InvalidInput for an address that is not this machine's or one off loopback without TLS, He3Error when the
+    port is taken or packages are missing.
     """
     try:
         import uvicorn
 
+        from services.console.web.connections import BoundedListener, allow_connections, protocol_of
         from services.console.web.server import page
     except ImportError as error:
         raise He3Error(f"he3 web needs {error.name}: pip install 'he3-seeker[console]'") from None
-    listener = listening(bind, port)
-    hosts = own_names(listener, bind) | frozenset(other_hosts)
-    hub = Hub(mission, authority)
-    hub.begin()
-    config = uvicorn.Config(
-        page(hub, sorted(hosts)), log_level="warning", ws="none", lifespan="off", timeout_graceful_shutdown=1
-    )
+    with closing(listening(options.bind, options.port)) as raw:
+        local = is_loopback(raw)
+        tls, warning = _protection(options, local)
+        tls_options = {} if tls is None else tls.options()
+        access = Access(
+            raw.getsockname()[1],
+            anonymous=READERS if local and tls is None else frozenset(),
+            able=READ if mission.identity is None else frozenset({Role.VIEWER, mission.identity.role}),
+            secure=tls is not None,
+            certified=no_certificates if options.identity is None or tls is None else certified_by(options.identity),
+        )
+        hosts = own_names(raw, options.bind) | frozenset(options.other_hosts)
+        urls = urls_of(raw, options.bind, "http" if tls is None else "https")
+        allow_connections()
+        with closing(BoundedListener(raw)) as listener:
+            hub = Hub(mission)
+            hub.begin()
+            config = uvicorn.Config(
+                page(hub, sorted(hosts), access, warning or mission.warning),
+                http=protocol_of(listener),
+                loop="asyncio",  # another loop would accept connections by itself
+                log_level="error",
+                access_log=False,
+                server_header=False,
+                proxy_headers=False,
+                ws="none",
+                lifespan="off",
+                timeout_graceful_shutdown=1,
+                **tls_options,
+            )
 
-    class PageServer(uvicorn.Server):
-        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            hub.close()  # streams never end by themselves
-            await super().shutdown(sockets)
+            class PageServer(uvicorn.Server):
+                async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+                    hub.close()  # streams never end by themselves
+                    await super().shutdown(sockets)
 
-    server = PageServer(config)
-    role = "with command authority" if authority else "read-only; --authority lets it command"
-    say(f"mission '{mission.mission}' at {url_of(listener, bind)} ({role}); Ctrl-C stops it")
-    try:
-        server.run(sockets=[listener])
-    finally:
-        hub.close()
-        listener.close()
+            try:
+                _announce(mission.mission, urls, access, options, say, warning)
+                PageServer(config).run(sockets=[listener])
+            finally:
+                hub.close()
+
+
+def _protection(options: PageOptions, local: bool) -> tuple[Tls | None, str | None]:
+    """The files of TLS, and a warning where there is none though others can reach the page."""
+    tls = options.tls
+    if tls is None and not local and options.identity is not None:
+        tls = tls_of(options.identity)
+    if tls is not None or local:
+        return tls, None
+    if not options.insecure:
+        raise InvalidInput(
+            f"--bind {options.bind}: expected TLS off loopback: --identity, or --certificate and --key "
+            "(--insecure serves without)"
+        )
+    return None, UNSAFE
+
+
+def _announce(
+    mission: str, urls: list[str], access: Access, options: PageOptions, say: Callable[[str], None], warning: str | None
+) -> None:
+    """Say where the page is, and give out the tokens."""
+    lines = []
+    needs_login = access.caller("", None) is None
+    if options.authority:
+        token = access.new_token(Caller("page.commander", COMMANDERS))
+        lines.append((f"login?token={token}", "with command authority"))
+    if needs_login:
+        token = access.new_token(Caller("page.reader", READERS))
+        lines.append((f"login?token={token}", "read-only"))
+    elif not options.authority:
+        lines.append(("", "read-only; --authority lets it command"))
+    if warning is not None:
+        say(f"he3 web: {warning}")
+    if options.login_file is not None:
+        text = "".join(f"{url}{path} ({what})\n" for path, what in lines for url in urls)
+        try:
+            replace_output(options.login_file, text.encode())
+        except OSError as error:
+            raise He3Error(f"--login-file {options.login_file}: cannot write: {error.strerror}") from None
+        say(f"mission '{mission}' at {', '.join(urls)}, logins in {options.login_file}; Ctrl-C stops it")
+        return
+    for path, what in lines:
+        say(f"mission '{mission}' at {', '.join(url + path for url in urls)} ({what}); Ctrl-C stops it")

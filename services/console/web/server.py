@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,21 +14,35 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from he3.colour_maps import OF_LAYER, stops
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.roles import Role
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, TRACK, Topic
 from services.console.client.link import link_change
+from services.console.web.access import ACT, COMMAND, CONTROL, READ, Access, Caller
+from services.console.web.connections import PEER
 from services.console.web.guard import Guard
 from services.console.web.hub import Hub, Viewer
 from services.console.web.requests import AcknowledgeRequest, CommandRequest, InterestRequest, document, parsed
 
 STATIC = Path(__file__).parent / "static"
 KEEP_ALIVE_S = 15.0
+MAX_AT_WORK = 64
+"""Requests that may wait for the mission at a time; further ones are refused at once."""
+FRESH = {"cache-control": "no-store"}
+LOG_IN = "expected a login: open the address with a token that he3 web has printed, or present a certificate"
 BODY_WITHIN_S = 10.0
 """Longest time for a request's body to arrive."""
 
@@ -47,21 +62,33 @@ LINK_FIELDS = frozenset(
 )
 """Fields of the link's conditions that the page may change."""
 
+Endpoint = Callable[[Request], Awaitable[Response]]
+
 _PARAMETER = re.compile(r"[a-z_]{1,40}")
 
 
-def page(hub: Hub, hosts: Sequence[str]) -> ASGIApp:
-    """The application; hosts: names (without port) that it may be reached by."""
+def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = None) -> ASGIApp:
+    """The application; hosts: names (without port) that it may be reached by. warning: shown on every page."""
+    answers = _Answers(access)
+
+    def get(path: str, answer: Answer) -> Route:
+        return Route(path, answers.of(answer, READ), methods=["GET"])
+
+    def post(path: str, answer: Answer, roles: frozenset[Role]) -> Route:
+        return Route(path, answers.of(answer, roles), methods=["POST"])
+
     routes = [
-        Route("/", lambda _: FileResponse(STATIC / "index.html")),
-        Route("/api/stream", partial(_stream, hub)),
-        Route("/api/colours", _colours),
-        Route("/api/interest", _answered(partial(_interests, hub)), methods=["GET"]),
-        *(Route(f"/api/map/{name}", _answered(partial(_ask, hub, topic))) for name, topic in ASKED.items()),
-        Route("/api/command", _answered(partial(_command, hub)), methods=["POST"]),
-        Route("/api/link", _answered(partial(_link, hub)), methods=["POST"]),
-        Route("/api/interest", _answered(partial(_interest, hub)), methods=["POST"]),
-        Route("/api/acknowledge", _answered(partial(_acknowledge, hub)), methods=["POST"]),
+        Route("/", answers.document(STATIC / "index.html")),
+        Route("/login", partial(_login, access)),
+        Route("/api/stream", answers.stream(hub)),
+        get("/api/session", partial(_session, warning)),
+        get("/api/colours", _colours),
+        get("/api/interest", partial(_interests, hub)),
+        *(get(f"/api/map/{name}", partial(_ask, hub, topic)) for name, topic in ASKED.items()),
+        post("/api/command", partial(_command, hub), COMMAND),
+        post("/api/interest", partial(_interest, hub), COMMAND),
+        post("/api/link", partial(_link, hub), CONTROL),
+        post("/api/acknowledge", partial(_acknowledge, hub), ACT),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     return Starlette(
@@ -69,25 +96,101 @@ def page(hub: Hub, hosts: Sequence[str]) -> ASGIApp:
     )
 
 
-def _answered(answer: Callable[[Request, bytes], Response]) -> Callable[[Request], Any]:
-    """The answer, made in a thread because the event loop must not wait for the mission; errors as one line of JSON."""
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A request of a caller who may make it."""
 
-    async def answered(request: Request) -> Response:
-        try:
-            async with asyncio.timeout(BODY_WITHIN_S):
-                body = await request.body() if request.method == "POST" else b""
-        except TimeoutError:
-            return _error(f"expected the whole request within {BODY_WITHIN_S:g} s, got a part of it", 408)
-        except ClientDisconnect:
-            return _error("the client went away", 400)
-        try:
-            return await asyncio.to_thread(answer, request, body)
-        except PeerUnreachable as error:
-            return _error(str(error), 503)
-        except He3Error as error:
-            return _error(str(error), 400)
+    caller: Caller
+    parameters: Mapping[str, str]
+    body: bytes
 
-    return answered
+
+Answer = Callable[[Asked], Response]
+
+
+class _Answers:
+    """Makes endpoints that know their caller, and that answer so many requests at a time."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+        self._at_work = 0
+
+    def of(self, answer: Answer, roles: frozenset[Role]) -> Endpoint:
+        """The answer for callers of one of these roles; errors as one line of JSON.
+
+        It is made in a thread, because the event loop must not wait for the mission.
+        """
+
+        async def endpoint(request: Request) -> Response:
+            caller = self._admitted(request, roles)
+            if isinstance(caller, Response):
+                return caller
+            if self._at_work >= MAX_AT_WORK:
+                return _error(f"expected at most {MAX_AT_WORK} requests at a time, got more: try again", 503)
+            self._at_work += 1
+            try:
+                return await _answered(answer, caller, request)
+            finally:
+                self._at_work -= 1
+
+        return endpoint
+
+    def document(self, path: Path) -> Endpoint:
+        """A file for callers who may read."""
+
+        async def endpoint(request: Request) -> Response:
+            refusal = self._admitted(request, READ)
+            if isinstance(refusal, Response):
+                return PlainTextResponse(LOG_IN, status_code=refusal.status_code, headers=FRESH)
+            return FileResponse(path, headers=FRESH)
+
+        return endpoint
+
+    def stream(self, hub: Hub) -> Endpoint:
+        """The mission's stream for callers who may read."""
+
+        async def endpoint(request: Request) -> Response:
+            refusal = self._admitted(request, READ)
+            return refusal if isinstance(refusal, Response) else await _stream(hub)
+
+        return endpoint
+
+    def _admitted(self, request: Request, roles: frozenset[Role]) -> Caller | Response:
+        """The caller, if they have one of these roles; else the refusal."""
+        try:
+            caller = self._access.caller(request.headers.get("cookie", ""), request.scope.get(PEER))
+        except InvalidInput as refusal:
+            return _error(str(refusal), 403)
+        if caller is None:
+            return _error(LOG_IN, 401)
+        if not caller.roles & roles:
+            wanted, came = " or ".join(sorted(roles)), ", ".join(sorted(caller.roles))
+            return _error(f"expected {wanted}, got {came}: he3 web --authority prints an address that may command", 403)
+        return caller
+
+
+async def _answered(answer: Answer, caller: Caller, request: Request) -> Response:
+    try:
+        async with asyncio.timeout(BODY_WITHIN_S):
+            body = await request.body() if request.method == "POST" else b""
+    except TimeoutError:
+        return _error(f"expected the whole request within {BODY_WITHIN_S:g} s, got a part of it", 408)
+    except ClientDisconnect:
+        return _error("the client went away", 400)
+    try:
+        return await asyncio.to_thread(answer, Asked(caller, dict(request.query_params), body))
+    except PeerUnreachable as error:
+        return _error(str(error), 503)
+    except He3Error as error:
+        return _error(str(error), 400)
+
+
+async def _login(access: Access, request: Request) -> Response:
+    """Begin a session with the token of the address, and go on to the page without it."""
+    session = access.log_in(request.query_params.get("token", ""))
+    if session is None:
+        return PlainTextResponse(LOG_IN, status_code=403, headers=FRESH)
+    return RedirectResponse("/", status_code=303, headers={**FRESH, "set-cookie": session})
 
 
 async def _http_error(_: Request, error: Exception) -> Response:
@@ -100,23 +203,22 @@ def _error(why: str, code: int) -> Response:
     return JSONResponse({"error": why}, status_code=code)
 
 
-def _ask(hub: Hub, topic: Topic, request: Request, _: bytes) -> Response:
-    parameters = dict(request.query_params)
+def _ask(hub: Hub, topic: Topic, asked: Asked) -> Response:
+    parameters = dict(asked.parameters)
     for name in parameters:
         if not _PARAMETER.fullmatch(name):
             raise InvalidInput(f"expected parameters such as x and as_of, got {name[:40]!r}")
     payload, about = hub.mission.passed_on(topic, parameters)
     binary = bool(about) and parameters.get("format", "json") != "json"
-    headers = {"cache-control": "no-store"}
+    headers = dict(FRESH)
     if about:
         headers["x-map-about"] = about.decode()
     media_type = "application/octet-stream" if binary else "application/json"
     return Response(payload, media_type=media_type, headers=headers)
 
 
-def _command(hub: Hub, _: Request, body: bytes) -> Response:
-    _must_have_authority(hub)
-    wanted = parsed(CommandRequest, body)
+def _command(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(CommandRequest, asked.body)
     issued = hub.mission.command(
         wanted.kind,
         target_m=wanted.target_m,
@@ -127,21 +229,19 @@ def _command(hub: Hub, _: Request, body: bytes) -> Response:
     return JSONResponse(issued.status.model_dump(mode="json"))
 
 
-def _link(hub: Hub, _: Request, body: bytes) -> Response:
-    _must_have_authority(hub)
-    wanted = document(body)
+def _link(hub: Hub, asked: Asked) -> Response:
+    wanted = document(asked.body)
     if not wanted.keys() <= LINK_FIELDS:
         raise InvalidInput(f"link: expected some of {', '.join(sorted(LINK_FIELDS))}; got another")
     return JSONResponse(hub.mission.change_link(link_change(wanted)).model_dump(mode="json"))
 
 
-def _interest(hub: Hub, _: Request, body: bytes) -> Response:
-    _must_have_authority(hub)
-    wanted = parsed(InterestRequest, body)
+def _interest(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(InterestRequest, asked.body)
     return _areas(hub.mission.set_interest(wanted.area_id, wanted.polygon_m, wanted.weight))
 
 
-def _interests(hub: Hub, _: Request, __: bytes) -> Response:
+def _interests(hub: Hub, _: Asked) -> Response:
     return _areas(hub.mission.set_interest())
 
 
@@ -149,22 +249,22 @@ def _areas(areas: Sequence[Any]) -> Response:
     return JSONResponse({"areas": [area.model_dump(mode="json") for area in areas]})
 
 
-def _acknowledge(hub: Hub, _: Request, body: bytes) -> Response:
-    return JSONResponse({"acknowledged": hub.acknowledge(parsed(AcknowledgeRequest, body).id)})
+def _acknowledge(hub: Hub, asked: Asked) -> Response:
+    return JSONResponse({"acknowledged": hub.acknowledge(parsed(AcknowledgeRequest, asked.body).id)})
 
 
-def _must_have_authority(hub: Hub) -> None:
-    if not hub.authority:
-        raise InvalidInput("this page is read-only: start it with he3 web --authority to command")
+def _session(warning: str | None, asked: Asked) -> Response:
+    return JSONResponse({**asked.caller.document(), "warning": warning}, headers=FRESH)
 
 
-async def _colours(_: Request) -> Response:
+def _colours(_: Asked) -> Response:
     return JSONResponse({"of_layer": dict(OF_LAYER), "stops": {name: stops(name) for name in set(OF_LAYER.values())}})
 
 
-async def _stream(hub: Hub, _: Request) -> Response:
+async def _stream(hub: Hub) -> Response:
     viewer = Viewer(asyncio.get_running_loop())
-    hub.enter(viewer)
+    if not hub.enter(viewer):
+        return _error("expected fewer browsers, got one too many: close some", 503)
 
     async def messages() -> AsyncIterator[str]:
         try:
@@ -181,4 +281,4 @@ async def _stream(hub: Hub, _: Request) -> Response:
         finally:
             hub.leave(viewer)
 
-    return StreamingResponse(messages(), media_type="text/event-stream", headers={"cache-control": "no-store"})
+    return StreamingResponse(messages(), media_type="text/event-stream", headers=FRESH)

@@ -12,6 +12,7 @@ const rows = new Map();
 function rowOf(id) {
   const row = element("div", { role: "alert" }, element("span", { class: "kind" }), element("span", { class: "text" }),
     element("span", { class: "dim num" }), element("button", { type: "button" }, "Acknowledge"));
+  row.lastChild.className = "acts-only";
   row.lastChild.addEventListener("click", () => attempt(() => send("acknowledge", { id })));
   return row;
 }

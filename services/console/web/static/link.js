@@ -10,7 +10,7 @@ export class LinkPicture {
   constructor(svg) {
     this.svg = svg;
     this.flights = new Map();
-    svg.innerHTML = "";
+    svg.replaceChildren();
     const circle = (x, r, cls, fill) => svg.append(node("circle", { cx: x, cy: 47, r, fill, stroke: "var(--line)" }));
     for (const y of Object.values(LANES)) svg.append(line(EARTH + 22, y, MOON - 18, y, "var(--line)", 2));
     circle(EARTH, 20, "earth", "#3b82c4");

@@ -43,9 +43,7 @@ function takeAll(all) {
   state.link = all.link;
   state.alarms = all.alarms;
   state.commands = new Map(all.commands.map((status) => [status.command.command_id, status]));
-  document.body.classList.toggle("commanding", all.authority);
-  $("authority").textContent = all.authority ? "command authority" : "read-only";
-  $("authority").classList.toggle("warn", all.authority);
+  askJson("session").then(takeSession).catch(() => {}); // the stream says that the connection is lost
   $("mission").textContent = all.mission;
   document.title = `${all.mission}: helium-3 live map`;
   for (const [name, chart] of Object.entries(charts)) chart.set(all.curves[name]);
@@ -55,6 +53,17 @@ function takeAll(all) {
   forgetMap();
   askJson("interest").then(takeInterests).catch(() => {}); // none before the ground answers
   refreshHistory(true);
+}
+
+// What is hidden here is refused by the server as well.
+function takeSession({ name, commands, controls, warning }) {
+  document.body.classList.toggle("commanding", commands);
+  document.body.classList.toggle("controlling", controls);
+  $("authority").textContent = commands && controls ? "command authority" : commands ? "commands" : controls ? "link and clock" : "read-only";
+  $("authority").title = name;
+  $("authority").classList.toggle("warn", commands || controls);
+  rewrite($("warning"), warning ?? "");
+  $("warning").hidden = !warning;
 }
 
 function takeClock(clock) {

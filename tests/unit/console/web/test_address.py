@@ -12,7 +12,7 @@ from threading import Thread
 import pytest
 
 from he3.errors import He3Error, InvalidInput
-from services.console.web.address import host_name, listening, normal_host, own_names, url_of
+from services.console.web.address import host_name, listening, normal_host, own_names, urls_of
 
 IPV6 = Path("/proc/net/if_inet6").exists() and Path("/proc/net/if_inet6").read_text() != ""
 needs_ipv6 = pytest.mark.skipif(not IPV6, reason="this machine has no IPv6")
@@ -91,7 +91,7 @@ class Answer(BaseHTTPRequestHandler):
 )
 def test_the_address_that_is_printed_opens_and_is_a_name_of_the_server(bind: str, shown: str) -> None:
     with closing(listening(bind, 0)) as listener:
-        url = url_of(listener, bind)
+        url = urls_of(listener, bind)[0]
         assert url == f"http://{shown}:{listener.getsockname()[1]}/"
         server = HTTPServer(("", 0), Answer, bind_and_activate=False)
         server.socket.close()
@@ -126,3 +126,15 @@ def test_a_port_that_is_taken_is_a_failure_that_names_it() -> None:
 def test_small_answers_are_sent_at_once() -> None:
     with closing(listening("127.0.0.1", 0)) as listener:
         assert listener.proto == socket.IPPROTO_TCP
+
+
+@pytest.mark.parametrize("bind", ["0.0.0.0", pytest.param("::", marks=needs_ipv6)])
+def test_a_server_on_every_address_prints_those_at_which_other_machines_reach_it(bind: str) -> None:
+    with closing(listening(bind, 0)) as listener:
+        _, *others = urls_of(listener, bind, "https")
+        port = listener.getsockname()[1]
+        assert all(url.startswith("https://") and url.endswith(f":{port}/") for url in others)
+        for url in others:
+            host = url.removeprefix("https://").rpartition(":")[0].strip("[]")
+            socket.create_connection((host, port), timeout=10).close()
+        assert not any(host in url for url in others for host in ("127.0.0.1", "[::1]", "0.0.0.0", "[::]"))
