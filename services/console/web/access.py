@@ -73,7 +73,10 @@ class Access:
         secure: bool = False,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """anonymous: roles without a login. able: what the server may do itself; no caller has more. secure: whether the page is served over TLS."""
+        """anonymous: roles without a login. able: what the server may do itself; no caller has more rights.
+
+        secure: whether the page is served over TLS.
+        """
         self._anonymous = Caller("local", anonymous) if anonymous else None
         self._certified = certified
         self._able = able
