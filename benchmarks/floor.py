@@ -67,7 +67,7 @@ class Floor:
     expected_rmse_ppb: float
     """Expected RMSE from the best design's posterior variance."""
     length_m: float
-    """Of the tour through the best design, round obstacles, from the start."""
+    """Length of the tour through the best design, around obstacles, from the start."""
     designs: int
     """Number of designs in the mean."""
     seconds: float

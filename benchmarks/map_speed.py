@@ -182,7 +182,7 @@ def _samples(n: int, grid: SiteGrid, rng: np.random.Generator) -> tuple[FloatArr
 def _sklearn_predict(
     grid: SiteGrid, fitted: Hyperparameters, places: FloatArray, values: FloatArray, threads: int
 ) -> tuple[float, int]:
-    """Seconds that scikit-learn takes for mean and deviation on all cells, and the chunk of cells that suits it."""
+    """Seconds that scikit-learn takes for mean and deviation on all cells, and the fastest chunk size [cells]."""
     from sklearn.gaussian_process import GaussianProcessRegressor
     from threadpoolctl import threadpool_limits
 

@@ -17,7 +17,7 @@ SETTLING_S = 300.0
 
 
 class Peer:
-    """A module run as a process. It takes lines and answers each with a line of JSON. It ends with `ends`."""
+    """A module run as a process. It reads lines and answers each with a line of JSON. The stack `ends` ends it."""
 
     def __init__(self, ends: ExitStack, module: str, *arguments: str) -> None:
         self._module = module

@@ -75,7 +75,7 @@ class Keys:
     probes: dict[str, Identity]
     witnesses: dict[str, Identity]
     shut_out: dict[str, Identity]
-    """Those that must not get a session."""
+    """Identities that must not get a session."""
 
 
 def run(

@@ -89,7 +89,7 @@ class TrendOnCells:
     whitened: FloatArray
 
     def extended(self, factor_rows: FloatArray, basis: FloatArray) -> TrendOnCells:
-        """With the columns (k, p) at k more samples, whose rows of the Cholesky factor are (k, n + k)."""
+        """A copy with the columns (k, p) at k more samples, whose rows of the Cholesky factor are (k, n + k)."""
         known = len(self.whitened)
         rest = basis - factor_rows[:, :known] @ self.whitened
         return replace(

@@ -17,7 +17,7 @@ Count = Annotated[int, Field(ge=0)]
 MAX_SCHEDULE_S = 1e9
 """Contacts can be scheduled so far ahead: 31 years, which keeps their times within int64 nanoseconds."""
 MIN_PERIOD_S = 1.0
-"""Of a duty cycle: a shorter one would open and close more often than a message takes."""
+"""Shortest period of a duty cycle: in a shorter one, contact would change within one message."""
 
 
 class Direction(StrEnum):
@@ -159,7 +159,7 @@ class DirectionCounts(Wire):
 
     offered: Count = 0
     repeated: Count = 0
-    """Of those offered: repetitions of messages under custody."""
+    """Offered messages that are repetitions under custody."""
     delivered: Count = 0
     lost: Count = 0
     dropped_out_of_contact: Count = 0
@@ -231,7 +231,7 @@ class Acknowledgement(Wire):
     last_repetition: Count = 0
     """Its repetition, as in its header."""
     last_received_at: MissionTimeNs | None = None
-    """When it was received."""
+    """Mission time at which that message was received."""
 
 
 class ClockChange(Wire):

@@ -10,7 +10,7 @@ from pydantic import Field
 from schemas.wire import MissionTimeNs, PositionM, Text, Wire
 
 MAX_CELLS: Final = 4_000_000
-"""Of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
+"""Most cells of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
 
 Count = Annotated[int, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, le=1)]
@@ -189,7 +189,7 @@ class MapSite(Wire):
     columns: Count
     resolution_m: float
     origin_lat_deg: float | None
-    """Of the south-west corner; None if the region has no coordinates on the Moon."""
+    """Latitude and longitude of the south-west corner; None if the region has no coordinates on the Moon."""
     origin_lon_deg: float | None
     noise_std_ppb: float
     """Standard deviation of a measurement in the belief."""
@@ -209,7 +209,7 @@ class ResourceQuery(Wire):
     cutoff_ppb: Ppb = 8.0
     """Abundance above which ground counts as ore."""
     probability: Annotated[float, Field(gt=0, lt=1)] = 0.9
-    """Of the credible intervals, and the least probability of a cell that counts as confidently above the cut-off."""
+    """Probability of the credible intervals, and of a cell that counts as confidently above the cut-off."""
     as_of: AsOf | None = None
 
 

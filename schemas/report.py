@@ -57,7 +57,7 @@ class MissionReport(Wire):
     samples_wanted: Count
     """Samples that the scenario asks for; a mission with fewer ended early."""
     rmse_ppb: float | None
-    """Of the final map, over all cells; None, as the coverages, if there is no reference field."""
+    """RMSE of the final map, over all cells; None, like the coverages, if there is no reference field."""
     rmse_history: tuple[MapScore, ...]
     """One entry per round."""
     coverage_68: float | None

@@ -104,7 +104,7 @@ class GridPosterior:
 
     @property
     def process(self) -> GaussianProcess:
-        """The same belief at arbitrary places: immutable, unchanged by samples added here."""
+        """The belief as an immutable process, which predicts at any place and does not change with later samples."""
         return self._process
 
     @property

@@ -14,7 +14,7 @@ class Observation:
     """One measurement."""
 
     planned: tuple[int, int, int]
-    """Its place in the order of planning: round, revision of the plan, index within the round."""
+    """Position in the order of planning: round, revision of the plan, index within the round."""
     place_m: Place
-    """Where it was taken [m]."""
+    """Place of the sample [m]."""
     value_ppb: float

@@ -23,7 +23,7 @@ class PlanningTask:
     job: str
     """Name of the computation."""
     number: int
-    """Of the round."""
+    """Number of the round."""
     samples_left: int
     """How many samples the rest of the mission takes, this round included."""
     attempt: int

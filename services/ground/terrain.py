@@ -150,7 +150,7 @@ class GroundTerrain:
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """All that is not the region's, as named parts."""
+        """All closures that are not part of the region, as named parts."""
         return {
             "areas": dict(self._areas),
             "obstacles": dict(self._obstacles),

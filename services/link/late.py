@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 REPORT_AFTER_S = 5.0
 """A process that has not finished a step after this time is reported."""
 REPORT_COMPUTING_AFTER_S = 120.0
-"""The same for a process that reports a running computation."""
+"""This time for a process that reports a running computation."""
 
 
 class SignsOfLife:

@@ -31,7 +31,7 @@ class Packet:
     source: str
     sequence: int
     subject: tuple[str, ...]
-    """Of the waiting packets of one subject only the newest is sent; empty: each packet is sent.
+    """Subject: only the newest waiting packet of a subject is sent; empty: each packet is sent.
 
     The states of one source have one subject, and so have the repetitions of one message under custody.
     """

@@ -93,7 +93,7 @@ class RoverConfig(Section):
     reserve: Fraction = 0.2
     """Share of the capacity below which the rover enters safe mode and charges [assumed]."""
     resume_charge: Fraction = 0.5
-    """At this charge, the rover resumes by itself."""
+    """Charge, as a share of the capacity, at which a charging rover resumes by itself."""
     state_period_s: Period = 60.0
     """Interval between the rover's state reports [s]."""
     instrument_retry_s: Period = 30.0

@@ -78,7 +78,7 @@ class Recording:
         self.gaps: list[Gap] = []
         """The parts of the file that are not whole, in their order."""
         self.left_out: dict[str, LeftOut] = {}
-        """By topic: intact messages that this version cannot read."""
+        """Intact messages that this version cannot read, by topic."""
         self.omissions: list[str] = []
         """One line on each place where the recorder left messages out because the disk was full."""
         self.messages_by_topic: Counter[str] = Counter()

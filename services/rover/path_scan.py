@@ -56,14 +56,14 @@ class ScanPlanner:
     """Cuts a path into sections that one terrain query can scan over the vehicle's whole width."""
 
     offsets_m: tuple[float, ...]
-    """Of the side lines from the centre line, positive to the left [m]."""
+    """Offsets of the side lines from the centre line, positive to the left [m]."""
     ring_m: tuple[Place, ...]
     """Places around a turn, relative to it [m]."""
     site: SiteGrid
     max_length_m: float
-    """Of a section [m]."""
+    """Longest section [m]."""
     max_vertices: int
-    """Of a section."""
+    """Most vertices of a section."""
 
     def next_section(self, place_m: Place, path_m: Sequence[Place], first: int) -> PathSection:
         """The section from the place [m] along the path's vertices from number `first` on."""
@@ -110,7 +110,7 @@ class ScanPlanner:
         return ScanPattern((*centre, *around), count, first_side_lines, tuple(ends))
 
     def _on_site(self, places_m: list[Place]) -> list[Place]:
-        """Those of the places that lie on the site: nothing is known of the terrain beyond its edge."""
+        """The places that lie on the site, because terrain beyond its edge is unknown."""
         width, height = self.site.width_m, self.site.height_m
         return [place for place in places_m if 0 <= place[0] <= width and 0 <= place[1] <= height]
 

@@ -29,11 +29,11 @@ class Vehicle:
 
     @property
     def standing_m(self) -> Place:
-        """Where it stands, or stood when its drive began [m]."""
+        """Place where the vehicle stands, or stood when its drive began [m]."""
         return self._place_m
 
     def place_m(self, now: MissionTime) -> Place:
-        """Where it is at that time [m]."""
+        """Place of the vehicle at that time [m]."""
         return self._drive.place_m(now)[0] if self._drive else self._place_m
 
     def driven_m(self, now: MissionTime) -> float:

@@ -17,7 +17,7 @@ _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC
 
 
 def open_output(path: Path, *, append: bool = False, new: bool = False, buffering: int = -1) -> IO[bytes]:
-    """That file, opened for bytes: emptied, or to append to, or `new`: refused if it exists.
+    """The file, opened to write bytes: emptied, for appending, or with `new` refused if it exists.
 
     Raises OSError (ELOOP) for a symbolic link outside /dev.
     """

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 ENDS_WITHIN_S = 1.4
 """Time from the signal to the forced end of a process that hangs in a network call."""
 COMPLETES_WITHIN_S = 20.0
-"""The same for a process that completes a file."""
+"""This time for a process that completes a file."""
 SWITCH_INTERVAL_S = 0.0005
 """Python's thread switch interval: a query waits for a computing thread no longer than for the network."""
 

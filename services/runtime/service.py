@@ -42,6 +42,6 @@ class Service:
     journals: bool = False
     """Whether it continues from a journal after a restart; a service without a journal has no state to restore."""
     onlooker: bool = False
-    """It only subscribes: in lockstep, virtual time never waits for it."""
+    """Whether it only subscribes: in lockstep, virtual time never waits for it."""
     completes_file: bool = False
     """Whether it completes a file when it is told to stop, and so is given more time."""

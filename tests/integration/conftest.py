@@ -36,7 +36,7 @@ class Process:
         self._news = threading.Condition()
         self._signalled_at: float | None = None
         self._ended_at: float | None = None
-        """When it and all that it started had closed their output."""
+        """Time at which the process and its children had closed their output."""
         self.popen = start(
             command,
             stdout=subprocess.PIPE,
@@ -278,7 +278,7 @@ def missions() -> Iterator[Missions]:
 
 @pytest.fixture(scope="module")
 def shared_missions() -> Iterator[Missions]:
-    """The same for a whole module."""
+    """Missions that a whole module shares."""
     yield from _missions()
 
 

@@ -30,7 +30,7 @@ import subprocess, sys
 from services.runtime.child import child_environment
 subprocess.run(["sh", "-c", '"$@"; sleep 600', "sh", *sys.argv[1:]], env=child_environment())
 """
-"""The same with a process in between that outlives its parent, so that the kernel does not tell of its end."""
+"""A starter with a process in between that outlives its parent, so that the kernel does not report its end."""
 
 WANTED = (
     "services.console", "services.link", "services.field", "services.rover", "services.ground", "services.recorder",
@@ -69,7 +69,7 @@ def running(pid: int) -> bool:
 
 
 def ours(pid: int) -> dict[int, str]:
-    """Those of the descendants that run code of this project."""
+    """The descendants that run code of this project."""
     return {each: line for each, line in descendants(pid).items() if "services." in line}
 
 

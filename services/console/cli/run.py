@@ -51,8 +51,8 @@ Each is a separate process in virtual time: every delay is exact, and a mission 
 From another terminal: he3 status, he3 watch, he3 map show mean, he3 link show, he3 time show
 """
 
-SECURE_ABOUT = """Its keys are in {keys} and go with it: each process has its own, and the routers deny the rest.
-To command it: he3 command pause --identity {keys}/identities/operator-demo
+SECURE_ABOUT = """Its keys are in {keys} and are deleted at its end. Each process has its own key; the routers deny all
+other clients. To command it: he3 command pause --identity {keys}/identities/operator-demo
 """
 
 DEMO_EXAMPLES = """\b
@@ -60,7 +60,7 @@ Examples:
   he3 demo                                          the mission, its report and pictures
   he3 demo --seed 7                                 other measurement errors, other choices
   he3 demo --set ground.planner=informative         with another planner
-  he3 demo --secure                                 with TLS and keys of its own
+  he3 demo --secure                                 with TLS and temporary keys
   he3 demo --no-compare                             without the published protocol beside it
 """
 
@@ -191,7 +191,7 @@ def demo(
         ),
     ] = True,
     secure: Annotated[
-        bool, typer.Option("--secure", help="With keys made for this mission: TLS, and each process its own rights.")
+        bool, typer.Option("--secure", help="Use temporary keys: TLS, and access rules for each process.")
     ] = False,
     json: AsJson = False,
     quiet: Quiet = False,

@@ -27,7 +27,7 @@ Examples:
   he3 up t1 --rate 100 &              then: he3 status; he3 map at 120 340
   he3 up t1 --lockstep &              in virtual time: he3 time pause; he3 time step; he3 time rate 100
   he3 up t1 --journal j/              a mission that continues after a restart
-  he3 up t1 --keys keys/              with TLS: each process and person has its rights (he3 keys init keys/)
+  he3 up t1 --keys keys/              with TLS and access rules (made by he3 keys init keys/)
 """
 
 LOOK_EVERY_S = 0.2

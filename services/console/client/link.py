@@ -32,7 +32,7 @@ class LinkControl:
         return self.change_link(link_change(change))
 
     def change_link(self, change: LinkChange) -> LinkStatus:
-        """The same for a change that is checked already."""
+        """Change conditions by a validated `LinkChange`; returns the link's status after it."""
         status: LinkStatus = self._session.query(LINK_SET, change)
         return status
 

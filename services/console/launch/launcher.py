@@ -22,7 +22,7 @@ from services.runtime.output_files import open_output
 STOP_WITHIN_S = 1.5
 """Time [s] that a service has to end before it is killed."""
 COMPLETE_WITHIN_S = 20.0
-"""The same for a service that completes a file."""
+"""Time [s] that a service has to end if it completes a file."""
 
 
 class Launcher:

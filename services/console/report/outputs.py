@@ -116,7 +116,7 @@ class Written:
     """The outputs written for a finished mission."""
 
     report: MissionReport
-    """With a line on each output that could not be written."""
+    """The report, with a line on each output that could not be written."""
     files: tuple[Path, ...]
     """The files that were written, in order."""
     report_error: He3Error | None = None

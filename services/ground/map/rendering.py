@@ -73,7 +73,7 @@ class Renderer:
 
 
 def rendered(cells: Cells, form: MapFormat, snapshot: MapSnapshot) -> Encoded:
-    """Those cells in that format, with a description as the attachment."""
+    """The cells in that format, with a description as the attachment."""
     values = cells.values
     about = MapAbout(
         layer=cells.layer,

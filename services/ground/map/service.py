@@ -94,7 +94,7 @@ def part(request: MapBoxQuery, snapshot: MapSnapshot) -> MapRaster:
 
 
 def raster(cells: Cells, snapshot: MapSnapshot) -> MapRaster:
-    """Those cells as a message."""
+    """The cells as a message."""
     rows, columns = cells.values.shape
     return MapRaster(
         layer=cells.layer,

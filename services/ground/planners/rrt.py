@@ -121,7 +121,7 @@ def _most_uncertain(request: PlanningRequest, candidates: NDArray[np.bool_], rng
 
 
 def _farthest(cells: NDArray[np.intp], request: PlanningRequest) -> NDArray[np.intp]:
-    """Those of the cells (flat indices) farthest from all samples, or from the rover if there is no sample."""
+    """The cells (flat indices) farthest from all samples, or from the rover if there is no sample."""
     grid = request.grid
     known = request.observed_m if request.observed_m.size else np.array([request.start_m])
     elsewhere = np.ones(grid.shape, dtype=np.bool_)

@@ -88,7 +88,7 @@ class OpenGround:
         return free
 
     def segment_check(self) -> SegmentCheck:
-        """The same check for one leg at a time, for planners that make tens of thousands of checks a second."""
+        """A function that checks one leg, for planners that make tens of thousands of checks per second."""
         return _scalar_check(self.grid, self.clearance.tobytes(), self._by_column.tobytes())
 
 

@@ -45,7 +45,7 @@ class KeptMessage:
     repetitions: int = 0
     """How often it was sent."""
     transmissions: dict[int, Transmission] = field(default_factory=dict)
-    """By repetition, in order."""
+    """Transmissions by repetition, in order."""
     queued: bool = False
     """Whether it is in the window's queue."""
 
@@ -81,7 +81,7 @@ class SendStream:
     """The messages of one topic and incarnation that are not yet acknowledged."""
 
     kept: dict[int, KeptMessage] = field(default_factory=dict)
-    """By sequence, ascending."""
+    """Messages by sequence, ascending."""
     sent: dict[int, KeptMessage] = field(default_factory=dict)
     """Messages under way, in the order of sending."""
     held: dict[int, KeptMessage] = field(default_factory=dict)

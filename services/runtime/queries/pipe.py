@@ -15,7 +15,7 @@ import time
 from typing import Any, BinaryIO, Final
 
 READY: Final = b"ready\n"
-"""It answers queries."""
+"""The query process answers queries."""
 ALIVE: Final = b"alive\n"
 """Sign of life; written from the beginning on, before the process is ready."""
 ALIVE_EVERY_S: Final = 1.0

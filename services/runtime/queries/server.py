@@ -45,7 +45,7 @@ class Snapshot(Protocol):
 
     @property
     def mission_time_ns(self) -> MissionTime:
-        """When it was made."""
+        """Mission time at which the snapshot was made."""
 
 
 def _newest(snapshot: Snapshot, _before: Snapshot | None) -> Snapshot:

@@ -58,7 +58,7 @@ def check_endpoint(endpoint: str, *, identified: bool, insecure: bool = False) -
 
 
 def with_tls(endpoint: str) -> str:
-    """That endpoint with TLS in place of plain TCP; raises InvalidInput for one that has no such form."""
+    """The endpoint with TLS in place of plain TCP; raises InvalidInput for an endpoint of another protocol."""
     if is_encrypted(endpoint):
         return endpoint
     if not endpoint.startswith("tcp/"):

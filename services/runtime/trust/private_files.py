@@ -18,7 +18,7 @@ _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 def make_private_folder(path: Path) -> Path:
-    """That folder, made for its owner alone if it does not exist; its parents are made as usual.
+    """The folder, made for its owner alone if it does not exist; its parents are made as usual.
 
     Raises InvalidInput if it exists and others may enter it, He3Error if it cannot be made.
     """

@@ -36,7 +36,7 @@ _HEAD = """\
 
 
 def access_file(side: Side, mission: str, names: Mapping[Role, tuple[str, ...]], command: str) -> str:
-    """The text of the file for that side's router. command: how it is made, for its reader."""
+    """The text of the file for that side's router. command: the command that generates it, named in its first lines."""
     rules = access_control(side, mission, names)
     head = _HEAD.format(title=side.value.title(), mission=mission, command=command, side=side.value)
     return f"{head}{{\n  access_control: {{\n{_body(rules)}  }},\n}}\n"

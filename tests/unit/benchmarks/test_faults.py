@@ -22,7 +22,7 @@ from services.runtime.scheduler import InlineExecutor
 EXTENT_M = 120.0
 BATCH = 4
 IN_THE_GATE = 8
-"""Of the hundred missions, those that the gate flies."""
+"""The missions, of a hundred, that every test run includes."""
 
 
 def schedule_of(seed: int) -> tuple[Fault, ...]:

@@ -48,7 +48,7 @@ class Site:
         return np.where(stays[:, None], places_m, centres)
 
     def snap_to_cell_centres(self, places_m: FloatArray) -> FloatArray:
-        """The same, each place at the centre of its cell, away from the edges of other cells."""
+        """Snapped places (n, 2) [m], each at the centre of its cell, away from the edges of other cells."""
         rows, columns = self.ground.grid.cells_of(self.snap_to_reachable(places_m))
         cells = np.column_stack((columns, rows)).astype(np.float64)
         centres: FloatArray = (cells + 0.5) * self.ground.grid.resolution_m

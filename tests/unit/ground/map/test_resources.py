@@ -37,7 +37,7 @@ def area() -> np.ndarray:
 
 
 def dense_spread(process: GaussianProcess, points: np.ndarray) -> float:
-    """The same by plain algebra [ppb]: without a trend the constant is one more unknown, with a wide prior."""
+    """Standard deviation by dense algebra [ppb]: without a trend the constant is an unknown with a wide prior."""
     hyperparameters = process.hyperparameters
     vague = 0.0 if hyperparameters.trend is not None else 1e4
     samples = process.places_m
