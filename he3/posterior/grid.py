@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from he3.constants import MAX_SAMPLES
-from he3.errors import InvalidInput, NumericalFailure
+from he3.errors import InvalidInput
 from he3.frames import Float32Array, FloatArray, SiteGrid, as_points
 from he3.gp import GaussianProcess
 from he3.kernels import SquaredExponential
@@ -37,7 +37,7 @@ from he3.posterior.tiles import Task, Tile, TiledGrid
 if TYPE_CHECKING:
     from he3.hyperparameters import Hyperparameters
 
-MAX_ROW_BYTES = 4 * 1024**3  # bytes of stored rows: 4000 samples on 500 x 500 cells in float32
+MAX_ROW_BYTES = 4 * 1024**3  # bytes of stored rows in float32: 4000 samples on 500 x 500 cells; twice that in float64
 _CELLS_PER_PART = 4096  # cells whose rows are solved for together: what is worked on stays in cache
 
 
@@ -168,7 +168,7 @@ class GridPosterior:
         count = len(self) + len(xy)
         if count > MAX_SAMPLES:
             raise InvalidInput(f"expected at most {MAX_SAMPLES} samples on a grid, got {count}")
-        _expect_room(self.grid, count, self._rows.bytes_per_sample)
+        expect_map_fits(self.grid, self.hyperparameters.kernel.name, count)
         process = self._process.condition(xy, values_ppb)
         trend = self.hyperparameters.trend
         if trend is None:
@@ -210,12 +210,6 @@ class GridPosterior:
         self._probes.extend(self._without_trend, None if trend is None else trend.whitened)
         if self._probes.agree_with(self._sums, self._without_trend.whitened, changed):
             return
-        size = len(self) * self._rows.bytes_per_sample * 2
-        if size > MAX_ROW_BYTES:
-            raise NumericalFailure(
-                f"the map of these {len(self)} samples needs float64, which takes {size / 1024**3:.1f} GiB of at most "
-                f"{MAX_ROW_BYTES / 1024**3:.0f}: use fewer samples, larger cells or a larger noise"
-            )
         self._dtype = np.dtype(np.float64)
         self._sums = self._prior_sums()
         if trend is not None and self._sums.trend is not None:
@@ -242,13 +236,13 @@ class GridPosterior:
 
 
 def expect_map_fits(grid: SiteGrid, kernel_name: str, samples: int) -> None:
-    """Raises InvalidInput if the map of that many samples, with that kernel or "auto", would take too much memory."""
+    """Raises InvalidInput if the map of that many samples, with that kernel or "auto", would take too much memory.
+
+    The rows are counted in float32. In float64 they may take twice as much: a map that is accepted here is never
+    refused when its samples turn out to need that.
+    """
     separable = kernel_name == SquaredExponential.name
-    _expect_room(grid, samples, 0 if separable else grid.rows * grid.columns * np.dtype(np.float32).itemsize)
-
-
-def _expect_room(grid: SiteGrid, samples: int, bytes_per_sample: int) -> None:
-    size = samples * bytes_per_sample
+    size = 0 if separable else samples * grid.rows * grid.columns * np.dtype(np.float32).itemsize
     if size > MAX_ROW_BYTES:
         raise InvalidInput(
             f"expected a map that takes at most {MAX_ROW_BYTES / 1024**3:.0f} GiB, got {size / 1024**3:.1f} GiB for "

@@ -40,10 +40,6 @@ class RowSource(Protocol):
     def values_read(self) -> int:
         """How many values of stored rows the last row was computed from."""
 
-    @property
-    def bytes_per_sample(self) -> int:
-        """Memory that one more row takes [bytes]."""
-
     def next_row(self, process: GaussianProcess, run_tasks: RunTasks) -> RowBlock:
         """The last of the process's n rows, (cells,), valid until the next call; all rows before must be known."""
 

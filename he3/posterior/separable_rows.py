@@ -95,7 +95,6 @@ class SeparableRows:
     """The two factors of a squared exponential at the samples, (n, nodes) each; it stores and reads no rows."""
 
     values_read = 0
-    bytes_per_sample = 0
 
     def __init__(self, tiled: TiledGrid, kernel: SquaredExponential, dtype: np.dtype[Any]) -> None:
         """No rows yet. dtype: of the rows that ``recompute`` yields."""

@@ -51,11 +51,6 @@ class SplitRows:
         """How many values of stored rows the last row was computed from."""
         return self._rough.values_read
 
-    @property
-    def bytes_per_sample(self) -> int:
-        """Memory that one more row takes [bytes]."""
-        return self._rough.bytes_per_sample
-
     def next_row(self, process: GaussianProcess, run_tasks: RunTasks) -> FloatArray:
         """The last of the process's n rows, (cells,) in tile order; all before are known."""
         weights = row_weights(process)

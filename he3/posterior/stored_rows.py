@@ -53,11 +53,6 @@ class StoredRows:
         self._lock = Lock()
         self.values_read = 0
 
-    @property
-    def bytes_per_sample(self) -> int:
-        """Memory that one more row takes [bytes]."""
-        return self._tiled.cells * self._dtype.itemsize
-
     def next_row(self, process: GaussianProcess, run_tasks: RunTasks) -> RowBlock:
         """The last of the process's n rows, (cells,) in tile order, valid until the next; all before are known."""
         return self.next_rows(process, run_tasks)[0]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern
 
-from he3.errors import InvalidInput, NumericalFailure
+from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters, fit_hyperparameters
 from he3.kernels import KERNELS, Kernel, SmoothPlusRough
@@ -248,8 +248,9 @@ def test_a_map_that_would_not_fit_into_memory_is_refused(monkeypatch: pytest.Mon
         with pytest.raises(InvalidInput, match="for 100 samples on 20 x 20 cells"):
             expect_map_fits(grid, name, 100)
     accurate = Hyperparameters(KERNELS["matern52"](1.0, 200.0), 0.03, 8.0, 1.0)
-    with pytest.raises(NumericalFailure, match="needs float64"):
-        GridPosterior.build(grid, accurate, places[:99], values[:99])
+    assert len(GridPosterior.build(grid, accurate, places[:99], values[:99])) == 99, (
+        "in float64, which takes twice that"
+    )
 
 
 def test_more_samples_than_a_map_holds_are_refused() -> None:
