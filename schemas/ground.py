@@ -109,3 +109,5 @@ class Presence(Wire):
     refused: Count
     """Messages refused since the process started."""
     events: Count
+    insecure: bool = False
+    """Whether it uses an endpoint off loopback without TLS."""

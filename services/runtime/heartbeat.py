@@ -33,9 +33,11 @@ def software_version() -> str:
 class Heartbeat:
     """Publishes a `Presence` message of the process on each of its sides, every two seconds."""
 
-    def __init__(self, host: Host, publish: Callable[[Topic, Side, bytes], None]) -> None:
+    def __init__(self, host: Host, publish: Callable[[Topic, Side, bytes], None], insecure: bool = False) -> None:
+        """insecure: whether the process uses an endpoint off loopback without TLS."""
         self._host = host
         self._publish = publish
+        self._insecure = insecure
         self._version = software_version()
         self._beats = 0
         self._next = 0.0
@@ -56,6 +58,7 @@ class Heartbeat:
                 host=platform.node()[:100],
                 refused=self._host.refused,
                 events=self._host.events,
+                insecure=self._insecure,
             )
             header = Header(
                 mission=self._host.mission,

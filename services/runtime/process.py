@@ -122,7 +122,7 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
     def publish(topic: Topic, side: Side, payload: bytes) -> None:
         sessions[side].publish_best_effort(topic, payload)
 
-    heartbeat = Heartbeat(host, publish)
+    heartbeat = Heartbeat(host, publish, bool(options.insecure))
     context = ProcessContext(options, inbox, sessions, clock, log, scheduler, heartbeat, events, query_process)
     if history is not None:
         _go_on(context, history)

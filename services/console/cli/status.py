@@ -38,7 +38,10 @@ def status(
     if state.knows_nothing:
         raise PeerUnreachable(f"mission '{client.mission}' at {client.earth}: no process answers")
     document = _document(client.mission, client.earth, alive, state)
-    document["insecure"] = client.warning
+    open_to_all = ", ".join(state.insecure)
+    document["insecure"] = client.warning or (
+        f"INSECURE: {open_to_all} without TLS off loopback" if open_to_all else None
+    )
     typer.echo(json_format.dumps(document, indent=2) if json else "\n".join(_lines(document, state)))
 
 

@@ -41,6 +41,8 @@ def credentials_for(earth: str, mission: str, identity: Path | None = None, *, i
         folder = Path(named) if named else None
     allowed = insecure or (running is not None and running.insecure)
     warning = check_endpoint(earth, identified=folder is not None, insecure=allowed)
+    if warning is None and running is not None and running.insecure:
+        warning = check_endpoint(running.moon, identified=bool(running.viewer), insecure=True)
     if folder is None:
         return Credentials(None, warning)
     from services.runtime.trust.identity import load_identity

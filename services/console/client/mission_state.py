@@ -204,6 +204,11 @@ class MissionState:
         return time.monotonic() - self._heard_wall
 
     @property
+    def insecure(self) -> tuple[str, ...]:
+        """Names of the processes that use an endpoint off loopback without TLS."""
+        return tuple(sorted(name for name, (_, presence) in self._presence.items() if presence.insecure))
+
+    @property
     def is_silent(self) -> bool:
         """Whether no message has arrived for longer than the heartbeat period allows."""
         return self.silent_s > SILENT_S
