@@ -1,8 +1,8 @@
-"""Who can do what: every role tries every right on every topic, over real TLS, at the routers of a running mission.
+"""Rights in practice: every role tries every right on every topic, over TLS, at the routers of a running mission.
 
-A mission runs with keys of its own. For each role there are two further identities: a probe, which publishes and
+A mission runs with temporary keys. For each role there are two further identities: a probe, which publishes and
 queries, and a witness, which subscribes and answers. Each does both on every key of both sides, whether the topic
-table allows it or not; each message says who sent it. What arrived is compared with the table: a pair of a probe and a
+table allows it or not; each message names its sender. What arrived is compared with the table: a pair of a probe and a
 witness between which something passed that should not have, or did not pass that should have, is an exception.
 
 A revoked operator takes part as well. Strangers without a certificate or without TLS, and holders of an expired or a
@@ -44,18 +44,18 @@ PROBE, WITNESS, REVOKED = "probe", "witness", "revoked"
 MARK = b"he3 trust "
 VALID_FOR = timedelta(hours=1)
 SETTLE_S = 1.0
-"""After everything that is expected has arrived: what is not expected would have come with it."""
+"""Waiting time after all expected messages have arrived; unexpected ones would arrive in it."""
 QUERY_WITHIN_S = 5.0
 ARRIVES_WITHIN_S = 20.0
 RIGHTS = (Right.PUBLISH, Right.SUBSCRIBE, Right.QUERY, Right.ANSWER)
 
 Pair = tuple[str, str, str]
-"""Who sent, who received, and the key."""
+"""Sender, receiver and key."""
 
 
 @dataclass(slots=True)
 class Passed:
-    """What went through the router on one side; filled by Zenoh's threads."""
+    """The messages that passed the router on one side; filled by Zenoh's threads."""
 
     messages: set[Pair] = field(default_factory=set)
     queries: set[Pair] = field(default_factory=set)
@@ -122,7 +122,7 @@ def run(
 
 @contextmanager
 def _keys() -> Iterator[Keys]:
-    """Identities of the mission's processes, of a probe and a witness for each role, and of those who are shut out."""
+    """Identities of the mission's processes, of a probe and a witness per role, and of clients to be refused."""
     place = Path(tempfile.mkdtemp(prefix="he3-trust-"))
     try:
         earlier = utc_now() - timedelta(days=2)
@@ -153,7 +153,7 @@ def _identity(authority: Authority, role: Role, name: str) -> Identity:
 
 
 def _shut_out(keys: Keys, endpoints: Endpoints) -> dict[str, bool]:
-    """Whether each of those who must not get a session got one, on either side."""
+    """Whether each client that must be refused got a session, on either side."""
     found: dict[str, bool] = {}
     for side in Side:
         endpoint = endpoints.moon if side is Side.MOON else endpoints.earth
@@ -220,7 +220,7 @@ def _tried_keys(mission: str) -> list[str]:
 
 
 def _expected(allowed: dict[str, Any], tried: list[str]) -> Passed:
-    """What must pass, by the table."""
+    """The messages that must pass, by the table."""
 
     def pairs(sends: Right, receives: Right) -> set[Pair]:
         return {
@@ -235,7 +235,7 @@ def _expected(allowed: dict[str, Any], tried: list[str]) -> Passed:
 
 
 def _tried(keys: Keys, side: Side, endpoint: str, tried: list[str], allowed: dict[str, Any]) -> Passed:
-    """What passed when everybody tried everything."""
+    """The messages that passed when every client tried every right."""
     passed = Passed()
     expected = _expected(allowed, tried)
     with ExitStack() as ends:
@@ -271,7 +271,7 @@ def _opened(ends: ExitStack, side: Side, endpoint: str, identity: Identity) -> z
 
 
 def _witness(who: str, session: zenoh.Session, tried: list[str], passed: Passed) -> list[Any]:
-    """Subscribers and queryables on every key, which note what reaches them."""
+    """Subscribers and queryables on every key, which note the messages that reach them."""
 
     def heard(key: str, sample: Any) -> None:
         payload = sample.payload.to_bytes()
@@ -329,7 +329,7 @@ def _exceptions(side: Side, passed: Passed, expected: Passed) -> list[str]:
 
 
 def _rows(side: Side, tried: list[str], allowed: dict[str, Any], passed: Passed) -> list[dict[str, Any]]:
-    """A row for each attempt: side, key, role, right, what the table says and what was seen."""
+    """A row for each attempt: side, key, role, right, the table's rule and the observation."""
     seen = {
         Right.PUBLISH: {(sender, key) for sender, _, key in passed.messages},
         Right.SUBSCRIBE: {(receiver, key) for _, receiver, key in passed.messages},
@@ -357,7 +357,7 @@ def _rows(side: Side, tried: list[str], allowed: dict[str, Any], passed: Passed)
 def _print(
     rows: list[dict[str, Any]], sessions: dict[str, bool], exceptions: list[str], say: Callable[[str], None]
 ) -> None:
-    """The matrix: a line for each key that some role may use, P S Q A for what each role did, '!' for an exception."""
+    """The matrix: a line for each key that a role may use, P S Q A for the rights used, '!' for an exception."""
     roles = (*(role.value for role in Role), REVOKED)
     say(f"{'':<46} {' '.join(f'{role:<10}' for role in roles)}")
     lines: dict[tuple[str, str], dict[str, str]] = {}
@@ -371,7 +371,7 @@ def _print(
             unused += 1
             continue
         say(f"{side:<5} {key:<40} {' '.join(f'{cells[role] or chr(183):<10}' for role in roles)}")
-    say(f"P publishes, S subscribes, Q queries, A answers; on {unused} further keys nobody did anything")
+    say(f"P publishes, S subscribes, Q queries, A answers; on {unused} further keys no client did anything")
     for who, got in sessions.items():
         say(f"{who:<40} {'GOT A SESSION' if got else 'no session'}")
     for each in exceptions[:40]:

@@ -57,7 +57,7 @@ class GroundStatus(Wire):
     """Score against the reference field, if a simulated Moon provides one. Belief and planners do not use it."""
     rover: RoverState | None
     rover_made_at: MissionTimeNs | None
-    """When that state of the rover was reported; None if none was."""
+    """Mission time at which the rover reported its last state; None if it has reported none."""
     detail: Text = ""
 
     @property

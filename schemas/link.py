@@ -34,7 +34,7 @@ class DirectionConditions(Wire):
     jitter_s: Seconds = 0.0
     """Half width of a uniform addition to the light time; order is kept unless `reorder` is set."""
     rate_bit_s: Annotated[float, Field(ge=1, le=1e12)] | None = None
-    """None: transmission takes no time."""
+    """Data rate; None: transmission takes no time."""
     loss: Fraction = 0.0
     duplicate: Fraction = 0.0
     reorder: Fraction = 0.0
@@ -229,7 +229,7 @@ class Acknowledgement(Wire):
     last_sequence: Count | None = None
     """The sequence of the message received last."""
     last_repetition: Count = 0
-    """Its repetition, as in its header."""
+    """Repetition of that message, as in its header."""
     last_received_at: MissionTimeNs | None = None
     """Mission time at which that message was received."""
 

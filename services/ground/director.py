@@ -53,7 +53,7 @@ class MissionProgress:
 
     rounds_completed: int
     samples: int
-    """In the map."""
+    """Samples in the map."""
     driven_m: float
     plan_revision: int
     planning: bool

@@ -26,7 +26,7 @@ class RoundRecord:
     ended_early: bool = False
     """Whether it was aborted: samples that are not reported as measured will not arrive."""
     ended_at: MissionTime = 0
-    """When it was aborted."""
+    """Mission time at which it was aborted."""
     settled: set[str] = field(default_factory=set)
     """Samples that arrived or were skipped."""
     arrived: int = 0

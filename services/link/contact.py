@@ -34,7 +34,7 @@ class Contact:
     """Contact over time. Without windows and period there is always contact; `forced` overrides the schedule."""
 
     windows: tuple[Span, ...] = ()
-    """In order and separate; empty: see `period`."""
+    """Windows of contact, in order and separate; empty: see `period`."""
     period: int | None = None
     """Length of a cycle [ns]; None: there are only the windows, or there is always contact."""
     open_ns: int = 0

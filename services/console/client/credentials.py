@@ -22,16 +22,16 @@ class Credentials:
     """The identity that a client presents to the router."""
 
     identity: Identity | None
-    """None for a mission without TLS."""
+    """The identity for TLS; None for a mission without TLS."""
     warning: str | None
-    """In one line, that the mission is open to everyone who reaches it; None if it is not."""
+    """One line of warning if every client that reaches the mission may command it; else None."""
 
 
 def credentials_for(earth: str, mission: str, identity: Path | None = None, *, insecure: bool = False) -> Credentials:
     """The credentials for that Earth endpoint and mission.
 
     identity: a folder; else that of `HE3_IDENTITY`, else the viewer's of a mission that this user runs on this machine.
-    The latter two count only for an endpoint with TLS. Raises InvalidInput for an identity that is none or is invalid,
+    The latter two count only for an endpoint with TLS. Raises InvalidInput for a folder without a valid identity,
     and for an endpoint that may not be used.
     """
     running = announced_as(earth, mission)

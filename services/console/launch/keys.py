@@ -24,7 +24,7 @@ LAUNCHER_NAME = "launcher"
 DEMO_NAME = "demo"
 """Name of the people in temporary keys."""
 TEMPORARY = timedelta(days=30)
-"""Validity of keys that are made for one mission."""
+"""Validity of temporary keys."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ def issue_for_processes(authority: Authority, valid_for: timedelta) -> list[Path
 
 @contextmanager
 def temporary_keys() -> Iterator[Path]:
-    """A folder of keys for one mission: its processes, an operator and a controller named `demo`; gone afterwards."""
+    """A folder of keys for one mission: its processes, an operator and a controller `demo`; deleted at the end."""
     from services.runtime.trust.authority import Authority
     from services.runtime.trust.certificates import Subject
 

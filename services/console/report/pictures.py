@@ -71,7 +71,7 @@ class MapPicture:
     title: str
     note: str
     reference_ppb: NDArray[Any] | None
-    """None where the truth is not known: then the belief is shown alone."""
+    """Reference field; None if there is none: then the belief is shown alone."""
     mean_ppb: NDArray[Any]
     std_ppb: NDArray[Any]
     traversable: NDArray[np.bool_] | None

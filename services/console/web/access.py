@@ -1,10 +1,11 @@
-"""Who a request comes from, and what they may do.
+"""Access to the page: the caller of each request, and the caller's rights.
 
-Three ways in. A browser on the server's own machine may read without a login, if the page listens on loopback alone.
-The address that `he3 web` prints once holds a token: whoever opens it gets a session, kept in a cookie. And under TLS a
-person's certificate of the mission (`he3 keys issue operator anna`) is enough. Tokens and sessions are kept as hashes.
+There are three ways to log in. A browser on the server's own machine may read without a login, if the page listens on
+loopback alone. The address that `he3 web` prints once holds a token: a browser that opens it gets a session, kept in a
+cookie. And under TLS a person's certificate of the mission (`he3 keys issue operator anna`) is enough. Tokens and
+sessions are kept as hashes.
 
-What a role may do is decided here, on the server; that the page hides the rest is a courtesy.
+What a role may do is decided here, on the server; the page only hides what the server would refuse.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ from schemas.roles import PERSON_ROLES, Role
 SESSION_S = 12 * 3600.0
 """A session ends after this time [s]."""
 MAX_SESSIONS = 1000
-"""The oldest ends when there are more."""
+"""Most sessions; beyond it the oldest one ends."""
 MAX_COOKIE_CHARACTERS = 4096
 
 READ = frozenset(PERSON_ROLES)
 COMMAND = frozenset({Role.OPERATOR})
 CONTROL = frozenset({Role.CONTROLLER})
 ACT = COMMAND | CONTROL
-"""Roles of which one is needed: to read, to command the rover, to change the link, and to do either."""
+"""Roles of which a caller needs one: to read, to command the rover, to change the link, or for either change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +39,11 @@ class Caller:
     """A person at a browser."""
 
     name: str
-    """As in a certificate, `operator.anna`; else how they came in."""
+    """Common name of the certificate, such as `operator.anna`; without one, the way of the login."""
     roles: frozenset[Role]
 
     def document(self) -> dict[str, object]:
-        """As the page reads it."""
+        """The caller as a JSON document for the page."""
         return {
             "name": self.name,
             "roles": sorted(self.roles),
@@ -52,16 +53,18 @@ class Caller:
 
 
 Certified = Callable[[str], Caller]
-"""The caller of a certificate's common name; raises InvalidInput for one that is revoked or is no person's."""
+"""Returns the caller for a certificate's common name; raises InvalidInput for a revoked one or one of no person."""
 
 
 def no_certificates(common_name: str) -> Caller:
-    """Refuses every certificate: for a server that knows no people by theirs."""
-    raise InvalidInput(f"expected a login, got a certificate of '{common_name[:80]}' where none are known")
+    """Refuses every certificate: for a server without a roster of people."""
+    raise InvalidInput(
+        f"expected a login, got a certificate of '{common_name[:80]}', which this server does not accept"
+    )
 
 
 class Access:
-    """Tokens, sessions and what they allow."""
+    """The tokens and sessions, and the rights of each."""
 
     def __init__(
         self,
@@ -73,7 +76,7 @@ class Access:
         secure: bool = False,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """anonymous: roles without a login. able: what the server may do itself; no caller has more rights.
+        """anonymous: roles without a login. able: the rights of the server itself; no caller has more.
 
         secure: whether the page is served over TLS.
         """
@@ -94,7 +97,7 @@ class Access:
         return token
 
     def log_in(self, token: str) -> str | None:
-        """The Set-Cookie header of a new session; None for a token that was not given out."""
+        """The Set-Cookie header of a new session; None for an unknown token."""
         given = _hash(token)
         caller = next((each for known, each in self._tokens.items() if hmac.compare_digest(known, given)), None)
         if caller is None:
@@ -106,9 +109,8 @@ class Access:
         return f"{self._cookie}={session}; HttpOnly; SameSite=Strict; Path=/; Max-Age={SESSION_S:.0f}{secure}"
 
     def caller(self, cookies: str, common_name: str | None) -> Caller | None:
-        """Who sends a request with that Cookie header, over a connection with that certificate; None for a stranger.
-
-        Raises InvalidInput for a certificate that counts no more.
+        """Who sends a request with that Cookie header, over a connection with that certificate; None for an unknown
+        one. Raises InvalidInput for a certificate that is revoked or expired.
         """
         caller = self._found(cookies, common_name)
         return None if caller is None else Caller(caller.name, caller.roles & self._able or frozenset({Role.VIEWER}))
@@ -139,7 +141,7 @@ class Access:
 
 
 def common_name_of_peer(certificate: Mapping[str, object] | None) -> str | None:
-    """The common name in what `ssl` says of a peer's certificate; None without one, empty without a name."""
+    """The common name in `ssl`'s data on a peer's certificate; None without a certificate, empty without a name."""
     if not certificate:
         return None
     subject = certificate.get("subject", ())

@@ -35,7 +35,7 @@ def host_name(text: str) -> str:
 
 
 def normal_host(header: str) -> str | None:
-    """The host of a Host header in one spelling (addresses as `ipaddress` writes them); None for what is none."""
+    """The host of a Host header in one spelling (addresses as `ipaddress` writes them); None for an invalid host."""
     found = _WITH_PORT.fullmatch(header.strip())
     if found is None or (found["port"] is not None and int(found["port"]) > 65_535):
         return None
@@ -107,7 +107,7 @@ def is_loopback(listener: socket.socket) -> bool:
 
 
 def urls_of(listener: socket.socket, bind: str, scheme: str = "http") -> list[str]:
-    """The addresses of the page as browsers open them: that of the machine itself first, then those of others."""
+    """The addresses of the page as browsers open them: the local one first, then those for other machines."""
     host, port = listener.getsockname()[:2]
     hosts = [host]
     if ipaddress.ip_address(host).is_unspecified:

@@ -1,6 +1,6 @@
-"""Bounds on connections: how many there are, and how long each may take to ask and to take its answer.
+"""Bounds on connections: their number, and the time of each to send a request and to read its answer.
 
-A client that opens many and says nothing costs itself its own connections: the oldest idle one is closed to make room.
+The oldest idle connection is closed to make room, so a client that opens many idle ones only loses its own.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from services.console.web.access import common_name_of_peer
 
 MAX_CONNECTIONS = 256
 HEADERS_WITHIN_S = 10.0
-"""From the first byte of a request, or from the beginning of a connection, until its headers are complete [s]."""
+"""Time limit [s] from the start of a connection, or the first byte of a request, until the headers are complete."""
 TAKEN_WITHIN_S = 30.0
-"""How long a client may take nothing of an answer [s]."""
+"""Longest time [s] in which a client reads nothing of an answer."""
 _RESERVED_FILES = 128
-"""File descriptors that are not for connections."""
+"""File descriptors reserved for other uses than connections."""
 
 PEER = "he3.peer"
 """Key in the scope of a request: common name of the client's certificate, or None."""
 
 
 class BoundedListener(socket.socket):
-    """A listening socket that keeps at most so many of its connections open."""
+    """A listening socket with a limit on its open connections."""
 
     def __init__(self, listener: socket.socket, limit: int = MAX_CONNECTIONS) -> None:
-        """Takes the place of `listener`, which is detached."""
+        """Replaces `listener`, which is detached."""
         super().__init__(listener.family, listener.type, listener.proto, fileno=listener.detach())
         self._limit = limit
         self._open: list[weakref.ref[socket.socket]] = []
         self.busy: set[int] = set()
-        """File numbers of connections that have asked something and wait for the answer."""
+        """File numbers of connections that wait for an answer."""
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection; where there are too many, the oldest that asks nothing is shut down, else this one."""
+        """The next connection; if there are too many, the oldest idle one is closed, or this one if none is idle."""
         self._open = [each for each in self._open if (made := each()) is not None and made.fileno() >= 0]
         made, address = super().accept()
         if len(self._open) >= self._limit:
@@ -71,7 +71,7 @@ def protocol_of(listener: BoundedListener) -> type[H11Protocol]:
     """The class of the connections of that listener."""
 
     class PageProtocol(H11Protocol):
-        """A connection that has to ask, and to take its answer, in time; the requests on it know the client's name."""
+        """A connection with time limits to send requests and to read answers; its requests carry the client's name."""
 
         _timer: asyncio.TimerHandle | None = None
         _number = -1

@@ -19,7 +19,7 @@ from services.console.web.address import LOOPBACK_NAMES, address_of, normal_host
 TOKEN_HEADER = b"x-he3-console"
 MAX_BODY_BYTES = 65_536
 ONCE = (b"host", b"origin", b"cookie", b"content-type", b"content-length", b"sec-fetch-site", TOKEN_HEADER)
-"""Headers of which a second one could be read by another layer than the first."""
+"""Headers that may occur once only: two layers could read different copies."""
 
 _HEADERS = (
     (

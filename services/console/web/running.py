@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
     from services.runtime.trust.identity import Identity
 
-UNSAFE = "INSECURE: no TLS; whoever is on the way reads the logins and may command"
+UNSAFE = "INSECURE: no TLS; anyone on the network path can read the logins and command"
 READERS, COMMANDERS = frozenset({Role.VIEWER}), frozenset({Role.VIEWER, Role.OPERATOR, Role.CONTROLLER})
 
 
@@ -32,16 +32,16 @@ class PageOptions:
     bind: str
     port: int
     authority: bool = False
-    """Whether a login that may command is given out."""
+    """Whether a login with the right to command is issued."""
     other_hosts: tuple[str, ...] = ()
     """Further names of this server, each in the spelling of `host_name`."""
     tls: Tls | None = None
     identity: Identity | None = None
-    """Of this server; people of its mission may log in by their certificates."""
+    """Identity of this server; people of its mission may log in by their certificates."""
     insecure: bool = False
     """Whether the page may be served without TLS off loopback."""
     login_file: Path | None = None
-    """Gets the addresses with tokens; None: they are said."""
+    """File for the addresses with tokens; None: they are printed."""
 
 
 def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], None]) -> None:
@@ -101,7 +101,7 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
 
 
 def _protection(options: PageOptions, local: bool) -> tuple[Tls | None, str | None]:
-    """The files of TLS, and a warning where there is none though others can reach the page."""
+    """The files of TLS, and a warning if there is none and other machines can reach the page."""
     tls = options.tls
     if tls is None and not local and options.identity is not None:
         tls = tls_of(options.identity)
@@ -118,7 +118,7 @@ def _protection(options: PageOptions, local: bool) -> tuple[Tls | None, str | No
 def _announce(
     mission: str, urls: list[str], access: Access, options: PageOptions, say: Callable[[str], None], warning: str | None
 ) -> None:
-    """Say where the page is, and give out the tokens."""
+    """Print the addresses of the page, and issue the tokens."""
     lines = []
     needs_login = access.caller("", None) is None
     if options.authority:

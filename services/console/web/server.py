@@ -98,7 +98,7 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A request of a caller who may make it."""
+    """A request whose caller has the right to make it."""
 
     caller: Caller
     parameters: Mapping[str, str]
@@ -109,7 +109,7 @@ Answer = Callable[[Asked], Response]
 
 
 class _Answers:
-    """Makes endpoints that know their caller, and that answer so many requests at a time."""
+    """Makes endpoints that know their caller, and that limit the number of requests at a time."""
 
     def __init__(self, access: Access) -> None:
         self._access = access
@@ -156,7 +156,7 @@ class _Answers:
         return endpoint
 
     def _admitted(self, request: Request, roles: frozenset[Role]) -> Caller | Response:
-        """The caller, if they have one of these roles; else the refusal."""
+        """The caller if it has one of these roles; else the refusal."""
         try:
             caller = self._access.caller(request.headers.get("cookie", ""), request.scope.get(PEER))
         except InvalidInput as refusal:
@@ -186,7 +186,7 @@ async def _answered(answer: Answer, caller: Caller, request: Request) -> Respons
 
 
 async def _login(access: Access, request: Request) -> Response:
-    """Begin a session with the token of the address, and go on to the page without it."""
+    """Begin a session with the token of the address, and redirect to the page without it."""
     session = access.log_in(request.query_params.get("token", ""))
     if session is None:
         return PlainTextResponse(LOG_IN, status_code=403, headers=FRESH)

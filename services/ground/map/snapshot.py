@@ -43,7 +43,7 @@ class MapSnapshot:
     """Mission time of that revision."""
     score: MapScore | None
     score_history: tuple[MapScore, ...]
-    """One entry a round."""
+    """Scores, one entry per round."""
     process: GaussianProcess | None = None
     """The belief that the arrays were computed from, for answers about several cells at once."""
     origin_deg: tuple[float, float] | None = None

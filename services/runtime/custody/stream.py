@@ -43,7 +43,7 @@ class KeptMessage:
     """Counts the messages offered."""
     state: MessageState = MessageState.WAITING
     repetitions: int = 0
-    """How often it was sent."""
+    """How often the message was sent so far."""
     transmissions: dict[int, Transmission] = field(default_factory=dict)
     """Transmissions by repetition, in order."""
     queued: bool = False
