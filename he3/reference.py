@@ -23,12 +23,19 @@ from he3 import constants
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, SiteGrid
 from he3.nodata import expect_measured, expect_no_walls
+from he3.provenance import LayerOrigin, OriginKind
 from he3.randomfield import correlated, layer_correlation, unit_fields
 from he3.regolith import RegolithModel
 from he3.terrain import relief_m, slope_deg, traversable
 
 METRES_PER_DEGREE = math.radians(1.0) * constants.MOON_RADIUS_M  # m per degree of latitude on the reference sphere
 _SURROUND_PIXELS = 2  # pixels that bicubic resampling needs beyond the outermost cell
+_DERIVED = (
+    LayerOrigin(layer="titanium_wt", kind=OriginKind.DERIVED, source="from FeO"),
+    LayerOrigin(layer="he3_ppb", kind=OriginKind.DERIVED, source="from TiO2, OMAT and the solar wind, perturbed"),
+    LayerOrigin(layer="slope_deg", kind=OriginKind.DERIVED, source="from elevation"),
+    LayerOrigin(layer="traversable", kind=OriginKind.DERIVED, source="from slope and relief"),
+)
 _ORBITAL_FOOTPRINT_M = METRES_PER_DEGREE / constants.ORBITAL_PIXELS_PER_DEGREE  # m, side of an orbital pixel
 
 
@@ -54,6 +61,8 @@ class OrbitalWindow:
     origin_lon_deg: float
     solar_wind_flux: float
     seed: int
+    layers: tuple[LayerOrigin, ...] = ()
+    """Where the rasters come from."""
 
     def __post_init__(self) -> None:
         shape = self.iron_wt.shape
@@ -91,6 +100,13 @@ class Region:
     seed: int | None = None
     origin_lat_deg: float | None = None
     origin_lon_deg: float | None = None
+    layers: tuple[LayerOrigin, ...] = ()
+    """Where each layer comes from; empty for a region that does not say."""
+    crs: str = ""
+    """Projection of the site's plane, as a PROJ string; empty if none is known."""
+    origin_x_m: float | None = None
+    """Of the south-west corner in that projection [m]."""
+    origin_y_m: float | None = None
     untraversable_fraction: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -143,6 +159,7 @@ def reference(
         seed=seed,
         origin_lat_deg=window.origin_lat_deg,
         origin_lon_deg=window.origin_lon_deg,
+        layers=(*window.layers, *_DERIVED),
     )
 
 

@@ -193,6 +193,8 @@ class MapSite(Wire):
     origin_lon_deg: float | None
     noise_std_ppb: float
     """Standard deviation of a measurement in the belief."""
+    provenance: Text = ""
+    """Of the region's data."""
 
 
 class MapHistory(Wire):

@@ -10,13 +10,11 @@ and mean, and the share that is not traversable. The places are real; the raster
 from __future__ import annotations
 
 import argparse
-import io
-import json
 import math
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +22,13 @@ from numpy.typing import NDArray
 from he3 import constants
 from he3.randomfield import correlated, unit_fields
 from he3.reference import METRES_PER_DEGREE
+from services.mission.region_build.writing import write_folder
+from services.mission.region_folder import FORMAT_VERSION
 
 FloatArray = NDArray[np.float64]
 
 PIXELS = 32  # pixels on a side of a window: about 1.8 km, for a region of 0.5 km
+MOON_LON_LAT = "IAU_2015:30100"
 SUBSAMPLES = 9  # points per pixel and axis over which an elevation is averaged, as by an orbiter's footprint
 PROVENANCE = "SYNTHETIC STAND-IN made by scripts/make_standin_regions.py; not measured data"
 
@@ -36,7 +37,7 @@ PROVENANCE = "SYNTHETIC STAND-IN made by scripts/make_standin_regions.py; not me
 class Recipe:
     """Parameters of one stand-in. Lengths in metres, x east and y north of the region's south-west corner."""
 
-    file: str
+    folder: str
     name: str
     title: str
     centre_lat_deg: float
@@ -82,7 +83,7 @@ def rille(x: FloatArray, y: FloatArray) -> FloatArray:
 
 RECIPES = (
     Recipe(
-        file="t1_taurus_littrow_synthetic_standin.npz",
+        folder="t1_taurus_littrow_synthetic_standin",
         name="t1",
         title="Taurus-Littrow (synthetic stand-in)",
         centre_lat_deg=20.190,
@@ -106,7 +107,7 @@ RECIPES = (
         variation_seed=7,
     ),
     Recipe(
-        file="t2_hadley_rille_synthetic_standin.npz",
+        folder="t2_hadley_rille_synthetic_standin",
         name="t2",
         title="Hadley Rille (synthetic stand-in)",
         centre_lat_deg=26.132,
@@ -132,8 +133,8 @@ RECIPES = (
 )
 
 
-def make(recipe: Recipe) -> dict[str, NDArray[np.generic]]:
-    """The arrays of one stand-in file: iron_wt, maturity, elevation_m (row 0 in the north), metadata as JSON."""
+def make(recipe: Recipe) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+    """The document of one stand-in, and its layers iron_wt, maturity and elevation_m, row 0 in the south."""
     pixel_deg = 1.0 / constants.ORBITAL_PIXELS_PER_DEGREE
     side_m = constants.SITE_CELLS * constants.SITE_RESOLUTION_M
     metres_east = METRES_PER_DEGREE * math.cos(math.radians(recipe.centre_lat_deg))
@@ -146,21 +147,28 @@ def make(recipe: Recipe) -> dict[str, NDArray[np.generic]]:
     sub = (np.arange(PIXELS * SUBSAMPLES) + 0.5) / SUBSAMPLES * pixel_deg
     x, y = np.meshgrid((west + sub - origin_lon) * metres_east, (south + sub - origin_lat) * METRES_PER_DEGREE)
     elevation = _elevation(recipe, x, y)
-    metadata = {
+    layers = {"iron_wt": iron, "maturity": maturity, "elevation_m": elevation}
+    document: dict[str, Any] = {
+        "format": "he3-region",
+        "version": FORMAT_VERSION,
+        "kind": "window",
         "name": recipe.name,
         "title": recipe.title,
         "provenance": PROVENANCE,
-        "north_deg": south + PIXELS * pixel_deg,
-        "west_deg": west,
-        "pixels_per_degree": constants.ORBITAL_PIXELS_PER_DEGREE,
         "origin_lat_deg": origin_lat,
         "origin_lon_deg": origin_lon,
-        "solar_wind_flux": recipe.flux,
-        "seed": recipe.variation_seed,
+        "window": {
+            "north_deg": south + PIXELS * pixel_deg,
+            "west_deg": west,
+            "pixels_per_degree": float(constants.ORBITAL_PIXELS_PER_DEGREE),
+            "solar_wind_flux": recipe.flux,
+            "seed": recipe.variation_seed,
+        },
+        "layers": {
+            name: {"kind": "synthetic", "source": "drawn by scripts/make_standin_regions.py"} for name in layers
+        },
     }
-    layers = {"iron_wt": iron, "maturity": maturity, "elevation_m": elevation}
-    north_up = {name: np.flipud(layer).astype(np.float32) for name, layer in layers.items()}
-    return {**north_up, "metadata": np.array(json.dumps(metadata))}
+    return document, layers
 
 
 def _chemistry(recipe: Recipe, spacing_m: tuple[float, float]) -> FloatArray:
@@ -191,15 +199,6 @@ def _elevation(recipe: Recipe, x: FloatArray, y: FloatArray) -> FloatArray:
     return pixels
 
 
-def write(path: Path, arrays: dict[str, NDArray[np.generic]]) -> None:
-    """An .npz file whose bytes depend on the arrays alone: no time stamps."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, array in arrays.items():
-            buffer = io.BytesIO()
-            np.save(buffer, array, allow_pickle=False)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), buffer.getvalue())
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = Path(__file__).parent.parent / "services" / "mission" / "region_data"
@@ -207,8 +206,13 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     for recipe in RECIPES:
-        write(out / recipe.file, make(recipe))
-        print(f"wrote {out / recipe.file}: {PROVENANCE}")
+        document, layers = make(recipe)
+        window = document["window"]
+        corner = window["west_deg"], window["north_deg"]
+        write_folder(out / recipe.folder, document, layers, MOON_LON_LAT, corner, 1 / window["pixels_per_degree"], {
+            "iron_wt": "FeO [wt %]", "maturity": "OMAT", "elevation_m": "height above the sphere of 1737.4 km [m]"
+        })  # fmt: skip
+        print(f"wrote {out / recipe.folder}: {PROVENANCE}")
 
 
 if __name__ == "__main__":

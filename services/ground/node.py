@@ -285,7 +285,9 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     scorer = Scorer(region.he3_ppb) if ground.score else None
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
-    publisher = MapPublisher(belief, terrain, samples, round_log, refits, scorer, origin, scenario.start_ns)
+    publisher = MapPublisher(
+        belief, terrain, samples, round_log, refits, scorer, origin, scenario.start_ns, region.provenance
+    )
     silence = SilenceWatch(ground.rover_timeout_s)
     round_trip_s = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
     return GroundNode(

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Final
 
 EMBEDDED: Final[Mapping[str, str]] = {
-    "t1": "t1_taurus_littrow_synthetic_standin.npz",
-    "t2": "t2_hadley_rille_synthetic_standin.npz",
+    "t1": "t1_taurus_littrow_synthetic_standin",
+    "t2": "t2_hadley_rille_synthetic_standin",
 }
-"""Name of a region -> its coarse rasters in this package: synthetic stand-ins, as their file names say."""
+"""Name of a region -> its folder in this package: synthetic stand-ins, as their names say."""

@@ -1,11 +1,10 @@
-"""Loading of regions: embedded ones by name, others from a file. Rasters are flipped to row 0 south here only."""
+"""Loading of regions: embedded ones by name, others from a folder or an .npz file."""
 
 from __future__ import annotations
 
-import json
 import zipfile
 from collections.abc import Mapping
-from importlib import resources
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +20,15 @@ from he3.terrain import relief_m, slope_deg, traversable
 from schemas.maps import MAX_CELLS
 from schemas.wire import MAX_POSITION_M
 from services.mission.embedded_regions import EMBEDDED
+from services.mission.region_folder import (
+    DOCUMENT,
+    WINDOW_LAYERS,
+    RegionDocument,
+    folder_of,
+    is_region_folder,
+    read_document,
+    read_layer,
+)
 
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
 MAX_LATITUDE_DEG: Final = 89.0  # deg, beyond it a region is no plane of east and north
@@ -30,37 +38,89 @@ _FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_d
 
 
 def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
-    """The finished region of an embedded name (``t1``, ``t2``) or of an .npz file.
+    """The finished region of an embedded name (``t1``, ``t2``), of a region's folder or of an .npz file.
 
-    seed: of the variation of an embedded region; None is the region's own, for which its published figures hold. A file
-    has one variation and takes no seed. It contains he3_ppb (rows, columns) with row 0 in the south, resolution_m, and
-    elevation_m [m] or traversable (bool) or both; orbital_ppb, provenance (text), and origin_lat_deg and origin_lon_deg
-    of its south-west corner are optional. Raises InvalidInput, in one line with file, key and expectation.
+    seed: of the variation of a region of kind ``window``, such as an embedded one; None is the region's own, for which
+    its published figures hold. Others have one variation and take no seed. An .npz file contains
+    he3_ppb (rows, columns) with row 0 in the south, resolution_m, and elevation_m [m] or traversable (bool) or both;
+    orbital_ppb, provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner are optional.
+    Raises InvalidInput, in one line with file, key and expectation.
     """
-    if str(name_or_path) in EMBEDDED:
-        return reference(load_window(str(name_or_path)), seed)
+    if is_region_folder(name_or_path):
+        return _region_from_folder(folder_of(name_or_path), seed)
     path = Path(name_or_path)
     if path.suffix != ".npz":
-        raise InvalidInput(f"expected a region out of {', '.join(EMBEDDED)} or an .npz file, got {str(name_or_path)!r}")
+        raise InvalidInput(
+            f"expected a region out of {', '.join(EMBEDDED)}, a region's folder or an .npz file, "
+            f"got {str(name_or_path)!r}"
+        )
     if seed is not None:
         raise InvalidInput(f"{path}: expected no field seed with a region file, which has one variation; got {seed}")
     return _region_from_file(path)
 
 
-def load_window(name: str) -> OrbitalWindow:
-    """The orbital window of an embedded region, a synthetic stand-in, flipped to row 0 south."""
-    source = resources.files("services.mission").joinpath("region_data", EMBEDDED[name])
-    with source.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-        arrays: dict[str, NDArray[Any]] = {key: archive[key] for key in archive.files}
-    metadata: dict[str, Any] = json.loads(str(arrays.pop("metadata")))
-    rows = arrays["iron_wt"].shape[0]
-    south = metadata.pop("north_deg") - rows / metadata["pixels_per_degree"]
-    layers: dict[str, Any] = {key: np.flipud(layer).astype(np.float64, order="C") for key, layer in arrays.items()}
-    return OrbitalWindow(south_deg=south, **layers, **metadata)
+def load_window(name: str | Path) -> OrbitalWindow:
+    """The orbital window of an embedded region or of a folder of kind ``window``, row 0 south."""
+    folder = folder_of(name)
+    return _window(folder, read_document(folder))
+
+
+def _window(folder: Path, document: RegionDocument) -> OrbitalWindow:
+    window, layers = document.window, {}
+    if window is None or document.origin_lat_deg is None or document.origin_lon_deg is None:
+        raise InvalidInput(f"{folder / DOCUMENT}: expected a region of kind 'window', got {document.kind!r}")
+    for key in WINDOW_LAYERS:
+        layers[key] = read_layer(folder, key, document.layers[key]).astype(np.float64, order="C")
+    return OrbitalWindow(
+        name=document.name,
+        title=document.title,
+        provenance=document.provenance,
+        **layers,
+        south_deg=window.north_deg - layers["iron_wt"].shape[0] / window.pixels_per_degree,
+        west_deg=window.west_deg,
+        pixels_per_degree=window.pixels_per_degree,
+        origin_lat_deg=document.origin_lat_deg,
+        origin_lon_deg=document.origin_lon_deg,
+        solar_wind_flux=window.solar_wind_flux,
+        seed=window.seed,
+        layers=document.origins,
+    )
+
+
+def _region_from_folder(folder: Path, seed: int | None) -> Region:
+    """The region of a folder; only one of kind ``window`` takes a seed."""
+    document = read_document(folder)
+    where = folder / DOCUMENT
+    if document.kind == "window":
+        return reference(_window(folder, document), seed)
+    if seed is not None:
+        raise InvalidInput(f"{where}: expected no field seed with a region of kind 'site', which has one variation; "
+                           f"got {seed}")  # fmt: skip
+    arrays: dict[str, NDArray[Any]] = {
+        key: read_layer(folder, key, layer) for key, layer in document.with_files.items() if key in _LAYERS
+    }
+    arrays["resolution_m"] = np.asarray(document.resolution_m)
+    region = _region(where, arrays)
+    return replace(
+        region,
+        name=document.name,
+        title=document.title,
+        provenance=document.provenance,
+        origin_lat_deg=document.origin_lat_deg,
+        origin_lon_deg=document.origin_lon_deg,
+        layers=document.origins,
+        crs=document.crs,
+        origin_x_m=document.origin_x_m,
+        origin_y_m=document.origin_y_m,
+    )
 
 
 def _region_from_file(path: Path) -> Region:
-    arrays = _read_layers(path)
+    return _region(path, _read_layers(path))
+
+
+def _region(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Region:
+    """The region of checked arrays. path: what a refusal's line begins with."""
     he3 = _layer(path, arrays, "he3_ppb", None, (0.0, HELIUM3_MAX_PPB), "ppb")
     if he3 is None:
         raise InvalidInput(f"{path}: expected key he3_ppb, got {', '.join(sorted(arrays)) or 'no keys'}")

@@ -197,7 +197,7 @@ class Scenario(Section):
     """Name of the mission, also its chunk in every key."""
     description: str = ""
     region: str
-    """`t1`, `t2`, or a path to a .npz file."""
+    """`t1`, `t2`, or a path to a region's folder or .npz file."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     start: datetime = datetime(2030, 1, 1, tzinfo=UTC)
     """Mission time at which the mission begins (UTC)."""
@@ -280,7 +280,9 @@ def load_scenario(path: Path) -> Scenario:
 def _found_region(region: str, folder: Path) -> str:
     """The region, or the path of its file in the scenario's folder if only that exists."""
     try:
-        if region.endswith(".npz") and not Path(region).exists() and (folder / region).is_file():
+        found = folder / region
+        is_region = found.is_file() if region.endswith(".npz") else (found / "region.toml").is_file()
+        if is_region and not Path(region).exists():
             return str((folder / region).resolve())
     except (OSError, ValueError):  # not a valid file name: the loader refuses it
         pass

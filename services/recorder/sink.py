@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final, Self
 
 from services.recorder.writer import RecordingWriter
@@ -32,10 +32,11 @@ class RecordingSink:
         *,
         clock: Callable[[], float] = time.monotonic,
         max_pending_bytes: int = MAX_PENDING_BYTES,
+        region: Mapping[str, str] | None = None,
     ) -> None:
-        """least_flush_s: shortest wall time between two flushes [s]."""
+        """least_flush_s: shortest wall time between two flushes [s]. region: provenance of its layers, by name."""
         self._file = file
-        self._writer = RecordingWriter(file, mission, least_flush_s, clock)
+        self._writer = RecordingWriter(file, mission, least_flush_s, clock, region)
         self._max_pending_bytes = max_pending_bytes
         self._omitted = 0  # messages that were not taken, for want of room
         self._gap: tuple[int, MissionTime, MissionTime] | None = None  # those that the file does not mention yet

@@ -12,7 +12,7 @@ from services.console.cli import (
     keys,
     link,
     map,
-    reference,
+    region,
     replay,
     run,
     schemas,
@@ -57,7 +57,8 @@ def build() -> typer.Typer:
         command.commands
     )
     app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
-    app.add_typer(reference.app, name="reference", help="The reference field of a region: show it, build it.")
+    app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")
+    app.add_typer(region.app, name="reference", hidden=True, callback=region.renamed)
     app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
     app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
         schemas.schemas

@@ -43,6 +43,7 @@ def _run_in_process(
 ) -> tuple[Outcome, list[str]]:
     """The outcome of the mission, and one line on each output that could not be written while it ran."""
     from services.ground.planner_process import PlannerProcess
+    from services.mission.region_folder import provenance_of
     from services.recorder.files import open_recording
     from services.recorder.node import build_node as build_recorder
     from services.recorder.sink import RecordingSink
@@ -51,7 +52,8 @@ def _run_in_process(
     sink: RecordingSink | None = None
     with ExitStack() as stack:
         if where.recording is not None:
-            sink = stack.enter_context(RecordingSink(open_recording(where.recording), scenario.name))
+            recording = open_recording(where.recording)
+            sink = stack.enter_context(RecordingSink(recording, scenario.name, region=provenance_of(scenario.region)))
             nodes = (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
         planners = stack.enter_context(PlannerProcess())
         log = None if events is None else stack.enter_context(closing(EventLog(events)))
@@ -62,7 +64,8 @@ def _run_in_process(
             log.close()  # the queries for the report are no part of the mission
             merge_event_logs([events], events)
         assert mission.status is not None, "the run ends only after the ground has reported its status"
-        run = Run("in-process", None, region.provenance, mission.mission_time_s, time.monotonic() - began)
+        wall_time_s = time.monotonic() - began
+        run = Run("in-process", None, region.provenance, mission.mission_time_s, wall_time_s, region.layers)
         outcome = gather(_Asked(mission), scenario, mission.status, run)
     return outcome, [] if sink is None or sink.problem is None else [sink.problem]
 

@@ -77,7 +77,7 @@ def _run_separate(
                 status = _watched_to_its_end(state, launcher, progress)
                 wall_time_s = time.monotonic() - began
                 driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
-                run = Run(driver, rate, region.provenance, state.status_time_s, wall_time_s)
+                run = Run(driver, rate, region.provenance, state.status_time_s, wall_time_s, region.layers)
                 outcome: Outcome = gather(client, scenario, status, run)
             finally:
                 launcher.tell_to_end()  # they end while this session closes, which takes a second without a router

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import platform
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore
-from schemas.report import MessageCounts, MissionReport, ReportSample
+from schemas.report import MessageCounts, MissionReport, RegionLayer, ReportSample
 from services.mission.mission_time import SECOND
 from services.runtime.heartbeat import software_version
 from services.runtime.output_files import write_output
 
 if TYPE_CHECKING:
+    from he3.provenance import LayerOrigin
     from schemas.link import LinkStatus
     from services.mission.scenario import Scenario
 
@@ -47,6 +48,7 @@ class Run:
     region_note: str
     mission_time_s: float
     wall_time_s: float
+    region_layers: tuple[LayerOrigin, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +97,7 @@ def build_report(
         scenario=scenario.name,
         region=scenario.region,
         region_note=run.region_note,
+        region_layers=tuple(RegionLayer(**asdict(origin)) for origin in run.region_layers),
         planner=scenario.ground.planner,
         kernel=scenario.ground.kernel if status.kernel is None else status.kernel.name,
         seed=scenario.seed,

@@ -34,6 +34,7 @@ class MapPublisher:
         scorer: Scorer | None,
         origin_deg: tuple[float, float] | None,
         start: MissionTime,
+        provenance: str = "",
     ) -> None:
         """scorer: None where there is no reference; origin_deg: latitude and longitude of the site's south-west corner
         where they are known; start: when the mission begins."""
@@ -44,6 +45,7 @@ class MapPublisher:
         self._refits = refits
         self._scorer = scorer
         self._origin_deg = origin_deg
+        self._provenance = provenance
         self._map: PosteriorMap | None = None
         self._traversable: object = None
         self._map_time = start
@@ -93,6 +95,7 @@ class MapPublisher:
             score_history=self._history,
             process=self._belief.process,
             origin_deg=self._origin_deg,
+            provenance=self._provenance,
         )
         # Reports are made from queries that come as soon as the status says that the mission is over.
         self._shown_at_the_end = ended

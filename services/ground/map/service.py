@@ -148,6 +148,7 @@ def history(snapshot: MapSnapshot) -> MapHistory:
             origin_lat_deg=lat,
             origin_lon_deg=lon,
             noise_std_ppb=snapshot.noise_std_ppb,
+            provenance=snapshot.provenance,
         ),
         revisions=tuple(
             MapRevision(

@@ -48,6 +48,8 @@ class MapSnapshot:
     """The belief that the arrays were computed from, for answers about several cells at once."""
     origin_deg: tuple[float, float] | None = None
     """Latitude and longitude of the site's south-west corner; None if the region does not give them."""
+    provenance: str = ""
+    """Of the region's data, in one line."""
     earlier: tuple[MapSnapshot, ...] = ()
     """Revisions before this one that are still held, oldest first; they hold none themselves."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import subprocess
 import sys
@@ -18,10 +17,12 @@ from scipy.spatial.distance import cdist
 
 from he3.errors import InvalidInput
 from he3.terrain import reachable
-from services.console.cli.reference import build
+from services.console.cli.region import build
 from services.mission import regions
 from services.mission.embedded_regions import EMBEDDED
+from services.mission.region_folder import read_document
 from services.mission.regions import load_region, load_window
+from services.mission.tiff import read_tiff
 
 # Minimum, maximum, mean [ppb] and the share that is not traversable, as published.
 PUBLISHED = {"t1": (4.82, 13.47, 7.88, 0.0991), "t2": (3.62, 8.60, 5.50, 0.1301)}
@@ -105,32 +106,34 @@ def test_the_window_reaches_well_beyond_the_region_and_is_centred_on_the_site(na
     assert window.origin_lat_deg + 250 / 30_323.35 == pytest.approx(sites[name][0], abs=1e-6)
 
 
+def committed(name: str) -> Path:
+    return Path(str(resources.files("services.mission").joinpath("region_data", EMBEDDED[name])))
+
+
 def test_rasters_on_disk_are_north_up_and_flipped_once() -> None:
-    with resources.files("services.mission").joinpath("region_data", EMBEDDED["t1"]).open("rb") as stream:
-        archive = np.load(stream)
-        on_disk, metadata = archive["elevation_m"], json.loads(str(archive["metadata"]))
-    window = load_window("t1")
+    on_disk = read_tiff(committed("t1") / "elevation_m.tif")
+    window, north_deg = load_window("t1"), read_document(committed("t1")).window.north_deg  # type: ignore[union-attr]
     assert np.array_equal(window.elevation_m[::-1], on_disk.astype(float))
-    assert window.south_deg < metadata["north_deg"]
-    assert window.south_deg + on_disk.shape[0] / 512 == pytest.approx(metadata["north_deg"])
+    assert window.south_deg < north_deg
+    assert window.south_deg + on_disk.shape[0] / 512 == pytest.approx(north_deg)
 
 
 def test_the_committed_script_makes_the_committed_rasters(tmp_path: Path) -> None:
     """Numbers to the precision of float32: transforms differ in their last bits from machine to machine."""
+    pytest.importorskip("rasterio")
     subprocess.run(
         [sys.executable, str(SCRIPT), "--out", str(tmp_path)],
         check=True,
         capture_output=True,
         env={**os.environ, "PYTHONPATH": str(SCRIPT.parent.parent)},
     )
-    for name in EMBEDDED.values():
-        made = np.load(tmp_path / name)
-        with resources.files("services.mission").joinpath("region_data", name).open("rb") as stream:
-            committed = np.load(stream)
-            assert set(made.files) == set(committed.files)
-            assert json.loads(str(made["metadata"])) == json.loads(str(committed["metadata"]))
-            for layer in ("iron_wt", "maturity", "elevation_m"):
-                assert made[layer] == pytest.approx(committed[layer], rel=1e-6)
+    for name in EMBEDDED:
+        made, kept = tmp_path / EMBEDDED[name], committed(name)
+        one, other = (read_document(folder).model_dump(exclude={"layers"}) for folder in (made, kept))
+        assert one == other
+        for layer in ("iron_wt", "maturity", "elevation_m"):
+            expected = pytest.approx(read_tiff(kept / f"{layer}.tif"), rel=1e-6)
+            assert read_tiff(made / f"{layer}.tif") == expected
 
 
 # ---- files from outside

@@ -59,7 +59,7 @@ def test_importing_any_module_changes_no_environment_no_path_and_no_signal_handl
     [
         *([f"services.{name}", "short", "--help"] for name in ("field", "rover", "link", "ground", "recorder")),
         ["services.ground.map.process", "earth", "tcp/127.0.0.1:9", "short"],
-        ["services.console", "reference", "show", "t1"],
+        ["services.console", "region", "show", "t1"],
         ["benchmarks.floor", "--help"],
     ],
     ids=lambda arguments: arguments[0],

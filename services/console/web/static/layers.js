@@ -94,6 +94,7 @@ export async function refreshHistory(atOnce = false) {
   try {
     const { site, revisions } = await askJson("map/history");
     map.setSite(site);
+    $("provenance").textContent = site.provenance ?? "";
     state.revisions = revisions;
     const slider = $("time");
     slider.max = revisions.length - 1;

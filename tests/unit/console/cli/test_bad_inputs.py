@@ -75,8 +75,8 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a recording that is none": (SCENARIO, ["replay", "mine.toml"], ("mine.toml",)),
     "no such topic": (SCENARIO, ["replay", "mine.toml", "--topic", "tm/nothing"], ("tm/nothing", "tm/sample")),
     "no such benchmark": (SCENARIO, ["bench", "speed"], ("speed",)),
-    "no such region to show": (SCENARIO, ["reference", "show", "t9"], ("t9",)),
-    "a region without a place to go": (SCENARIO, ["reference", "build", "t1", "--out", "no/t1.npz"], ("no/t1.npz",)),
+    "no such region to show": (SCENARIO, ["region", "show", "t9"], ("t9",)),
+    "a region without a place to go": (SCENARIO, ["region", "build", "t1", "--out", "no/t1.npz"], ("no/t1.npz",)),
     "a link that is changed in nothing": (SCENARIO, ["link", "set"], ("--loss",)),
     "a share above one": (SCENARIO, ["link", "set", "--loss", "2"], ("loss", "2")),
     "a contact that is neither": (SCENARIO, ["link", "set", "--contact", "maybe"], ("--contact", "maybe")),
@@ -101,7 +101,7 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a page on a negative port": (SCENARIO, ["web", "--port", "-1"], ("--port", "0 to 65535", "-1")),
     "a page of a host that is a URL": (SCENARIO, ["web", "--allow-host", "http://x/"], ("--allow-host", "http://x/")),
     "a region's variation of a negative seed": (
-        SCENARIO, ["reference", "show", "t1", "--field-seed", "-1"], ("--field-seed", "0 or more", "-1"),
+        SCENARIO, ["region", "show", "t1", "--field-seed", "-1"], ("--field-seed", "0 or more", "-1"),
     ),
     "a scenario's variation of a negative seed": (
         SCENARIO, ["run", "mine.toml", "--in-process", "--set", "field.field_seed=-1"], ("field.field_seed", "-1"),
@@ -113,7 +113,7 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     ),
     "a benchmark of a negative seed": (SCENARIO, ["bench", "map", "--seed", "-1"], ("--seed", "0 or more", "-1")),
     "a variation of a region file": (
-        SCENARIO, ["reference", "show", "x.npz", "--field-seed", "1"], ("--field-seed", "x.npz", "t1 or t2"),
+        SCENARIO, ["region", "show", "x.npz", "--field-seed", "1"], ("--field-seed", "x.npz", "t1 or t2"),
     ),
     "a rate above the largest": (SCENARIO, ["run", "mine.toml", "--rate", "1e6"], ("--rate", "100000", "1e+06")),
     "a demonstration at no rate": (SCENARIO, ["demo", "--rate", "-2"], ("--rate", "above 0", "-2")),

@@ -15,7 +15,7 @@ HEAVY = ("numpy", "scipy", "matplotlib", "ompl", "zenoh", "rich", "pydantic", "m
 COMMANDS = (
     ["demo"], ["run"], ["up"], ["status"], ["watch"], ["map", "at"], ["map", "show"], ["map", "export"],
     ["map", "score"], ["link", "show"], ["link", "set"], ["command", "pause"], ["command", "go-to"],
-    ["command", "keep-out"], ["commands"], ["reference", "show"], ["reference", "build"], ["replay"], ["schemas"],
+    ["command", "keep-out"], ["commands"], ["region", "show"], ["region", "build"], ["replay"], ["schemas"],
 )  # fmt: skip
 
 

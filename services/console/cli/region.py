@@ -1,4 +1,4 @@
-"""``he3 reference``: the reference field of a region as figures, as a picture, or as a region file."""
+"""``he3 region``: regions as figures and pictures; built from rasters of orbital products; fetched."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 reference show t1
-  he3 reference show t2 --png t2.png
-  he3 reference build t1 --field-seed 7 --out t1-seed7.npz
-  he3 run my.toml --in-process --set region=t1-seed7.npz
+  he3 region show t1
+  he3 region show t2 --png t2.png
+  he3 region template dem > place.toml
+  he3 region build place.toml --out place
+  he3 region build t1 --field-seed 7 --out t1-seed7.npz
+  he3 run my.toml --in-process --set region=place
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
-RegionName = Annotated[str, typer.Argument(metavar="REGION", help="t1, t2 or an .npz file.")]
+RegionName = Annotated[str, typer.Argument(metavar="REGION", help="t1, t2, a region's folder or an .npz file.")]
 FieldSeed = Annotated[
     int | None,
     typer.Option("--field-seed", metavar="N", help="Seed (0 or more) of another variation of t1 or t2.",
@@ -52,6 +54,10 @@ def show(
     size = f"{loaded.grid.columns} x {loaded.grid.rows} cells of {loaded.grid.resolution_m:g} m"
     typer.echo(f"region        {loaded.title}")
     typer.echo(f"data          {loaded.provenance}")
+    for origin in loaded.layers:
+        typer.echo(f"              {origin.line()}")
+    if loaded.origin_lat_deg is not None and loaded.origin_lon_deg is not None:
+        typer.echo(f"origin        {loaded.origin_lat_deg:.6f} N {loaded.origin_lon_deg:.6f} E, south-west corner")
     typer.echo(f"size          {size}")
     typer.echo(
         f"helium-3      {figures['he3_min_ppb']:.2f} to {figures['he3_max_ppb']:.2f} ppb, "
@@ -72,14 +78,16 @@ def _loaded(region: str, field_seed: int | None) -> Region:
     from services.mission.embedded_regions import EMBEDDED
     from services.mission.regions import load_region
 
-    if field_seed is not None and region not in EMBEDDED:
+    if field_seed is not None and region not in EMBEDDED and region.endswith(".npz"):
         raise InvalidInput(
             f"--field-seed: expected it with {' or '.join(EMBEDDED)}, got it with {region}, a file of one variation"
         )
     return load_region(region, field_seed)
 
 
-def _figures(region: Region) -> dict[str, float | str | int | None]:
+def _figures(region: Region) -> dict[str, Any]:
+    from dataclasses import asdict
+
     import numpy as np
 
     field = region.he3_ppb
@@ -87,6 +95,10 @@ def _figures(region: Region) -> dict[str, float | str | int | None]:
         "name": region.name,
         "title": region.title,
         "provenance": region.provenance,
+        "layers": [asdict(origin) for origin in region.layers],
+        "origin_lat_deg": region.origin_lat_deg,
+        "origin_lon_deg": region.origin_lon_deg,
+        "crs": region.crs,
         "rows": region.grid.rows,
         "columns": region.grid.columns,
         "resolution_m": region.grid.resolution_m,
@@ -104,11 +116,49 @@ def _figures(region: Region) -> dict[str, float | str | int | None]:
 
 @app.command("build", epilog=EXAMPLES)
 def build(
-    region: RegionName,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.npz", help="File for the region.")],
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="A recipe (.toml) of rasters, or a region to write as an .npz file.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="PATH",
+            help="Folder for the region of a recipe (default: its name); or a file that ends in .npz.",
+        ),
+    ] = None,
     field_seed: FieldSeed = None,
 ) -> None:
-    """Compute the reference field of a region and write it as a region file."""
+    """Build a region from rasters: a folder with region.toml and GeoTIFFs. Or write a region as an .npz file."""
+    from he3.errors import InvalidInput
+
+    if source.endswith(".toml") and Path(source).name != "region.toml":
+        if field_seed is not None:
+            raise InvalidInput("--field-seed: expected it with a region, got it with a recipe, which has its own seed")
+        _build_folder(Path(source), out)
+        return
+    if out is None:
+        raise InvalidInput("expected --out FILE.npz for a region, got none")
+    _build_file(source, out, field_seed)
+
+
+def _build_folder(source: Path, out: Path | None) -> None:
+    from services.mission.region_build.build import build_region
+    from services.mission.region_build.recipe import read_recipe
+
+    recipe = read_recipe(source)
+    folder = out if out is not None else Path(recipe.name)
+    document = build_region(recipe, source.parent, folder, _progress)
+    typer.echo(f"written to {folder}: {document.title}")
+    for origin in document.origins:
+        typer.echo(f"              {origin.line()}")
+
+
+def _progress(line: str) -> None:
+    typer.echo(line, err=True)
+
+
+def _build_file(region: str, out: Path, field_seed: int | None) -> None:
     import numpy as np
 
     from he3.errors import He3Error, InvalidInput
@@ -137,3 +187,21 @@ def build(
     except OSError as error:
         raise He3Error(f"{out}: cannot write the region: {error.strerror}") from None
     typer.echo(f"written to {out}: {loaded.title}, {loaded.grid.rows} x {loaded.grid.columns} cells")
+
+
+@app.command("template")
+def template(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="dem, kaguya, sldem, polar, npy or multiband.")] = "dem",
+) -> None:
+    """Print a recipe to begin with, for one kind of source."""
+    from he3.errors import InvalidInput
+    from services.mission.region_build.templates import TEMPLATES
+
+    if kind not in TEMPLATES:
+        raise InvalidInput(f"expected a template out of {', '.join(TEMPLATES)}, got {kind!r}")
+    typer.echo(TEMPLATES[kind], nl=False)
+
+
+def renamed(context: typer.Context) -> None:
+    """The earlier name of these commands."""
+    typer.echo(f"he3: reference is region now: he3 region {context.invoked_subcommand or ''}".rstrip(), err=True)

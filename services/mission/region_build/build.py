@@ -1,0 +1,141 @@
+"""From a recipe to a region's folder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from he3 import constants
+from he3.errors import InvalidInput
+from he3.frames import BoolArray, FloatArray, SiteGrid
+from he3.nodata import expect_measured, expect_no_walls
+from he3.provenance import LayerOrigin, OriginKind, summary
+from he3.terrain import relief_m, slope_deg, traversable
+from services.mission.region_build.chemistry import chemistry_of, laid_over
+from services.mission.region_build.projection import SitePlane, site_plane
+from services.mission.region_build.recipe import Recipe
+from services.mission.region_build.sampling import Sampled, sample
+from services.mission.region_build.sources import opened
+from services.mission.region_build.writing import write_folder
+from services.mission.region_folder import FORMAT_VERSION, RegionDocument
+from services.mission.regions import load_window
+
+_DESCRIPTIONS = {
+    "he3_ppb": "helium-3, reference field [ppb]", "orbital_ppb": "helium-3 as an orbiter maps it [ppb]",
+    "elevation_m": "height above the sphere of 1737.4 km [m]", "traversable": "1: a rover may drive here",
+    "iron_wt": "FeO [wt %]", "maturity": "OMAT", "titanium_wt": "TiO2 [wt %]", "filled": "1: a hole was filled here",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terrain:
+    """The ground of a site, row 0 south."""
+
+    elevation_m: FloatArray
+    traversable: BoolArray
+    rule: str
+
+
+def build_region(
+    recipe: Recipe, base: Path, out: Path, progress: Callable[[str], None] = lambda line: None
+) -> RegionDocument:
+    """Build the region of a recipe into the folder ``out``, and return its document.
+
+    base: folder of relative paths in the recipe. Raises InvalidInput, in one line, before anything is written.
+    """
+    grid = SiteGrid(recipe.rows, recipe.columns, recipe.resolution_m)
+    plane = site_plane(recipe.centre_lat_deg, recipe.centre_lon_deg, grid, recipe.projection)
+    relief = grid.resolution_m < constants.RELIEF_WINDOW_M
+    margin = math.ceil(constants.RELIEF_WINDOW_M / 2 / grid.resolution_m) if relief else 1
+    sampled: dict[str, Sampled] = {}
+    origins: list[LayerOrigin] = []
+    for layer, table in recipe.layers.items():
+        name = str(layer)
+        progress(f"reading {name} from {table.file}")
+        with opened(name, table, base) as source:
+            found = sample(source, plane, margin if name == "elevation_m" else 0, slopes=name == "elevation_m")
+            sampled[name] = found
+            holes = f"; {found.filled.mean():.2%} of it filled" if found.filled.any() else ""
+            origins.append(LayerOrigin(
+                layer=name, kind=OriginKind(table.kind), file=source.name, sha256=found.sha256, window=found.window,
+                product_id=source.product_id, citation=table.citation,
+                source=f"{table.source}, pixels of {found.pixel_m:.4g} m{holes}",
+            ))  # fmt: skip
+    terrain = _terrain(recipe, sampled["elevation_m"], margin, relief)
+    measured: dict[str, FloatArray] = {name: found.values for name, found in sampled.items() if name != "elevation_m"}
+    for name, values in measured.items():
+        expect_measured(f"layer {name}", values, -1e3, constants.HELIUM3_MAX_PPB)
+    pixel_m = max((found.pixel_m for name, found in sampled.items() if name != "elevation_m"), default=0.0)
+    if recipe.chemistry.lay_over is not None:
+        layers, over, pixel_m = laid_over(load_window(recipe.chemistry.lay_over), grid)
+        measured |= layers
+        origins += over
+    centre = recipe.centre_lat_deg, recipe.centre_lon_deg
+    chemistry = chemistry_of(recipe.chemistry, measured, pixel_m, grid, centre)
+    origins += chemistry.origins
+    origins.append(LayerOrigin(layer="traversable", kind=OriginKind.DERIVED, source=terrain.rule))
+    maps: dict[str, Any] = {
+        "he3_ppb": chemistry.he3_ppb, "orbital_ppb": chemistry.orbital_ppb, "elevation_m": terrain.elevation_m,
+        "traversable": terrain.traversable, **chemistry.layers,
+    }  # fmt: skip
+    filled = _filled(sampled, margin)
+    if filled.any():
+        maps["filled"] = filled
+        origins.append(LayerOrigin(layer="filled", kind=OriginKind.DERIVED, source="cells that rest on filled holes"))
+    origins.append(LayerOrigin(layer="orbital_ppb", kind=OriginKind.DERIVED, source="as he3_ppb, without variation"))
+    document = _document(recipe, plane, tuple(origins))
+    progress(f"writing {out}")
+    corner = plane.x_m, plane.y_m + grid.height_m
+    return write_folder(out, document, maps, plane.crs, corner, grid.resolution_m, _DESCRIPTIONS)
+
+
+def _terrain(recipe: Recipe, sampled: Sampled, margin: int, with_relief: bool) -> Terrain:
+    """Elevation, and where a rover may drive: by the site's slopes and relief, and by the raster's own slopes."""
+    cell, limit = recipe.resolution_m, recipe.slope_limit_deg
+    heights = sampled.values
+    expect_measured("layer elevation_m", heights, constants.ELEVATION_MIN_M, constants.ELEVATION_MAX_M, "m")
+    expect_no_walls("layer elevation_m", heights, cell)
+    cut = slice(margin, -margin)
+    slope = slope_deg(heights, cell)[cut, cut]
+    assert sampled.source_slope_deg is not None  # elevation is sampled with slopes
+    steep = np.maximum(slope, sampled.source_slope_deg[cut, cut])
+    relief = relief_m(heights, cell)[cut, cut] if with_relief else np.zeros_like(slope)
+    rule = f"slope of at most {limit:g} deg in the site and in its raster" + (", and relief" if with_relief else
+           ", without relief, as cells are too large for it")  # fmt: skip
+    open_cells = traversable(steep, relief, limit)
+    # The closing of the paper's rule closes gaps; it opens nothing, but at the edge a steep cell must stay closed.
+    open_cells &= steep <= limit
+    if not open_cells.any():
+        raise InvalidInput(f"expected ground of at most {limit:g} deg somewhere in the site, got none")
+    return Terrain(heights[cut, cut].copy(), open_cells, rule)
+
+
+def _filled(sampled: dict[str, Sampled], margin: int) -> BoolArray:
+    cut = slice(margin, -margin)
+    masks = [found.filled[cut, cut] if name == "elevation_m" else found.filled for name, found in sampled.items()]
+    filled: BoolArray = np.logical_or.reduce(masks)
+    return filled
+
+
+def _document(recipe: Recipe, plane: SitePlane, origins: tuple[LayerOrigin, ...]) -> dict[str, Any]:
+    latitude, longitude = plane.corner_deg()
+    layers = {}
+    for origin in origins:
+        table = asdict(origin)
+        layers[table.pop("layer")] = {
+            "kind": origin.kind.value, "source": origin.source, "source_file": origin.file,
+            "source_sha256": origin.sha256, "window": origin.window, "product_id": origin.product_id,
+            "citation": origin.citation,
+        }  # fmt: skip
+    return {
+        "format": "he3-region", "version": FORMAT_VERSION, "kind": "site", "name": recipe.name, "title": recipe.title,
+        "provenance": summary(origins)[:1000], "resolution_m": recipe.resolution_m,
+        "origin_lat_deg": latitude if plane.has_origin else None,
+        "origin_lon_deg": longitude if plane.has_origin else None,
+        "crs": plane.crs, "origin_x_m": plane.x_m, "origin_y_m": plane.y_m, "layers": layers,
+    }  # fmt: skip

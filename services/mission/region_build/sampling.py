@@ -1,0 +1,162 @@
+"""From a raster to the site's cells: the window needed, averaged where cells are larger than pixels, then bicubic.
+
+Nothing beyond the raster's edge or inside its holes is invented: a cell whose 4 x 4 pixels are not all there is
+refused, unless the recipe asks for holes to be filled, which are then marked.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy import ndimage
+
+from he3.errors import InvalidInput
+from he3.frames import BoolArray, FloatArray
+from he3.nodata import cells_where
+from he3.terrain import slope_deg
+from services.mission.region_build.geo import rasterio
+from services.mission.region_build.projection import SitePlane, transformer
+from services.mission.region_build.sources import Source
+
+_PADDING: Final = 12  # pixels around; a cubic spline's coefficients depend on those farther off by 0.27^12 = 1e-7
+_SUPPORT: Final = 2  # pixels around that bicubic interpolation needs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sampled:
+    """A layer on the site's cells, row 0 south, and how it came there."""
+
+    values: FloatArray
+    filled: BoolArray
+    """Cells that rest on filled holes."""
+    source_slope_deg: FloatArray | None
+    """For elevation: the slope of the raster itself, of the pixel that each cell lies in."""
+    pixel_m: float
+    """Size of a pixel on the ground [m], northward."""
+    window: str
+    sha256: str
+
+
+def sample(source: Source, plane: SitePlane, margin: int = 0, *, slopes: bool = False) -> Sampled:
+    """The raster at the centres of the cells and ``margin`` cells around them.
+
+    Raises InvalidInput if the raster does not surround them, or has holes there that are not to be filled.
+    """
+    x, y = plane.centres(margin)
+    east, north = transformer(plane.crs, source.crs).transform(x, y)
+    if not (np.isfinite(east).all() and np.isfinite(north).all()):
+        raise InvalidInput(f"{source.name}: expected a projection that holds the site, got places outside of it")
+    rows, columns = source.pixels(east, north)
+    columns = _unwrapped(columns, source)
+    row, column, height, width = _window(source, rows, columns)
+    values = source.read(row, column, height, width)
+    where = f"rows {row} to {row + height - 1}, columns {column} to {column + width - 1}"
+    checksum = source.sha256 or hashlib.sha256(values.astype("<f8").tobytes()).hexdigest()
+    # From here on, rows and columns are of the window, counted from its first pixel's centre.
+    rows, columns = rows - row - 0.5, columns - column - 0.5
+    step = _pixels_a_cell(rows, columns)
+    pixel_m = plane.grid.resolution_m / step[0], plane.grid.resolution_m / step[1]
+    steep = _source_slopes(values, pixel_m, rows, columns, step) if slopes else None
+    factors = max(1, int(step[0] + 1e-6)), max(1, int(step[1] + 1e-6))
+    values = _averaged(values, factors)
+    rows, columns = (rows + 0.5) / factors[0] - 0.5, (columns + 0.5) / factors[1] - 0.5
+    missing = np.isnan(values)
+    touched = ndimage.binary_dilation(missing, np.ones((4, 4), dtype=np.bool_), origin=(-1, -1))
+    near = np.clip(np.floor(rows).astype(np.intp), 0, None), np.clip(np.floor(columns).astype(np.intp), 0, None)
+    holes: BoolArray = touched[np.minimum(near[0], touched.shape[0] - 1), np.minimum(near[1], touched.shape[1] - 1)]
+    if holes.any() and not source.table.fill_holes:
+        raise InvalidInput(
+            f"{source.name}: layer {source.layer}: expected values everywhere in the site, got missing ones below "
+            f"{cells_where(holes)}; fill_holes = true fills and marks them"
+        )
+    if missing.any():
+        values = _filled(values, missing, source)
+    fine = ndimage.map_coordinates(values, np.stack((rows, columns)), order=3, mode="mirror")
+    return Sampled(values=fine, filled=holes, source_slope_deg=steep, pixel_m=pixel_m[0], window=where, sha256=checksum)
+
+
+def _unwrapped(columns: FloatArray, source: Source) -> FloatArray:
+    """The columns without the jump of a full circle at the antimeridian, and within the raster where that can be."""
+    if source.period is None:
+        return columns
+    middle = float(columns[columns.shape[0] // 2, columns.shape[1] // 2])
+    columns = columns - source.period * np.round((columns - middle) / source.period)
+    return columns - source.period * math.floor(middle / source.period)
+
+
+def _window(source: Source, rows: FloatArray, columns: FloatArray) -> tuple[int, int, int, int]:
+    """(row, column, rows, columns) of the pixels that are needed, with padding as far as the raster reaches."""
+    bounds = []
+    for axis, places, count in (("rows", rows, source.rows), ("columns", columns, source.columns)):
+        low, high = float(places.min()) - 0.5, float(places.max()) - 0.5  # in pixels' centres
+        first, last = math.floor(low + 1e-6) - _SUPPORT + 1, math.ceil(high - 1e-6) + _SUPPORT - 1
+        endless = axis == "columns" and source.is_global
+        if not endless and (first < 0 or last > count - 1):
+            raise InvalidInput(
+                f"{source.name}: layer {source.layer}: expected a raster that surrounds the site by "
+                f"{_SUPPORT - 1} pixel, {axis} {first} to {last}, got 0 to {count - 1}"
+            )
+        if endless and last - first > count:
+            raise InvalidInput(f"{source.name}: layer {source.layer}: expected a site on one side of the pole in a "
+                               f"cylindrical raster, got one around it")  # fmt: skip
+        first, last = first - _PADDING, last + _PADDING
+        if not endless:
+            first, last = max(first, 0), min(last, count - 1)
+        bounds.append((first, last - first + 1))
+    return bounds[0][0], bounds[1][0], bounds[0][1], bounds[1][1]
+
+
+def _pixels_a_cell(rows: FloatArray, columns: FloatArray) -> tuple[float, float]:
+    """How many pixels a cell covers, down and across, in the middle of the site."""
+    r, c = rows.shape[0] // 2, rows.shape[1] // 2
+    down = max(abs(rows[r, c] - rows[r - 1, c]), abs(rows[r, c] - rows[r, c - 1]))
+    across = max(abs(columns[r, c] - columns[r, c - 1]), abs(columns[r, c] - columns[r - 1, c]))
+    return max(float(down), 1e-9), max(float(across), 1e-9)
+
+
+def _averaged(values: FloatArray, factors: tuple[int, int]) -> FloatArray:
+    """Means over blocks, so that cells larger than pixels show no aliases; a block with a missing value is missing."""
+    if factors == (1, 1):
+        return values
+    rows, columns = values.shape[0] // factors[0], values.shape[1] // factors[1]
+    cut = values[: rows * factors[0], : columns * factors[1]]
+    blocks: FloatArray = cut.reshape(rows, factors[0], columns, factors[1]).mean(axis=(1, 3))
+    return blocks
+
+
+def _source_slopes(
+    values: FloatArray, pixel_m: tuple[float, float], rows: FloatArray, columns: FloatArray, step: tuple[float, float]
+) -> FloatArray:
+    """Slope [deg] of the raster itself at each cell: the steepest of the pixels that the cell covers."""
+    known = np.where(np.isnan(values), np.nanmean(values) if np.isfinite(values).any() else 0.0, values)
+    square = known if abs(pixel_m[0] / pixel_m[1] - 1) < 1e-3 else None
+    if square is not None:
+        slope = slope_deg(known, pixel_m[0])
+    else:
+        down, right = np.gradient(known, pixel_m[0], pixel_m[1])
+        slope = np.degrees(np.arctan(np.hypot(down, right)))
+    size = math.ceil(step[0]), math.ceil(step[1])
+    if max(size) > 1:
+        slope = ndimage.maximum_filter(slope, size=size, mode="nearest")
+    r = np.clip(np.rint(rows).astype(np.intp), 0, values.shape[0] - 1)
+    c = np.clip(np.rint(columns).astype(np.intp), 0, values.shape[1] - 1)
+    found: FloatArray = slope[r, c]
+    return found
+
+
+def _filled(values: FloatArray, missing: BoolArray, source: Source) -> FloatArray:
+    """The values with their holes filled from the edges of these, by GDAL's inverse distances."""
+    if missing.all():
+        raise InvalidInput(f"{source.name}: layer {source.layer}: expected values in the site, got missing ones alone")
+    rasterio()
+    from rasterio.fill import fillnodata
+
+    middle = float(np.nanmean(values))
+    data = np.where(missing, 0.0, values - middle).astype(np.float32)
+    reach = float(max(values.shape))
+    filled = fillnodata(data, mask=(~missing).astype(np.uint8), max_search_distance=reach)
+    return np.where(missing, filled.astype(np.float64) + middle, values)

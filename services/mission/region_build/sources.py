@@ -1,0 +1,293 @@
+"""Rasters of orbital products, read in windows: by GDAL, from files or addresses, and NumPy arrays.
+
+Values come out as float64 in the unit of their layer, NaN where they are missing. A PDS3 image is opened through its
+label. What a product says of itself is taken (scale, offset, unit, no-data, band names); a recipe overrides it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import re
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from he3.constants import MOON_RADIUS_M
+from he3.errors import InvalidInput
+from he3.frames import FloatArray
+from services.mission.region_build.geo import pyproj, rasterio
+from services.mission.region_build.recipe import GridTable, SourceTable
+
+MAX_WINDOW_PIXELS: Final = 64_000_000
+MAX_CHECKSUM_BYTES: Final = 256 * 1024 * 1024  # beyond it, the checksum is that of the window
+_MISSING_BELOW: Final = -1e30  # no quantity is; covers -3.4e38 in each of its spellings
+_PLANET_RADIUS_M: Final = 1_000_000.0  # elevations above it are distances from the Moon's centre
+_UNITS: Final = {
+    "kilometer": 1000.0, "kilometre": 1000.0, "kilometers": 1000.0, "km": 1000.0,
+    "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "m": 1.0,
+}  # fmt: skip
+_POSITIVE: Final = ("iron_wt", "maturity")  # layers in which 0 or less marks a missing value, always
+_EQUATOR_M: Final = 2 * math.pi * MOON_RADIUS_M
+
+
+@dataclass(slots=True, eq=False)
+class Source:
+    """A raster that is open. Columns and rows are counted from the outer edge of the first pixel."""
+
+    name: str
+    layer: str
+    table: SourceTable
+    rows: int
+    columns: int
+    transform: tuple[float, float, float, float, float, float]
+    """(a, b, c, d, e, f): x = a column + b row + c, y = d column + e row + f."""
+    crs: Any
+    """None for one with a grid of its own: x east and y north of its centre [m]."""
+    period: float | None
+    """Columns around the Moon, in a cylindrical projection."""
+    sha256: str
+    product_id: str
+    reader: Any
+    """(row, column, rows, columns) -> values, NaN where missing."""
+    notes: list[str]
+
+    def pixels(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows and columns of places in the raster's projection; the first pixel's centre is (0.5, 0.5)."""
+        a, b, c, d, e, f = self.transform
+        determinant = a * e - b * d
+        columns = (e * (x - c) - b * (y - f)) / determinant
+        rows = (-d * (x - c) + a * (y - f)) / determinant
+        return rows, columns
+
+    @property
+    def is_global(self) -> bool:
+        """Whether its last column touches its first one, around the Moon."""
+        return self.period is not None and abs(self.columns - self.period) < 0.5
+
+    def read(self, row: int, column: int, rows: int, columns: int) -> FloatArray:
+        """A window, (rows, columns) float64; a global raster continues across its seam."""
+        if rows * columns > MAX_WINDOW_PIXELS:
+            raise InvalidInput(
+                f"{self.name}: expected a window of at most {MAX_WINDOW_PIXELS} pixels, got {rows} x {columns}"
+            )
+        parts, at = [], column
+        while at < column + columns:
+            first = at % self.columns if self.is_global else at
+            width = min(column + columns - at, self.columns - first)
+            parts.append(self.reader(row, first, rows, width))
+            at += width
+        values: FloatArray = np.concatenate(parts, axis=1)
+        return values
+
+
+@contextlib.contextmanager
+def opened(layer: str, table: SourceTable, folder: Path) -> Iterator[Source]:
+    """The raster of that layer; raises InvalidInput, in one line, for one that cannot be read or placed."""
+    if table.grid is not None:
+        yield _array_source(layer, table, folder, table.grid)
+        return
+    if table.file.endswith(".npy"):
+        raise InvalidInput(f"{table.file}: expected a table [layers.{layer}.grid] that says where the array lies")
+    library = rasterio()
+    name = _gdal_name(table.file, folder)
+    try:
+        with (
+            warnings.catch_warnings(),
+            library.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_HTTP_TIMEOUT="60", GDAL_CACHEMAX=64),
+        ):
+            warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+            with library.open(name) as dataset:
+                yield _gdal_source(layer, table, dataset, name)
+    except library.errors.RasterioError as error:
+        raise InvalidInput(f"{table.file}: layer {layer}: expected a raster that GDAL reads, got {error}") from None
+
+
+def _gdal_name(file: str, folder: Path) -> str:
+    if file.startswith(("http://", "https://")):
+        return f"/vsicurl/{file}"
+    if file.startswith("/vsi"):
+        return file
+    path = folder / file
+    if path.suffix.lower() == ".img":  # GDAL opens the label of a PDS3 image
+        for suffix in (".LBL", ".lbl", ".xml"):
+            if path.with_suffix(suffix).is_file():
+                path = path.with_suffix(suffix)
+                break
+    if not path.is_file():
+        raise InvalidInput(f"{path}: expected a raster, got no such file")
+    return str(path)
+
+
+def _gdal_source(layer: str, table: SourceTable, dataset: Any, name: str) -> Source:
+    band = _band(table, dataset, name)
+    if dataset.crs is None:
+        raise InvalidInput(f"{name}: layer {layer}: expected a georeferenced raster, got one without a projection")
+    transform = dataset.transform
+    notes: list[str] = []
+    label = _label_text(name)
+    scale = dataset.scales[band - 1] if table.scale is None else table.scale
+    offset = dataset.offsets[band - 1] if table.offset is None else table.offset
+    unit = table.unit or dataset.units[band - 1] or _label_word(label, "UNIT")
+    factor = _factor(layer, unit)
+    no_data = [*table.no_data, *([] if dataset.nodatavals[band - 1] is None else [dataset.nodatavals[band - 1]])]
+
+    def read(row: int, column: int, rows: int, columns: int) -> FloatArray:
+        raw = dataset.read(band, window=((row, row + rows), (column, column + columns)))
+        return _values(raw, layer, table, no_data, scale, offset, factor)
+
+    path = Path(name)
+    data = [path] if path.is_file() else []
+    if data and path.suffix.lower() in (".lbl", ".xml"):
+        data = [Path(file) for file in dataset.files if Path(file).suffix.lower() not in (".lbl", ".xml")] or data
+    crs = pyproj().CRS.from_user_input(dataset.crs.to_wkt())
+    source = Source(
+        name=Path(name).name, layer=layer, table=table, rows=dataset.height, columns=dataset.width,
+        transform=(transform.a, transform.b, transform.c, transform.d, transform.e, transform.f), crs=crs,
+        period=_period(crs, transform.a), sha256=_checksum(data), reader=read, notes=notes,
+        product_id=table.product_id or _label_word(label, "PRODUCT_ID"),
+    )  # fmt: skip
+    _expect_the_moon(source, crs)
+    _expect_label_agrees(source, label)
+    return source
+
+
+def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable) -> Source:
+    path = folder / table.file
+    try:
+        values = np.load(path, allow_pickle=False, mmap_mode="r")
+    except FileNotFoundError:
+        raise InvalidInput(f"{path}: expected a raster, got no such file") from None
+    except (OSError, ValueError, EOFError) as error:
+        raise InvalidInput(f"{path}: layer {layer}: expected a plain .npy array, got {error}") from None
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "fiu":
+        raise InvalidInput(f"{path}: layer {layer}: expected one array (rows, columns) of real numbers")
+    rows, columns = values.shape
+    factor = _factor(layer, table.unit)
+    scale, offset = table.scale or 1.0, table.offset or 0.0
+
+    def read(row: int, column: int, height: int, width: int) -> FloatArray:
+        raw = np.asarray(values[row : row + height, column : column + width])
+        return _values(raw, layer, table, list(table.no_data), scale, offset, factor)
+
+    cell = grid.resolution_m
+    crs = (
+        f"+proj=eqc +lat_ts={grid.centre_lat_deg!r} +lon_0={grid.centre_lon_deg!r} +R={MOON_RADIUS_M:.0f} "
+        f"+y_0={-math.radians(grid.centre_lat_deg) * MOON_RADIUS_M!r} +units=m"
+    )
+    return Source(
+        name=path.name, layer=layer, table=table, rows=rows, columns=columns, sha256=_checksum([path]), reader=read,
+        transform=(cell, 0.0, -columns * cell / 2, 0.0, -cell, rows * cell / 2), crs=crs, period=None, notes=[],
+        product_id=table.product_id,
+    )  # fmt: skip
+
+
+def _band(table: SourceTable, dataset: Any, name: str) -> int:
+    """The number of the band: by its name where it has one."""
+    descriptions = [text or "" for text in dataset.descriptions]
+    if isinstance(table.band, str):
+        found = [number for number, text in enumerate(descriptions, start=1) if text == table.band]
+        if len(found) != 1:
+            raise InvalidInput(f"{name}: expected one band named {table.band!r}, got {', '.join(descriptions) or '-'}")
+        return found[0]
+    if table.band is None and dataset.count != 1:
+        raise InvalidInput(f"{name}: expected key band, as there are {dataset.count}: {', '.join(descriptions)}")
+    band = table.band or 1
+    if band > dataset.count:
+        raise InvalidInput(f"{name}: expected a band of 1 to {dataset.count}, got {band}")
+    return band
+
+
+def _factor(layer: str, unit: str | None) -> float:
+    """What values of that unit are multiplied by for the unit of the layer."""
+    word = (unit or "").strip().strip("<>'\"").lower()
+    if layer == "elevation_m":
+        if word and word not in _UNITS:
+            raise InvalidInput(f'layer {layer}: expected a unit of length, got {unit!r}: give unit = "m" or "km"')
+        return _UNITS.get(word, 1.0)
+    return 100.0 if word == "fraction" and layer in ("iron_wt", "titanium_wt") else 1.0
+
+
+def _values(
+    raw: Any, layer: str, table: SourceTable, no_data: list[float], scale: float, offset: float, factor: float
+) -> FloatArray:
+    values = raw.astype(np.float64)
+    missing = ~np.isfinite(values) | (values < _MISSING_BELOW)
+    for number in no_data:
+        # As the raster's own type rounds it: -3.4028226550889045e38 is no float32.
+        missing |= raw == np.asarray(number).astype(raw.dtype) if raw.dtype.kind == "f" else values == number
+    if table.zero_is_missing:
+        missing |= values == 0
+    if layer in _POSITIVE:
+        missing |= values <= 0
+    values = (values * scale + offset) * factor
+    if layer == "elevation_m" and (~missing).any() and float(np.median(values[~missing])) > _PLANET_RADIUS_M:
+        values -= MOON_RADIUS_M  # the label's offset makes radii of heights
+    result: FloatArray = np.where(missing, np.nan, values)
+    return result
+
+
+def _period(crs: Any, pixel: float) -> float | None:
+    """Columns around the Moon in a cylindrical raster with pixels of that width."""
+    if crs.is_geographic:
+        return 360.0 / abs(pixel)
+    operation = crs.coordinate_operation
+    if operation is None or "equi" not in operation.method_name.lower().replace("plate car", "equi"):
+        return None
+    if "cylindrical" not in operation.method_name.lower() and "equirect" not in operation.method_name.lower():
+        return None
+    parallel = next((item.value for item in operation.params if "standard parallel" in item.name.lower()), 0.0)
+    return _EQUATOR_M * math.cos(math.radians(parallel)) / abs(pixel)
+
+
+def _expect_the_moon(source: Source, crs: Any) -> None:
+    radius = crs.ellipsoid.semi_major_metre if crs.ellipsoid is not None else math.nan
+    if not abs(radius / MOON_RADIUS_M - 1.0) < 2e-3:
+        raise InvalidInput(
+            f"{source.name}: expected a raster of the Moon, R about {MOON_RADIUS_M:.0f} m, got {radius:.0f} m"
+        )
+
+
+def _label_text(name: str) -> str:
+    path = Path(name)
+    if path.suffix.lower() != ".lbl":
+        return ""
+    return path.read_bytes()[:65536].decode("latin-1")
+
+
+def _label_word(label: str, key: str) -> str:
+    found = re.search(rf"^\s*{key}\s*=\s*\"?([^\"\r\n]+?)\"?\s*$", label, re.MULTILINE)
+    return found.group(1).strip() if found else ""
+
+
+def _expect_label_agrees(source: Source, label: str) -> None:
+    """Raises InvalidInput if a PDS3 label's bounds and its projection offsets place the raster differently."""
+    words = [_label_word(label, key).split("<")[0].strip() for key in ("MAXIMUM_LATITUDE", "MINIMUM_LATITUDE")]
+    if source.period is None or not all(words):
+        return
+    try:
+        north, south = (float(word) for word in words)
+    except ValueError:
+        return
+    _, _, _, _, e, f = source.transform
+    top = f if source.crs.is_geographic else math.degrees(f / MOON_RADIUS_M)
+    step = e if source.crs.is_geographic else math.degrees(e / MOON_RADIUS_M)
+    got = (top - north) / abs(step), (top + step * source.rows - south) / abs(step)
+    if max(map(abs, got)) > 0.75:
+        raise InvalidInput(
+            f"{source.name}: expected offsets that agree with MAXIMUM_LATITUDE and MINIMUM_LATITUDE of the label, "
+            f"got {got[0]:+.2f} and {got[1]:+.2f} rows of difference"
+        )
+
+
+def _checksum(files: list[Path]) -> str:
+    """Checksum of one file that is not too large for it; else none."""
+    if len(files) != 1 or files[0].stat().st_size > MAX_CHECKSUM_BYTES:
+        return ""
+    with files[0].open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,233 @@
+"""A region as a folder: ``region.toml`` beside one GeoTIFF a layer. The document's format, and reading of it.
+
+Rasters are north up, as GeoTIFFs are; what is returned here has row 0 in the south. Two kinds of folder exist: a
+``site`` has finished maps on the cells of the site, and a ``window`` has coarse orbital rasters, from which
+`he3.reference` makes a site. docs/regions.md describes the format.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from he3.errors import InvalidInput
+from he3.provenance import LayerOrigin, OriginKind
+from schemas.codec import one_line
+from services.mission.embedded_regions import EMBEDDED
+from services.mission.tiff import NotPlain, read_tiff
+
+DOCUMENT: Final = "region.toml"
+FORMAT_VERSION: Final = 1
+MAX_DOCUMENT_BYTES: Final = 1_000_000
+MAX_RASTER_BYTES: Final = 512 * 1024 * 1024
+WINDOW_LAYERS: Final = ("iron_wt", "maturity", "elevation_m")
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Words = Annotated[str, Field(max_length=1000, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Latitude = Annotated[float, Field(ge=-90, le=90)]
+Longitude = Annotated[float, Field(ge=-360, le=360)]
+
+
+class Table(BaseModel):
+    """One table of a document: frozen, no unknown keys, finite numbers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+T = TypeVar("T", bound=Table)
+
+
+class LayerTable(Table):
+    """One layer: its GeoTIFF in the folder, and where its values come from."""
+
+    file: Name | None = None
+    """GeoTIFF in the folder; none for a layer that is one assumed value, or that is recomputed."""
+    sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
+    """Checksum of that GeoTIFF; a file that does not have it is refused."""
+    kind: Literal["real", "derived", "assumed", "synthetic"]
+    source: Annotated[Words, Field(min_length=1)]
+    source_file: Words = ""
+    source_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
+    window: Words = ""
+    product_id: Words = ""
+    citation: Words = ""
+
+    def origin(self, name: str) -> LayerOrigin:
+        """The record of this layer for reports."""
+        return LayerOrigin(
+            layer=name, kind=OriginKind(self.kind), source=self.source, file=self.source_file or self.file or "",
+            sha256=self.source_sha256 or self.sha256, window=self.window, product_id=self.product_id,
+            citation=self.citation,
+        )  # fmt: skip
+
+
+class WindowTable(Table):
+    """The grid of coarse orbital rasters, in degrees, and what makes a site of them."""
+
+    north_deg: Latitude
+    west_deg: Longitude
+    pixels_per_degree: Annotated[float, Field(gt=0, le=100_000)]
+    solar_wind_flux: Annotated[float, Field(gt=0, le=1)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class RegionDocument(Table):
+    """``region.toml``."""
+
+    format: Literal["he3-region"]
+    version: Literal[1]
+    kind: Literal["site", "window"]
+    name: Name
+    title: Annotated[Words, Field(min_length=1, max_length=200)]
+    provenance: Annotated[Words, Field(min_length=1)]
+    """One line on the whole region, for the reader of a report."""
+    resolution_m: Annotated[float, Field(ge=0.01, le=1000)] = 1.0
+    origin_lat_deg: Latitude | None = None
+    """Of the south-west corner."""
+    origin_lon_deg: Longitude | None = None
+    crs: Words = ""
+    """Projection of the site's plane, as a PROJ string; its metres are the site's."""
+    origin_x_m: float | None = None
+    """Of the south-west corner in that projection [m]."""
+    origin_y_m: float | None = None
+    window: WindowTable | None = None
+    layers: Annotated[dict[Name, LayerTable], Field(min_length=1, max_length=64)]
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> RegionDocument:
+        if (self.origin_lat_deg is None) != (self.origin_lon_deg is None):
+            raise ValueError("expected both of origin_lat_deg and origin_lon_deg or none, got one")
+        if (self.kind == "window") != (self.window is not None):
+            raise ValueError("expected a table [window] in a region of kind 'window', and in no other")
+        wanted: tuple[str, ...] = ("he3_ppb",)
+        if self.kind == "window":
+            wanted = WINDOW_LAYERS
+            if self.origin_lat_deg is None:
+                raise ValueError("expected origin_lat_deg and origin_lon_deg in a region of kind 'window'")
+        elif not {"elevation_m", "traversable"} & self.with_files.keys():
+            raise ValueError("expected a file of layer elevation_m or traversable, got neither")
+        for name in wanted:
+            if name not in self.with_files:
+                raise ValueError(f"expected a file of layer {name}, got layers {', '.join(sorted(self.layers))}")
+        return self
+
+    @property
+    def with_files(self) -> dict[str, LayerTable]:
+        """The layers that have a raster in the folder."""
+        return {name: layer for name, layer in self.layers.items() if layer.file is not None}
+
+    @property
+    def origins(self) -> tuple[LayerOrigin, ...]:
+        """Where each layer comes from."""
+        return tuple(layer.origin(name) for name, layer in self.layers.items())
+
+
+def is_region_folder(name_or_path: str | Path) -> bool:
+    """Whether that is the name of an embedded region, a folder of a region, or its document."""
+    if str(name_or_path) in EMBEDDED:
+        return True
+    path = Path(name_or_path)
+    try:
+        return path.name == DOCUMENT or path.is_dir() or (path.suffix == "" and (path / DOCUMENT).is_file())
+    except (OSError, ValueError):  # no valid file name
+        return False
+
+
+def folder_of(name_or_path: str | Path) -> Path:
+    """The folder of an embedded region or of a path."""
+    if str(name_or_path) in EMBEDDED:
+        return Path(str(resources.files("services.mission").joinpath("region_data", EMBEDDED[str(name_or_path)])))
+    path = Path(name_or_path)
+    return path.parent if path.name == DOCUMENT else path
+
+
+def read_document(folder: Path) -> RegionDocument:
+    """The document of a region's folder. Raises InvalidInput, in one line with file, key and expectation."""
+    path = folder / DOCUMENT
+    return checked(RegionDocument, load_toml(path), path)
+
+
+def provenance_of(name_or_path: str | Path) -> dict[str, str]:
+    """Layer -> where it comes from in one line, for a recording; the region's name alone where it does not say."""
+    if not is_region_folder(name_or_path):
+        return {"region": str(name_or_path)}
+    document = read_document(folder_of(name_or_path))
+    return {"region": document.provenance, **{origin.layer: origin.line() for origin in document.origins}}
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """A TOML document; raises InvalidInput for a file that is none."""
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_DOCUMENT_BYTES + 1)
+        if len(content) > MAX_DOCUMENT_BYTES:
+            raise InvalidInput(f"{path}: expected a document of at most {MAX_DOCUMENT_BYTES} bytes, got more")
+        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+    except FileNotFoundError:
+        raise InvalidInput(f"{path}: expected a TOML file, got no such file") from None
+    except OSError as error:
+        raise InvalidInput(f"{path}: cannot read the file: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InvalidInput(f"{path}: expected UTF-8 text, got other bytes") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInput(f"{path}: expected TOML, got a syntax error: {error}") from None
+
+
+def checked(model: type[T], document: dict[str, Any], where: Path) -> T:
+    """The validated document; raises InvalidInput with a line that begins with ``where``."""
+    try:
+        # Through JSON, so that a document is validated as strictly as a message.
+        return model.model_validate_json(json.dumps(document, default=str))
+    except ValidationError as error:
+        raise InvalidInput(f"{where}: {one_line(error)}") from None
+
+
+def read_layer(folder: Path, name: str, layer: LayerTable) -> NDArray[Any]:
+    """The raster of a layer, (rows, columns) with row 0 in the south, in the type of its file."""
+    assert layer.file is not None  # the caller asks for layers with files
+    path = folder / layer.file
+    try:
+        size = path.stat().st_size
+        if size > MAX_RASTER_BYTES:
+            raise InvalidInput(f"{path}: expected at most {MAX_RASTER_BYTES} bytes, got {size}")
+        if layer.sha256:
+            found = hashlib.sha256(path.read_bytes()).hexdigest()
+            if found != layer.sha256:
+                raise InvalidInput(
+                    f"{path}: layer {name}: expected the sha256 of {DOCUMENT}, {layer.sha256[:16]}..., "
+                    f"got {found[:16]}..."
+                )
+    except FileNotFoundError:
+        raise InvalidInput(f"{path}: layer {name}: expected a GeoTIFF, got no such file") from None
+    except OSError as error:
+        raise InvalidInput(f"{path}: layer {name}: cannot read the raster: {error.strerror}") from None
+    try:
+        raster = read_tiff(path)
+    except NotPlain as plain:
+        raster = _read_by_gdal(path, str(plain))
+    return np.flipud(raster)
+
+
+def _read_by_gdal(path: Path, why: str) -> NDArray[Any]:
+    try:
+        import rasterio
+    except ImportError:
+        raise InvalidInput(
+            f"{why}: expected one plain band, uncompressed or deflated; others need: pip install he3-seeker[geo]"
+        ) from None
+    try:
+        with rasterio.open(path) as source:
+            if source.count != 1:
+                raise InvalidInput(f"{path}: expected one band, got {source.count}")
+            raster: NDArray[Any] = source.read(1)
+            return raster
+    except rasterio.errors.RasterioError as error:
+        raise InvalidInput(f"{path}: expected a GeoTIFF, got {error}") from None

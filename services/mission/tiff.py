@@ -1,0 +1,197 @@
+"""Reading of plain GeoTIFF layers without GDAL: one band, strips or tiles, uncompressed or deflate, classic or BigTIFF.
+
+The core reads the region folders that `he3 region build` writes, and needs no extra for it. Where the blocks of a
+raster lie in its file is known here too: a download takes only the blocks of a window (`region_build.fetching`).
+Source of the format: TIFF 6.0 (Adobe, 1992), BigTIFF (the libtiff specification of 2011).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import InvalidInput
+
+ReadAt = Callable[[int, int], bytes]
+"""(offset, length) -> bytes of a file."""
+
+_WIDTH, _LENGTH, _BITS, _COMPRESSION, _SAMPLES, _PREDICTOR, _FORMAT = 256, 257, 258, 259, 277, 317, 339
+_STRIPS, _ROWS_PER_STRIP, _STRIP_BYTES = 273, 278, 279
+_TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES = 322, 323, 324, 325
+_KINDS: Final = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}
+_DTYPES: Final = {
+    (1, 8): "u1",
+    (1, 16): "u2",
+    (1, 32): "u4",
+    (2, 16): "i2",
+    (2, 32): "i4",
+    (3, 32): "f4",
+    (3, 64): "f8",
+}
+_MAX_VALUES: Final = 50_000_000  # of a tag: blocks of the largest lunar mosaic, with a margin
+_MAX_PIXELS: Final = 100_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A strip or tile: its first row and column, its shape, and where its bytes lie in the file."""
+
+    row: int
+    column: int
+    rows: int
+    columns: int
+    offset: int
+    length: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiffLayout:
+    """What the first directory of a TIFF file says."""
+
+    rows: int
+    columns: int
+    dtype: str
+    compression: int
+    predictor: int
+    block_rows: int
+    block_columns: int
+    offsets: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    little_endian: bool
+
+    def blocks(self, row: int, column: int, rows: int, columns: int) -> Iterator[Block]:
+        """The blocks of the window that begins at (row, column)."""
+        across = -(-self.columns // self.block_columns)
+        for down in range(row // self.block_rows, -(-(row + rows) // self.block_rows)):
+            for right in range(column // self.block_columns, -(-(column + columns) // self.block_columns)):
+                index = down * across + right
+                top, left = down * self.block_rows, right * self.block_columns
+                tiled = self.block_columns != self.columns
+                height = self.block_rows if tiled else min(self.block_rows, self.rows - top)
+                where = int(self.offsets[index]), int(self.lengths[index])
+                yield Block(top, left, height, self.block_columns, *where)
+
+
+class NotPlain(Exception):
+    """The file is a TIFF that this reader does not read."""
+
+
+def read_tiff(path: Path) -> NDArray[Any]:
+    """The raster of a plain TIFF file, (rows, columns), row 0 as in the file.
+
+    Raises NotPlain for a TIFF of another kind, InvalidInput for a file that is none.
+    """
+    try:
+        with path.open("rb") as stream:
+
+            def read_at(offset: int, length: int) -> bytes:
+                stream.seek(offset)
+                return stream.read(length)
+
+            layout = tiff_layout(read_at, str(path))
+            return _read_blocks(layout, read_at, str(path))
+    except OSError as error:
+        raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
+
+
+def tiff_layout(read_at: ReadAt, name: str) -> TiffLayout:
+    """The layout of the first raster in a TIFF file; raises InvalidInput if it is damaged or no TIFF file."""
+    try:
+        tags, little = _tags(read_at)
+    except (struct.error, IndexError, KeyError, ValueError):
+        raise InvalidInput(f"{name}: expected a TIFF file, got other or damaged bytes") from None
+    try:
+        rows, columns = int(tags[_LENGTH][0]), int(tags[_WIDTH][0])
+        bits, form = int(tags[_BITS][0]), int(tags.get(_FORMAT, (1,))[0])
+        tiled = _TILES in tags
+        offsets, lengths = (_TILES, _TILE_BYTES) if tiled else (_STRIPS, _STRIP_BYTES)
+        block = (
+            (int(tags[_TILE_LENGTH][0]), int(tags[_TILE_WIDTH][0]))
+            if tiled
+            else (min(rows, int(tags.get(_ROWS_PER_STRIP, (rows,))[0])), columns)
+        )
+        if min(rows, columns, *block) < 1:
+            raise InvalidInput(f"{name}: expected a raster with rows and columns, got {rows} x {columns}")
+        if int(tags.get(_SAMPLES, (1,))[0]) != 1 or (form, bits) not in _DTYPES:
+            raise NotPlain(f"{name}: several bands, or values of {bits} bits in format {form}")
+        layout = TiffLayout(
+            rows, columns, _DTYPES[form, bits], int(tags.get(_COMPRESSION, (1,))[0]),
+            int(tags.get(_PREDICTOR, (1,))[0]), *block,
+            np.asarray(tags[offsets], dtype=np.int64), np.asarray(tags[lengths], dtype=np.int64), little,
+        )  # fmt: skip
+    except KeyError as error:
+        raise InvalidInput(f"{name}: expected a TIFF file with tag {error}, got none") from None
+    blocks = -(-rows // block[0]) * -(-columns // block[1])
+    if layout.offsets.size != blocks or layout.lengths.size != blocks:
+        raise InvalidInput(f"{name}: expected {blocks} blocks, got {layout.offsets.size}")
+    return layout
+
+
+def _tags(read_at: ReadAt) -> tuple[dict[int, Any], bool]:
+    """Tag -> values of the first directory, and whether numbers are little-endian."""
+    head = read_at(0, 16)
+    order = {b"II": "<", b"MM": ">"}[head[:2]]
+    (magic,) = struct.unpack(order + "H", head[2:4])
+    if magic == 42:
+        (start,) = struct.unpack(order + "I", head[4:8])
+        count_kind, entry, inline = "H", 12, 4
+    elif magic == 43:
+        (start,) = struct.unpack(order + "Q", head[8:16])
+        count_kind, entry, inline = "Q", 20, 8
+    else:
+        raise ValueError(magic)
+    size = struct.calcsize(order + count_kind)
+    (count,) = struct.unpack(order + count_kind, read_at(start, size))
+    if count > 4096:
+        raise ValueError(count)
+    directory = read_at(start + size, count * entry)
+    tags: dict[int, Any] = {}
+    for index in range(count):
+        field = directory[index * entry : (index + 1) * entry]
+        tag, kind = struct.unpack(order + "HH", field[:4])
+        (values,) = struct.unpack(order + ("I" if inline == 4 else "Q"), field[4 : entry - inline])
+        if kind not in _KINDS or _KINDS[kind] in ("s", "II"):
+            continue
+        if values > _MAX_VALUES:
+            raise ValueError(values)
+        dtype = np.dtype(order + _KINDS[kind].replace("B", "u1").replace("H", "u2").replace("I", "u4")
+                         .replace("Q", "u8").replace("q", "i8").replace("f", "f4").replace("d", "f8"))  # fmt: skip
+        length = int(values) * dtype.itemsize
+        data = field[entry - inline :]
+        if length > inline:
+            (offset,) = struct.unpack(order + ("I" if inline == 4 else "Q"), data)
+            data = read_at(offset, length)
+        if len(data) < length:
+            raise ValueError(length)
+        tags[tag] = np.frombuffer(data[:length], dtype=dtype)
+    return tags, order == "<"
+
+
+def _read_blocks(layout: TiffLayout, read_at: ReadAt, name: str) -> NDArray[Any]:
+    if layout.compression not in (1, 8, 32946) or layout.predictor != 1:
+        raise NotPlain(f"{name}: compression {layout.compression}, predictor {layout.predictor}")
+    if layout.rows * layout.columns > _MAX_PIXELS:
+        raise InvalidInput(f"{name}: expected at most {_MAX_PIXELS} pixels, got {layout.rows} x {layout.columns}")
+    dtype = np.dtype(("<" if layout.little_endian else ">") + layout.dtype)
+    raster = np.zeros((layout.rows, layout.columns), dtype=dtype.newbyteorder("="))
+    for block in layout.blocks(0, 0, layout.rows, layout.columns):
+        data = read_at(block.offset, block.length)
+        wanted = block.rows * block.columns * dtype.itemsize
+        if layout.compression != 1:
+            try:
+                data = zlib.decompressobj().decompress(data, wanted)
+            except zlib.error as error:
+                raise InvalidInput(f"{name}: expected deflate blocks, got damaged bytes: {error}") from None
+        if len(data) < wanted:
+            raise InvalidInput(f"{name}: expected {wanted} bytes in a block, got {len(data)}: the file is cut off")
+        values = np.frombuffer(data[:wanted], dtype=dtype).reshape(block.rows, block.columns)
+        part = raster[block.row : block.row + block.rows, block.column : block.column + block.columns]
+        part[...] = values[: part.shape[0], : part.shape[1]]
+    return raster
