@@ -143,11 +143,11 @@ def _rmse(region: Region, truth: Hyperparameters, places: FloatArray, noise_std_
 def main() -> None:
     parser = argparse.ArgumentParser(description="The floor under every planner's RMSE and metres.")
     parser.add_argument("--region", action="append", help="t1, t2 or an .npz file; may be repeated")
-    parser.add_argument("--budget", type=float, default=inf, help="metres; without it, as many as the design takes")
-    parser.add_argument("--designs", type=int, default=DESIGNS)
-    parser.add_argument("--steps", type=int, default=STEPS, help="of each design's descent")
-    parser.add_argument("--cells", type=int, default=CELLS, help="of the reference that the covariance is fitted to")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--budget", type=float, default=inf, help="budget in metres (default: no limit)")
+    parser.add_argument("--designs", type=int, default=DESIGNS, help="number of designs")
+    parser.add_argument("--steps", type=int, default=STEPS, help="steps of each design's descent")
+    parser.add_argument("--cells", type=int, default=CELLS, help="cells to which the covariance is fitted")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     floors = []
     for name in arguments.region or ["t1", "t2"]:

@@ -1,6 +1,6 @@
 """A mission in real processes with journals, for fault tests; at the end it counts lost and doubled samples.
 
-Used by the benchmarks that kill, stop and starve processes. The recorder, where one is wanted, only listens.
+Used by the benchmarks that kill, stop and starve processes. An optional recorder only subscribes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ POLL_S = 0.005
 
 
 class JournalledMission:
-    """Four processes with journals in a folder, and a recorder if wanted; gone when the `with` statement ends.
+    """Four processes with journals in a folder, and a recorder on request; they end with the `with` statement.
 
     environment: more environment variables for each process.
     """

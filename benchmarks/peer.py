@@ -43,7 +43,7 @@ class Peer:
             self._process.stdin.write(line + "\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise He3Error(f"{self._module}: ended before it was told what to do") from None
+            raise He3Error(f"{self._module}: ended before it received its task") from None
 
     def answer(self, within_s: float = 0.0) -> Any:
         """Its answer; raises He3Error when none comes within that time and `SETTLING_S`."""

@@ -91,7 +91,7 @@ class Budget:
         return work_s + ceil(missing_j / self._charged_j) * self._charged_j / self._surplus_w
 
     def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> RemainingBudget:
-        """How many of the samples that are still wanted, and how many metres, may still be planned.
+        """The number of wanted samples, and the metres, that may still be planned.
 
         Hours are converted into metres at the pace expected on this terrain, less the time for charging. Where they do
         not suffice for all samples, as many are planned as fit with the legs of a good tour between them.

@@ -56,7 +56,7 @@ class _Child:
 
 
 def serve(file_descriptor: int, parallel: int) -> None:
-    """Answer the tasks that come in by the socket until its other end is closed; then return."""
+    """Answer the tasks that arrive on the socket until its other end is closed; then return."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for module in PRELOADED:
         with suppress(ImportError):  # a task that needs what is missing says so itself

@@ -1,4 +1,4 @@
-"""The round that is being planned: the request to the planner, its seed, and the plan made of the answer."""
+"""The round that is being planned: the request to the planner, its seed, and the plan from the answer."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class RoundLog:
 
     @property
     def completed(self) -> int:
-        """Rounds that are over, as far as the ground knows, each with all of its samples here."""
+        """Number of rounds that have begun and of which no sample is still to come."""
         return sum(record.begun and record.closed for record in self.chain)
 
     @property

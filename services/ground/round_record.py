@@ -54,7 +54,7 @@ class RoundRecord:
 
     @property
     def to_drive_m(self) -> float:
-        """Metres of the path that are still to be driven, as far as the ground knows."""
+        """Metres of the path that are still to be driven, by the ground's knowledge."""
         return 0.0 if self.ended else self.length_m - self.reached_m
 
     @property

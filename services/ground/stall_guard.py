@@ -1,4 +1,4 @@
-"""Ends a mission that stands still, with what it has and with the reason."""
+"""Ends a stalled mission, with the samples it has and with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recognises a mission that stands still: a mission in which nothing can change any more must end.
+"""Recognises a stalled mission: a mission in which nothing can change any more must end.
 
 Contact may be over, every message lost or damaged, the battery empty with no sun to charge it: the ground then waits
 for reports that never come. It cannot see the reason, but it sees that there is no progress. Progress is a sample, an

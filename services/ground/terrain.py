@@ -93,7 +93,7 @@ class GroundTerrain:
         A rover may stand where its centre should not be: beside an obstacle that it met, or in an area just closed.
         Then cells are opened for it to leave: those of the way that it came by, back to where it may be; failing that,
         cells that are open without the margin of its footprint, then those that only an obstacle closed, up to the
-        nearest place from which it can go on.
+        nearest place from which it can continue.
         """
         cell = cell_of(self.grid, start_m)
         if self._open[cell]:

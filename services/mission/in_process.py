@@ -77,7 +77,7 @@ class InProcessMission:
     def run(self, watch: Callable[[], None] = lambda: None, until_s: float | None = None) -> MissionPhase:
         """Run the mission to its end and return the phase in which it ended; `watch` is called after every instant.
 
-        Raises He3Error when the mission stands still, or is not over `until_s` seconds after its beginning.
+        Raises He3Error if the mission stalls, or is not over `until_s` seconds after its beginning.
         """
         while self.end is None:
             if not self.simulation.step():

@@ -36,7 +36,7 @@ class Options:
     wait_for: tuple[str, ...]
     """The link holds mission time until these processes take part; empty: it starts at once."""
     out: Path | None
-    """Where the recorder writes."""
+    """File that the recorder writes."""
     journal: Path | None
     """Folder of the journals; None: nothing survives a restart."""
     lockstep: bool
@@ -68,7 +68,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, or the name of a shipped one")
-    parser.add_argument("--seed", type=int, help="instead of the scenario's")
+    parser.add_argument("--seed", type=int, help="seed, instead of the scenario's")
     parser.add_argument("--rate", type=float, help="mission seconds per wall second; the link's value counts")
     parser.add_argument("--moon", metavar="ENDPOINT", help="the Moon router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--earth", metavar="ENDPOINT", help="the Earth router, e.g. tcp/127.0.0.1:7448")
@@ -79,7 +79,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         "--allow-plugin", action="store_true", help="import the planner module:function that the scenario's file names"
     )
     parser.add_argument("--log-level", choices=[level.value for level in Level], default="info")
-    parser.add_argument("--log-json", action="store_true", help="log lines as JSON")
+    parser.add_argument("--log-json", action="store_true", help="write log lines as JSON")
     parser.add_argument(
         "--wait-for", metavar="NAMES", default="", help="link: hold mission time until these processes take part"
     )
@@ -87,7 +87,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     parser.add_argument(
         "--journal", type=Path, metavar="FOLDER", help="keep a journal in this folder, and continue from it"
     )
-    parser.add_argument("--lockstep", action="store_true", help="virtual time, which the link grants")
+    parser.add_argument("--lockstep", action="store_true", help="run in virtual time, which the link grants")
     parser.add_argument(
         "--stop-when", metavar="NAME", help="link in lockstep: pause time when this process is finished"
     )
@@ -163,7 +163,7 @@ def _warnings(name: str, scenario: Scenario, identified: bool, insecure: bool) -
 def parse_setting(text: str) -> tuple[str, str, Any]:
     """Section, key and value of ``section.key=value`` (``key=value`` at the top); raises InvalidInput.
 
-    The value is read as JSON where it is JSON, else as text; deeper keys go on with dots: ``link.up.loss=0.3``.
+    The value is parsed as JSON if possible, else it is text; nested keys are joined by dots: ``link.up.loss=0.3``.
     """
     key, equals, value = text.partition("=")
     if not equals or not key:

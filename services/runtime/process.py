@@ -178,7 +178,7 @@ def _join(service: Service, context: ProcessContext, driver: Driver, open_side: 
     if not driver.begin():
         return False
     if context.query_process is not None and not context.resume:
-        # A new mission waits until operators can query it; a process that goes on does not keep its mission waiting.
+        # A new mission waits until operators can query it; a process that continues does not keep its mission waiting.
         context.query_process.wait_until_ready(context.inbox.stopped)
     for side, session in context.sessions.items():
         session.declare_alive(interface.name, side)

@@ -1,10 +1,10 @@
 """Bytes from the state of a node and the state from bytes: a JSON head, then the contents of arrays and byte strings.
 
-A state is made of named parts: plain values (None, bool, int, float, str, bytes), lists, tuples, sets, deques and dicts
-of these, numpy arrays and scalars, topics of the table, and instances of the enums, frozen dataclasses and messages
-that the codec was given. Anything else is refused, when it is encoded and when it is decoded: decoding runs no code but
-the constructors of those types. What comes back is equal to what was kept, arrays to the byte, with their layout and
-their write flag. An immutable object or an array that stood in several places is one object again.
+A state consists of named parts: plain values (None, bool, int, float, str, bytes), lists, tuples, sets, deques and
+dicts of these, numpy arrays and scalars, topics of the table, and instances of the enums, frozen dataclasses and
+messages that the codec was given. Anything else is refused, when it is encoded and when it is decoded: decoding runs no
+code but the constructors of those types. A decoded state is equal to the encoded one, arrays to the byte, with their
+layout and their write flag. An immutable object or an array that stood in several places is one object again.
 
     file    = MAGIC, length of the head (8 bytes, little endian), head, the blobs, one after the other
     head    = {"state": VALUE, "blobs": [BLOB, ...]}

@@ -150,7 +150,7 @@ def array_of(raster: MapRaster) -> NDArray[Any]:
 
 
 def remove_part(path: Path) -> None:
-    """Remove a file that could be written in part only, as far as that is possible."""
+    """Remove a partly written file; an error of the removal is ignored."""
     with contextlib.suppress(OSError):
         if path.is_file() and not path.is_symlink():
             path.unlink()

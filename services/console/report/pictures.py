@@ -1,9 +1,9 @@
 """Pictures of a mission: reference, map, its standard deviation and its error; error over samples.
 
-Drawn without a display, in metres, with colour maps that are even to the eye and readable in print and to the
-colour-blind: one for abundance, on the same scale for reference and map; one for uncertainty; one with a neutral middle
-for the error. Scales end at percentiles, so that a few extreme cells do not flatten everything else; the ends of a
-colour bar are pointed where cells lie beyond.
+Drawn without a display, in metres, with colour maps that are perceptually uniform, and readable in print and with
+colour blindness: one for abundance, on the same scale for reference and map; one for uncertainty; one with a neutral
+middle for the error. Scales end at percentiles, so that a few extreme cells do not flatten everything else; the ends of
+a colour bar are pointed where cells lie beyond.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ def _scale_bar(axis: Any, width: float, height: float) -> None:
 
 
 def _round_length(wanted: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above what is wanted."""
+    """The largest of 1, 2, 5 times a power of ten that is not above `wanted`."""
     power = 10.0 ** math.floor(math.log10(wanted))
     return float(power * max(step for step in (1, 2, 5) if step * power <= wanted))
 

@@ -1,7 +1,7 @@
 """The page's data, kept once for all browsers, and sent to each of them when it changes.
 
 The mission's facts are those of `MissionState`; the hub adds the curves of the charts and the alarms, and limits how
-often a browser is told. Zenoh's threads enter through `_changed`, which never waits.
+often a browser is updated. Zenoh's threads enter through `_changed`, which never waits.
 """
 
 from __future__ import annotations

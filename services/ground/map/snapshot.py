@@ -28,7 +28,7 @@ class MapSnapshot:
     mean_ppb: NDArray[np.float32]
     std_ppb: NDArray[np.float32]
     traversable: NDArray[np.bool_]
-    """Where the rover's centre may be, as far as the ground knows."""
+    """The ground's map of where the rover's centre may be."""
     samples: tuple[SampleReport, ...]
     """Every measurement in the map, in the order in which they arrived."""
     driven_path_m: tuple[Waypoint, ...]

@@ -40,7 +40,7 @@ class SnapshotPublisher(Protocol):
 
 
 def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
-    """Answer that service's queries from the snapshots that come in on standard input; returns when it ends.
+    """Answer that service's queries from the snapshots on standard input; returns when it ends.
 
     name: of the owner, the source in the headers of replies. arguments: side, endpoint, mission, and the folder of the
     identity if there is one. publisher: is shown each snapshot as well.

@@ -1,6 +1,6 @@
 """Operators' queries answered from an immutable snapshot, in threads of their own, never by the node.
 
-The thread that has a new snapshot calls `QueryServer.show` and goes on; queries that are being answered finish with
+The thread that has a new snapshot calls `QueryServer.show` and continues; queries that are being answered finish with
 the snapshot that they began with. How a query is read is in `services.runtime.queries.request`.
 """
 
