@@ -17,12 +17,32 @@ ROOT = Path(__file__).parents[4]
 def current() -> bool:
     """Whether .venv is what `scripts/setup` would make: only then may a test run it."""
     stamp = ROOT / ".venv" / "he3-setup.sha256"
-    sources = b"".join((ROOT / name).read_bytes() for name in ("requirements.lock", "pyproject.toml", "scripts/setup"))
+    sources = b"".join(
+        (ROOT / name).read_bytes() for name in ("requirements-dev.lock", "pyproject.toml", "scripts/setup")
+    )
     wanted = subprocess.run(["sha256sum"], input=sources, capture_output=True, check=True).stdout
     return stamp.is_file() and stamp.read_bytes().strip() == wanted.strip()
 
 
-@pytest.mark.parametrize("name", ["scripts/setup", "scripts/demo", "scripts/test", "scripts/lock", ".ci/run"])
+def locked(name: str) -> list[str]:
+    """The lines of a lock that name a package with its version."""
+    return [line for line in (ROOT / name).read_text().splitlines() if line and line[0].isalnum()]
+
+
+def test_what_a_mission_runs_with_is_locked_without_tools_of_development_and_at_their_versions() -> None:
+    runtime, every = set(locked("requirements.lock")), set(locked("requirements-dev.lock"))
+    assert runtime < every
+    assert set(locked("requirements-build.lock")) < every
+    tools = {line.partition("==")[0] for line in every - runtime}
+    assert {"mypy", "pytest", "ruff", "hypothesis", "import-linter", "selenium", "vulture", "scikit-learn"} <= tools
+    assert {"numpy", "eclipse-zenoh", "ompl", "starlette", "cryptography"} <= {
+        line.partition("==")[0] for line in runtime
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["scripts/sbom", "scripts/setup", "scripts/demo", "scripts/test", "scripts/lock", ".ci/run"]
+)
 def test_every_script_can_be_run_and_is_plain_shell(name: str) -> None:
     assert os.access(ROOT / name, os.X_OK)
     subprocess.run(["sh", "-n", str(ROOT / name)], check=True)
@@ -37,10 +57,11 @@ def test_setup_is_quick_and_silent_when_it_is_current() -> None:
     expect_within(1.0, time.monotonic() - began, "a setup that has nothing to do")
 
 
-def test_the_lock_names_every_package_with_its_hashes_and_nothing_of_the_machine() -> None:
-    text = (ROOT / "requirements.lock").read_text()
-    packages = [line for line in text.splitlines() if line and line[0].isalnum()]
-    assert len(packages) > 40
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "requirements-build.lock"])
+def test_a_lock_names_every_package_with_its_hashes_and_nothing_of_the_machine(name: str) -> None:
+    text = (ROOT / name).read_text()
+    packages = locked(name)
+    assert packages
     assert all("==" in line for line in packages)
     assert text.count("--hash=sha256:") >= len(packages)
     assert "://" not in text
