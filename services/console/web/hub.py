@@ -100,6 +100,12 @@ class Hub:
             for viewer in self._viewers:
                 viewer.loop.call_soon_threadsafe(viewer.put, None)
 
+    @property
+    def warning(self) -> str | None:
+        """In one line, that processes of the mission are open to everyone; None if none is."""
+        names = ", ".join(self._state.insecure)
+        return f"INSECURE: {names} without TLS off loopback" if names else None
+
     # --- browsers ---------------------------------------------------------------------------------------------------
 
     def enter(self, viewer: Viewer) -> bool:

@@ -81,7 +81,7 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         Route("/", answers.document(STATIC / "index.html")),
         Route("/login", partial(_login, access)),
         Route("/api/stream", answers.stream(hub)),
-        get("/api/session", partial(_session, warning)),
+        get("/api/session", partial(_session, hub, warning)),
         get("/api/colours", _colours),
         get("/api/interest", partial(_interests, hub)),
         *(get(f"/api/map/{name}", partial(_ask, hub, topic)) for name, topic in ASKED.items()),
@@ -253,8 +253,8 @@ def _acknowledge(hub: Hub, asked: Asked) -> Response:
     return JSONResponse({"acknowledged": hub.acknowledge(parsed(AcknowledgeRequest, asked.body).id)})
 
 
-def _session(warning: str | None, asked: Asked) -> Response:
-    return JSONResponse({**asked.caller.document(), "warning": warning}, headers=FRESH)
+def _session(hub: Hub, warning: str | None, asked: Asked) -> Response:
+    return JSONResponse({**asked.caller.document(), "warning": warning or hub.warning}, headers=FRESH)
 
 
 def _colours(_: Asked) -> Response:
