@@ -79,7 +79,7 @@ def licence_of(package: Package) -> str:
     stated = str(fields.get("License") or "").strip()
     if stated and "\n" not in stated and len(stated) <= 60:
         return stated
-    return " AND ".join(classified) or UNKNOWN
+    return "; ".join(classified) or UNKNOWN
 
 
 def document(packages: list[Package], name: str, version: str, licence: str) -> dict[str, Any]:
@@ -125,10 +125,8 @@ def _component(package: Package) -> dict[str, Any]:
         made["description"] = str(summary)
     licence = licence_of(package)
     if licence != UNKNOWN:
-        is_expression = (
-            found is not None and found.metadata.get("License-Expression") and _EXPRESSION.fullmatch(licence)
-        )
-        made["licenses"] = [{"expression": licence}] if is_expression else [{"license": {"name": licence}}]
+        spdx = found is not None and found.metadata.get("License-Expression") and _EXPRESSION.fullmatch(licence)
+        made["licenses"] = [{"expression": licence}] if spdx else [{"license": {"name": licence}}]
     return made
 
 
