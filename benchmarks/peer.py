@@ -46,7 +46,7 @@ class Peer:
             raise He3Error(f"{self._module}: ended before it received its task") from None
 
     def answer(self, within_s: float = 0.0) -> Any:
-        """Its answer; raises He3Error when none comes within that time and `SETTLING_S`."""
+        """The process's answer; raises He3Error if none arrives within `within_s` plus `SETTLING_S`."""
         assert self._process.stdout is not None
         longest_s = within_s + SETTLING_S
         giving_up = threading.Timer(longest_s, self._process.kill)

@@ -1,4 +1,4 @@
-"""Where the layers of a region come from: one record a layer, and one line for all of them."""
+"""The origins of a region's layers: one record per layer, and one line for all of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import StrEnum
 
 
 class OriginKind(StrEnum):
-    """What a layer rests on."""
+    """Kind of a layer's source."""
 
     REAL = "real"  # measured at this place
     DERIVED = "derived"  # computed from other layers of the region
@@ -18,12 +18,12 @@ class OriginKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerOrigin:
-    """Where one layer of a region comes from. Texts are empty where nothing is known."""
+    """The origin of one layer of a region. Unknown texts are empty."""
 
     layer: str
     kind: OriginKind
     source: str
-    """What it is, in a few words: a product, a relation, an assumption."""
+    """Short description: a product, a relation, an assumption."""
     file: str = ""
     """Name of the raster that it was read from."""
     sha256: str = ""
@@ -33,7 +33,7 @@ class LayerOrigin:
     citation: str = ""
 
     def line(self) -> str:
-        """All that is known, in one line."""
+        """The whole record in one line."""
         parts = [f"{self.layer} {self.kind.value}: {self.source}"]
         parts += [f"{name} {text}" for name, text in (("product", self.product_id), ("file", self.file),
                   ("window", self.window), ("cite", self.citation)) if text]  # fmt: skip
@@ -42,7 +42,7 @@ class LayerOrigin:
 
 
 def summary(layers: Sequence[LayerOrigin]) -> str:
-    """The layers in one line, by what they rest on: ``real elevation_m, iron_wt; assumed maturity (OMAT 0.2)``."""
+    """The layers in one line, by kind of source: ``real elevation_m, iron_wt; assumed maturity (OMAT 0.2)``."""
     parts = []
     for kind in OriginKind:
         names = [

@@ -74,7 +74,7 @@ def traversable(
 def reachable(open_cells: BoolArray, grid: SiteGrid, start_m: tuple[float, float]) -> BoolArray:
     """The open cells, (rows, columns), that are connected to a place [m] over shared cell edges.
 
-    None if the place itself is closed. Raises OutsideRegion if the region does not contain it.
+    No cell is set if the place itself is closed. Raises OutsideRegion if the region does not contain it.
     """
     rows, columns = grid.cells_of(np.array([start_m], dtype=np.float64))
     labels, _ = ndimage.label(open_cells)

@@ -1,6 +1,6 @@
-"""A region as a folder: ``region.toml`` beside one GeoTIFF a layer. The document's format, and reading of it.
+"""A region as a folder: ``region.toml`` and one GeoTIFF per layer. This module has the document's format and reads it.
 
-Rasters are north up, as GeoTIFFs are; what is returned here has row 0 in the south. Two kinds of folder exist: a
+Rasters are north up, as GeoTIFFs are; arrays returned here have row 0 in the south. Two kinds of folder exist: a
 ``site`` has finished maps on the cells of the site, and a ``window`` has coarse orbital rasters, from which
 `he3.reference` makes a site. docs/regions.md describes the format.
 """
@@ -49,9 +49,9 @@ class LayerTable(Table):
     """One layer: its GeoTIFF in the folder, and where its values come from."""
 
     file: Name | None = None
-    """GeoTIFF in the folder; none for a layer that is one assumed value, or that is recomputed."""
+    """GeoTIFF in the folder; empty for a layer that is one assumed value or is recomputed."""
     sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
-    """Checksum of that GeoTIFF; a file that does not have it is refused."""
+    """Checksum of that GeoTIFF; a file with another checksum is refused."""
     kind: Literal["real", "derived", "assumed", "synthetic"]
     source: Annotated[Words, Field(min_length=1)]
     source_file: Words = ""
@@ -70,7 +70,7 @@ class LayerTable(Table):
 
 
 class WindowTable(Table):
-    """The grid of coarse orbital rasters, in degrees, and what makes a site of them."""
+    """The grid of coarse orbital rasters, in degrees, and the parameters with which a site is made of them."""
 
     north_deg: Latitude
     west_deg: Longitude
@@ -91,12 +91,12 @@ class RegionDocument(Table):
     """One line on the whole region, for the reader of a report."""
     resolution_m: Annotated[float, Field(ge=0.01, le=1000)] = 1.0
     origin_lat_deg: Latitude | None = None
-    """Of the south-west corner."""
+    """Latitude and longitude of the south-west corner."""
     origin_lon_deg: Longitude | None = None
     crs: Words = ""
     """Projection of the site's plane, as a PROJ string; its metres are the site's."""
     origin_x_m: float | None = None
-    """Of the south-west corner in that projection [m]."""
+    """Place of the south-west corner in that projection [m]."""
     origin_y_m: float | None = None
     window: WindowTable | None = None
     layers: Annotated[dict[Name, LayerTable], Field(min_length=1, max_length=64)]
@@ -126,7 +126,7 @@ class RegionDocument(Table):
 
     @property
     def origins(self) -> tuple[LayerOrigin, ...]:
-        """Where each layer comes from."""
+        """The origin of each layer."""
         return tuple(layer.origin(name) for name, layer in self.layers.items())
 
 
@@ -156,7 +156,7 @@ def read_document(folder: Path) -> RegionDocument:
 
 
 def provenance_of(name_or_path: str | Path) -> dict[str, str]:
-    """Layer -> where it comes from in one line, for a recording; the region's name alone where it does not say."""
+    """Layer -> its origin in one line, for a recording; only the region's name if there are no origins."""
     if not is_region_folder(name_or_path):
         return {"region": str(name_or_path)}
     document = read_document(folder_of(name_or_path))
@@ -164,7 +164,7 @@ def provenance_of(name_or_path: str | Path) -> dict[str, str]:
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """A TOML document; raises InvalidInput for a file that is none."""
+    """A TOML document; raises InvalidInput for any other file."""
     try:
         with path.open("rb") as stream:
             content = stream.read(MAX_DOCUMENT_BYTES + 1)

@@ -1,7 +1,7 @@
 """Reading of plain GeoTIFF layers without GDAL: one band, strips or tiles, uncompressed or deflate, classic or BigTIFF.
 
-The core reads the region folders that `he3 region build` writes, and needs no extra for it. Where the blocks of a
-raster lie in its file is known here too: a download takes only the blocks of a window (`region_build.fetching`).
+With it the core reads the folders that `he3 region build` writes, without an extra. It also computes where the blocks
+of a raster lie in its file, so that a download takes only the blocks of a window.
 Source of the format: TIFF 6.0 (Adobe, 1992), BigTIFF (the libtiff specification of 2011).
 """
 
@@ -41,7 +41,7 @@ _MAX_PIXELS: Final = 100_000_000
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A strip or tile: its first row and column, its shape, and where its bytes lie in the file."""
+    """A strip or tile: its first row and column, its shape, and the position of its bytes in the file."""
 
     row: int
     column: int
@@ -53,7 +53,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TiffLayout:
-    """What the first directory of a TIFF file says."""
+    """The layout in the first directory of a TIFF file."""
 
     rows: int
     columns: int
@@ -80,13 +80,13 @@ class TiffLayout:
 
 
 class NotPlain(Exception):
-    """The file is a TIFF that this reader does not read."""
+    """The file is a TIFF of a kind that this reader does not support."""
 
 
 def read_tiff(path: Path) -> NDArray[Any]:
     """The raster of a plain TIFF file, (rows, columns), row 0 as in the file.
 
-    Raises NotPlain for a TIFF of another kind, InvalidInput for a file that is none.
+    Raises NotPlain for a TIFF of another kind, InvalidInput for a file that is no TIFF.
     """
     try:
         with path.open("rb") as stream:

@@ -1,4 +1,4 @@
-"""``he3 region``: regions as figures and pictures; built from rasters of orbital products; fetched."""
+"""``he3 region``: show regions as figures and pictures, build them from rasters of orbital products, fetch rasters."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _figures(region: Region) -> dict[str, Any]:
 @app.command("build", epilog=EXAMPLES)
 def build(
     source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="A recipe (.toml) of rasters, or a region to write as an .npz file.")
+        str, typer.Argument(metavar="SOURCE", help="A recipe (.toml), or a region to write as an .npz file.")
     ],
     out: Annotated[
         Path | None,
@@ -193,7 +193,7 @@ def _build_file(region: str, out: Path, field_seed: int | None) -> None:
 def template(
     kind: Annotated[str, typer.Argument(metavar="KIND", help="dem, kaguya, sldem, polar, npy or multiband.")] = "dem",
 ) -> None:
-    """Print a recipe to begin with, for one kind of source."""
+    """Print an example recipe for one kind of source."""
     from he3.errors import InvalidInput
     from services.mission.region_build.templates import TEMPLATES
 
@@ -203,5 +203,5 @@ def template(
 
 
 def renamed(context: typer.Context) -> None:
-    """The earlier name of these commands."""
+    """The commands under their former name."""
     typer.echo(f"he3: reference is region now: he3 region {context.invoked_subcommand or ''}".rstrip(), err=True)

@@ -113,7 +113,7 @@ def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str
     """Earth endpoint and name of a mission: as given, else as announced on this machine.
 
     A name stands for a mission only if one mission of that name runs. Raises InvalidInput for an endpoint or a name
-    that is none, or when several missions fit; PeerUnreachable when none does.
+    that is invalid, or when several missions fit; PeerUnreachable when none does.
     """
     if earth is not None and not _ENDPOINT.fullmatch(earth):
         raise InvalidInput(

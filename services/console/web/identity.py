@@ -1,4 +1,4 @@
-"""The page's TLS, and the people whom it knows by their certificates."""
+"""The page's TLS files, and the login of people by their certificates."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Tls:
     certificate: Path
     key: Path
     authority: Path | None = None
-    """Whose certificates of people count; None: none do."""
+    """Authority for the certificates of people; None: no certificate is accepted."""
 
     def options(self) -> dict[str, Any]:
-        """As uvicorn takes them; raises InvalidInput for files that are none or that others may read."""
+        """The files as options of uvicorn; raises InvalidInput for invalid files and for files that others may read."""
         read_private(self.key)
         trial = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         try:
@@ -53,7 +53,7 @@ def tls_of(identity: Identity) -> Tls:
 
 
 def certified_by(identity: Identity) -> Certified:
-    """Who a certificate stands for, by the newest roster in the folder of that identity."""
+    """The function that finds the caller of a certificate in the newest roster of that identity's folder."""
 
     known: tuple[int, Roster] = (-1, identity.roster)
 

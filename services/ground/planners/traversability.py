@@ -67,7 +67,7 @@ class OpenGround:
         return (float(columns[0]) + 0.5) * size, (float(rows[0]) + 0.5) * size
 
     def connected_to(self, start_m: tuple[float, float]) -> BoolArray:
-        """(rows, columns): the open cells connected to the place [m] over shared edges; none if it is closed."""
+        """(rows, columns): the open cells connected to the place [m] over shared edges; all False if it is closed."""
         labels, _ = ndimage.label(self.open)
         row, column = self.grid.cells_of(np.array([start_m]))
         label = labels[row[0], column[0]]

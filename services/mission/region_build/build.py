@@ -1,4 +1,4 @@
-"""From a recipe to a region's folder."""
+"""Builds a region's folder from a recipe."""
 
 from __future__ import annotations
 

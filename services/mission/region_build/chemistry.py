@@ -29,7 +29,7 @@ _STANDIN_USABLE_M: Final = 1400.0  # m, width of a stand-in's window without wha
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chemistry:
-    """Maps of the site: the reference field, what an orbiter measures of it, and the layers they were made from."""
+    """Maps of the site: the reference field, its map from orbit, and the layers from which both were computed."""
 
     he3_ppb: FloatArray
     orbital_ppb: FloatArray
@@ -44,7 +44,7 @@ def chemistry_of(
     grid: SiteGrid,
     centre_deg: tuple[float, float],
 ) -> Chemistry:
-    """The chemistry from measured layers on the site's cells. pixel_m: of the coarsest of the rasters [m].
+    """The chemistry from measured layers on the site's cells. pixel_m: pixel size of the coarsest raster [m].
 
     Raises InvalidInput for values that no soil has, and for the far side without a solar-wind flux.
     """
@@ -87,9 +87,9 @@ def chemistry_of(
 
 
 def laid_over(window: OrbitalWindow, grid: SiteGrid) -> tuple[dict[str, FloatArray], tuple[LayerOrigin, ...], float]:
-    """FeO and OMAT of a stand-in over the site, where they come from, and the size of their pixels [m].
+    """FeO and OMAT of a stand-in over the site, their origin, and their pixel size [m].
 
-    A site larger than the stand-in's window has them stretched.
+    They are stretched over a site that is larger than the stand-in's window.
     """
     stretch = max(1.0, max(grid.width_m, grid.height_m) / _STANDIN_USABLE_M)
     small = SiteGrid(grid.rows, grid.columns, grid.resolution_m / stretch)

@@ -3,8 +3,8 @@
 Up to 65 deg of latitude it is equirectangular, true to scale at the latitude of the centre, as in `he3.reference`.
 Beyond, it is polar stereographic, true to scale at the centre, about the meridian of the south-west corner, along which
 the site's north lies. That is how the map's GeoTIFFs place a polar site, too. A site across a pole has the meridian
-of its centre in the middle instead. Lengths err by the square of the distance from the centre over 4 R^2: 2e-6 at 5 km.
-Source: Snyder 1987, USGS Professional Paper 1395, sections 12 and 21.
+of its centre in the middle instead. The relative error of lengths is the squared distance from the centre over 4 R^2:
+2e-6 at 5 km. Source: Snyder 1987, USGS Professional Paper 1395, sections 12 and 21.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class SitePlane:
     y_m: float
     grid: SiteGrid
     has_origin: bool
-    """Whether latitude and longitude of the corner alone say where the site is: not for a projection of one's own."""
+    """Whether latitude and longitude of the corner define the place of the site; not with a custom projection."""
 
     def centres(self, margin: int = 0) -> tuple[FloatArray, FloatArray]:
         """(x, y) [m] in the projection of all cell centres and ``margin`` cells around, each (rows, columns)."""
@@ -51,7 +51,7 @@ class SitePlane:
 
 
 def site_plane(latitude_deg: float, longitude_deg: float, grid: SiteGrid, projection: str = "") -> SitePlane:
-    """The plane of a site with that centre. projection: a PROJ string or an IAU code of the recipe's own.
+    """The plane of a site with that centre. projection: a PROJ string or an IAU code from the recipe.
 
     Raises InvalidInput for a projection that does not hold the centre, or whose metres there are not those of the
     ground within 0.1 %.
@@ -78,7 +78,7 @@ def site_plane(latitude_deg: float, longitude_deg: float, grid: SiteGrid, projec
 
 
 def transformer(source: Any, target: Any) -> Any:
-    """A transformation of (x, y) between two projections of the lunar sphere; raises InvalidInput for none."""
+    """A transformation of (x, y) between two projections of the Moon; raises InvalidInput for an unknown projection."""
     library = pyproj()
     try:
         return library.Transformer.from_crs(

@@ -1,4 +1,4 @@
-"""The recipe of a region: which rasters, which place, which chemistry. `he3 region template` prints examples.
+"""The recipe of a region: its rasters, place and chemistry. `he3 region template` prints examples.
 
 It is versioned and checked strictly; a refusal is one line with file, key and expectation.
 """
@@ -18,7 +18,7 @@ Cells = Annotated[int, Field(ge=4, le=4000)]
 
 
 class GridTable(Table):
-    """Where a raster without georeferencing (.npy) lies: its centre, and the size of its pixels; row 0 is north."""
+    """The place of a raster without georeferencing (.npy): its centre and pixel size; row 0 is north."""
 
     centre_lat_deg: Latitude
     centre_lon_deg: Longitude
@@ -33,34 +33,34 @@ class SourceTable(Table):
     band: Annotated[str, Field(max_length=200)] | Annotated[int, Field(ge=1, le=10_000)] | None = None
     """Its description in the file, or its number; needed where there are several."""
     scale: float | None = None
-    """Value = number * scale + offset; the file's own by default."""
+    """Value = number * scale + offset; by default those of the file."""
     offset: float | None = None
     unit: Literal["m", "km", "wt%", "fraction", "1", "ppb"] | None = None
-    """Of the values; the file's own by default, else that of the layer."""
+    """Unit of the values; by default the file's, else the layer's."""
     no_data: Annotated[tuple[float, ...], Field(max_length=16)] = ()
     """Numbers that mark missing values, beside the file's own, NaN, infinity and anything below -1e30."""
     zero_is_missing: bool = False
     fill_holes: bool = False
-    """Fill missing values from those around them; the region marks where."""
+    """Whether missing values are filled from those around them; the region marks such cells."""
     kind: Literal["real", "synthetic", "derived"] = "real"
     source: Annotated[Words, Field(min_length=1)]
-    """What it is, in a few words, for reports."""
+    """Short description of the source, for reports."""
     product_id: Words = ""
     citation: Words = ""
     grid: GridTable | None = None
 
 
 class ChemistryTable(Table):
-    """How helium-3 follows from the layers."""
+    """Parameters of the computation of helium-3 from the layers."""
 
     titanium: Literal["paper", "apollo-17-soils"] = "paper"
-    """Relation of TiO2 to FeO where no layer gives TiO2: the paper's, or the fit to Apollo 17 soils alone."""
+    """Relation of TiO2 to FeO without a layer titanium_wt: the paper's, or the fit to Apollo 17 soils alone."""
     assumed_maturity: Annotated[float, Field(ge=constants.OMAT_MIN, le=constants.OMAT_MAX)] | None = None
-    """OMAT where no layer gives it."""
+    """OMAT to assume without a layer maturity."""
     lay_over: Literal["t1", "t2"] | None = None
-    """The chemistry of that stand-in, laid over a place that has terrain alone."""
+    """Stand-in whose chemistry is laid over a place that has only terrain."""
     solar_wind_flux: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Relative to normal incidence; by default from latitude and longitude, for the near side."""
+    """Solar-wind flux relative to normal incidence; by default from latitude and longitude, for the near side."""
     perturbation: Annotated[float, Field(ge=0, le=0.5)] = constants.PERTURBATION
     correlation_length_m: Annotated[float, Field(gt=0, le=10_000)] = constants.CORRELATION_LENGTH_M
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1

@@ -1,7 +1,7 @@
-"""From a raster to the site's cells: the window needed, averaged where cells are larger than pixels, then bicubic.
+"""Samples a raster at the site's cells: read the window, average where cells are larger than pixels, then bicubic.
 
-Nothing beyond the raster's edge or inside its holes is invented: a cell whose 4 x 4 pixels are not all there is
-refused, unless the recipe asks for holes to be filled, which are then marked.
+Nothing beyond the raster's edge or inside its holes is invented: a cell without all of its 4 x 4 pixels is refused,
+unless the recipe asks for holes to be filled, which are then marked.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _SUPPORT: Final = 2  # pixels around that bicubic interpolation needs
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sampled:
-    """A layer on the site's cells, row 0 south, and how it came there."""
+    """A layer on the site's cells, row 0 south, with facts about its sampling."""
 
     values: FloatArray
     filled: BoolArray
     """Cells that rest on filled holes."""
     source_slope_deg: FloatArray | None
-    """For elevation: the slope of the raster itself, of the pixel that each cell lies in."""
+    """For elevation: the slope [deg] of the raster itself in the pixel of each cell."""
     pixel_m: float
     """Size of a pixel on the ground [m], northward."""
     window: str
@@ -80,7 +80,7 @@ def sample(source: Source, plane: SitePlane, margin: int = 0, *, slopes: bool = 
 
 
 def _unwrapped(columns: FloatArray, source: Source) -> FloatArray:
-    """The columns without the jump of a full circle at the antimeridian, and within the raster where that can be."""
+    """The columns without the jump of a full circle at the antimeridian, and within the raster if possible."""
     if source.period is None:
         return columns
     middle = float(columns[columns.shape[0] // 2, columns.shape[1] // 2])

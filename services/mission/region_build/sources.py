@@ -1,7 +1,7 @@
 """Rasters of orbital products, read in windows: by GDAL, from files or addresses, and NumPy arrays.
 
-Values come out as float64 in the unit of their layer, NaN where they are missing. A PDS3 image is opened through its
-label. What a product says of itself is taken (scale, offset, unit, no-data, band names); a recipe overrides it.
+Values are returned as float64 in the unit of their layer, NaN where they are missing. A PDS3 image is opened through
+its label. Scale, offset, unit, no-data value and band names are those of the product unless the recipe overrides them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _EQUATOR_M: Final = 2 * math.pi * MOON_RADIUS_M
 
 @dataclass(slots=True, eq=False)
 class Source:
-    """A raster that is open. Columns and rows are counted from the outer edge of the first pixel."""
+    """An open raster. Columns and rows are counted from the outer edge of the first pixel."""
 
     name: str
     layer: str
@@ -48,7 +48,7 @@ class Source:
     transform: tuple[float, float, float, float, float, float]
     """(a, b, c, d, e, f): x = a column + b row + c, y = d column + e row + f."""
     crs: Any
-    """None for one with a grid of its own: x east and y north of its centre [m]."""
+    """Projection; None for a raster with a grid in the recipe: x east and y north of its centre [m]."""
     period: float | None
     """Columns around the Moon, in a cylindrical projection."""
     sha256: str
@@ -93,7 +93,7 @@ def opened(layer: str, table: SourceTable, folder: Path) -> Iterator[Source]:
         yield _array_source(layer, table, folder, table.grid)
         return
     if table.file.endswith(".npy"):
-        raise InvalidInput(f"{table.file}: expected a table [layers.{layer}.grid] that says where the array lies")
+        raise InvalidInput(f"{table.file}: expected a table [layers.{layer}.grid] with the place of the array")
     library = rasterio()
     name = _gdal_name(table.file, folder)
     try:
@@ -204,7 +204,7 @@ def _band(table: SourceTable, dataset: Any, name: str) -> int:
 
 
 def _factor(layer: str, unit: str | None) -> float:
-    """What values of that unit are multiplied by for the unit of the layer."""
+    """The factor from that unit to the unit of the layer."""
     word = (unit or "").strip().strip("<>'\"").lower()
     if layer == "elevation_m":
         if word and word not in _UNITS:
@@ -286,7 +286,7 @@ def _expect_label_agrees(source: Source, label: str) -> None:
 
 
 def _checksum(files: list[Path]) -> str:
-    """Checksum of one file that is not too large for it; else none."""
+    """Checksum of a single file; empty for several files, or for one that is too large."""
     if len(files) != 1 or files[0].stat().st_size > MAX_CHECKSUM_BYTES:
         return ""
     with files[0].open("rb") as stream:

@@ -1,4 +1,4 @@
-"""Recipes to begin with, one for each kind of source: `he3 region template KIND`."""
+"""Example recipes, one for each kind of source: `he3 region template KIND`."""
 
 from __future__ import annotations
 
