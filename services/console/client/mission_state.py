@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 ANSWER_WITHIN_S = 10.0
 """Longest wall time for the answer of a live process; queries to an ended one end at once."""
 MAX_EVENTS = 300
+MAX_COMMANDS = 300  # the newest, as the ground lists them
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
 """Topics whose last message can be queried."""
 FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS)
@@ -245,6 +246,9 @@ class MissionState:
             if known is not None and len(known.stages) > len(body.stages):
                 return False  # stages are only ever added
             self._commands[name] = body
+            if len(self._commands) > MAX_COMMANDS:
+                ended = (each for each, status in self._commands.items() if status.end is not None)
+                del self._commands[next(ended, next(iter(self._commands)))]
             return True
         assert header is not None, "only the list of commands comes without headers"
         if topic is EARTH_PRESENCE:

@@ -182,6 +182,9 @@ class Hub:
             if self._stages_sent.get(name) != stages:
                 self._stages_sent[name] = stages
                 self._tell("command", _command_document(status))
+        if len(self._stages_sent) > len(self._state.commands):
+            names = {status.command.command_id for status in self._state.commands}
+            self._stages_sent = {name: sent for name, sent in self._stages_sent.items() if name in names}
 
     def _point(self, curve: str, at: int, value: float) -> None:
         if self._state.time.start_ns is not None and self._curves.add(curve, self._seconds(at), value):

@@ -13,7 +13,7 @@ from schemas.link import ClockMode, ClockState
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EARTH_PRESENCE, EVENT, GROUND_STATUS, LIST_COMMANDS, Topic
 from schemas.wire import Header
-from services.console.client.mission_state import MissionState, supersedes
+from services.console.client.mission_state import MAX_COMMANDS, MissionState, supersedes
 
 SECOND = 1_000_000_000
 START = 1_893_456_000 * SECOND
@@ -159,3 +159,15 @@ def test_a_mission_is_silent_once_nothing_has_come_for_long(session: Any, monkey
     late = time.monotonic() + 16.0
     monkeypatch.setattr("services.console.client.mission_state.time.monotonic", lambda: late)
     assert state.is_silent
+
+
+def test_of_many_commands_the_newest_and_those_under_way_are_kept(session: Any) -> None:
+    state = MissionState(session.client)
+    state.follow()
+    session.send(COMMAND_STATUS, header(0), status(CommandStage.QUEUED, name="under-way"))
+    for number in range(MAX_COMMANDS + 50):
+        ended = status(CommandStage.QUEUED, CommandStage.REJECTED, name=f"c{number}")
+        session.send(COMMAND_STATUS, header(number + 1), ended)
+    kept = {each.command.command_id for each in state.commands}
+    assert len(kept) == MAX_COMMANDS
+    assert {"under-way", f"c{MAX_COMMANDS + 49}"} <= kept
