@@ -1,6 +1,6 @@
-"""What lock-down costs: the demonstration and queries over TLS with access rules, against the same without keys.
+"""The cost of lock-down: times of missions and queries over TLS with access rules, compared with those without keys.
 
-Missions in lockstep run by turns, one without keys and one with, which order changes each time; their wall times are
+Missions in lockstep run in pairs, one without keys and one with keys, in alternating order; their wall times are
 compared pair by pair. Then a mission of each kind runs on the wall clock, and a client of each asks for points of the
 map, by turns. Both figures are ratios, so that they hold on a busy machine, too.
 """
@@ -32,7 +32,7 @@ from services.runtime.transport.opening import open_client
 from services.runtime.trust.identity import load_identity
 
 WARM_UP = 20
-"""Queries of each kind that are not counted."""
+"""Warm-up queries of each kind, which are not counted."""
 
 
 def run(
@@ -45,7 +45,7 @@ def run(
 ) -> dict[str, Any]:
     """Wall times and query times with and without keys, and their ratios; printed, and written to ``json``.
 
-    runs: missions of each kind. queries: of each kind. Raises InvalidInput for figures that make no sense.
+    runs: missions of each kind. queries: of each kind. Raises InvalidInput for less than one run or query.
     """
     if runs < 1 or queries < 1:
         raise InvalidInput(f"expected at least 1 run and 1 query, got {runs} and {queries}")
@@ -95,7 +95,7 @@ def _mission_time(chosen: Chosen) -> float:
 
 
 def _query_times(scenario: str, keys: Path, queries: int) -> dict[str, list[float]]:
-    """How long each query took [s], of a mission without keys and of one with."""
+    """Query times [s] of a mission without keys and of one with keys."""
     with ExitStack() as ends:
         sessions: dict[str, tuple[zenoh.Session, str]] = {}
         for name in ("plain", "locked"):

@@ -68,7 +68,7 @@ class Header(Wire):
     repetition: Annotated[int, Field(ge=0)] = 0
     """How often the message was sent before; 0 the first time."""
     checksum: Annotated[int, Field(ge=0, lt=2**32)] | None = None
-    """CRC-32 of header (without this field) and body as they stand on the wire; None: not to be checked."""
+    """CRC-32 of header (without this field) and body as sent on the wire; None: no check."""
 
 
 Body = TypeVar("Body", bound=Wire)

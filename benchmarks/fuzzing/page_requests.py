@@ -243,7 +243,7 @@ class PageRequestsOverTls(PageRequests):
         return http.client.HTTPSConnection(self._host, self._port, timeout=ANSWER_S, context=self._tls)
 
     def example(self, rng: Random) -> tuple[str, str | None]:
-        """One request, not before its turn, and whether memory and services are as they were."""
+        """Send one request at its time, and check that memory and services have not changed."""
         self._examples += 1
         if self._examples == 1:
             self._began = time.monotonic()

@@ -125,7 +125,7 @@ class Belief:
         self._map, self._process = posterior.snapshot(), posterior.process
 
     def _rebuilt(self, hyperparameters: Hyperparameters) -> GridPosterior:
-        """The map as it was last built, without the samples added since."""
+        """The map of the last refit, without the samples added since."""
         built = [self._observations[name] for name in self._built]
         places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
         values = np.array([observed.value_ppb for observed in built], dtype=np.float64)

@@ -130,7 +130,7 @@ class GroundNode:
 
     @property
     def snapshot(self) -> MapSnapshot | None:
-        """The live map as it is now."""
+        """The present live map."""
         return self._publisher.snapshot
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:

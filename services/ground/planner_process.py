@@ -9,9 +9,9 @@ Three parties. The *owner* (a service, with its Zenoh session and threads) must 
 (`services.ground.planner_server`), which forks a *child* for each task.
 
 Endings. The server lives as long as the owner holds its end of their socket: it ignores Ctrl-C, which is for the owner
-to judge, and ends, killing its children, when the socket does, however the owner died. A child dies with the server. A
-child that dies otherwise, a task whose time is up, or a dead server, is reported as He3Error in the futures concerned;
-the next task gets a new server.
+to judge, and ends, killing its children, when the socket closes, for any end of the owner. A child dies with the
+server. A child that dies otherwise, a task whose time is up, or a dead server, is reported as He3Error in the futures
+concerned; the next task gets a new server.
 
 Bounds. At most ``parallel`` children compute at once and at most ``MAX_WAITING`` tasks wait. A `BoundedTask` is killed
 when its time is up.

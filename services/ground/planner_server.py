@@ -2,8 +2,8 @@
 
 It runs in an interpreter of its own (`services.ground.planner_process` starts it), imports the planning modules once,
 and then only waits. A child computes one task and exits: a result depends on the task alone, never on what ran before,
-and a task can be killed at any instant without harm to the others. A child leads a process group, so that what a
-plug-in planner started ends with it, and dies with the server.
+and a task can be killed at any instant without harm to the others. A child leads a process group, so processes that a
+plug-in planner started end with the child. The child ends with the server.
 """
 
 from __future__ import annotations

@@ -49,13 +49,13 @@ class RefitSchedule:
         return job == self._job
 
     def finish(self, result: Any, error: Exception | None) -> list[Effect]:
-        """End the fit: the belief adopts its result; if it failed, the hyperparameters stay as they were."""
+        """End the fit: the belief adopts its result; if it failed, the hyperparameters are unchanged."""
         job, self._job = self._job, None
         self.rounds += 1
         if isinstance(result, Hyperparameters):
             self._belief.adopt(result)
             return []
-        return [LogRecord(Level.WARNING, f"{job}: the hyperparameters stay as they were: {error}")]
+        return [LogRecord(Level.WARNING, f"{job}: the hyperparameters are unchanged: {error}")]
 
     def checkpoint(self) -> SavedState:
         """The whole state, as named parts."""

@@ -153,7 +153,7 @@ class RoundLog:
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
     def checkpoint(self) -> SavedState:
-        """The whole state, as named parts; the chain as places in the list of all versions."""
+        """The whole state, as named parts; the chain as indices into the list of all versions."""
         place = {id(record): number for number, record in enumerate(self._versions)}
         return {
             "versions": [record.checkpoint() for record in self._versions],

@@ -122,7 +122,7 @@ class Executive:
         return self._operating.mode
 
     def report_state(self, now: MissionTime, queue_depth: int) -> RoverState:
-        """The rover's state as it is reported; queue_depth counts messages not yet acknowledged by the ground."""
+        """The report of the rover's state; queue_depth counts messages not yet acknowledged by the ground."""
         return self._vehicle.report_state(
             now,
             mode=self.mode,

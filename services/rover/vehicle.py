@@ -69,7 +69,7 @@ class Vehicle:
         samples_done: int,
         queue_depth: int,
     ) -> RoverState:
-        """The rover's state as it is reported."""
+        """The report of the rover's state."""
         (x, y), heading = self._drive.place_m(now) if self._drive else (self._place_m, self._heading_deg)
         return RoverState(
             mode=mode,

@@ -23,12 +23,12 @@ class LinkControl:
     _session: Client
 
     def link(self) -> LinkStatus:
-        """The link as it is now, with the messages that are in flight."""
+        """The present status of the link, with the messages in flight."""
         status: LinkStatus = self._session.query(LINK_SHOW, NoParameters())
         return status
 
     def set_link(self, **change: Any) -> LinkStatus:
-        """Change conditions, such as ``one_way_light_time_s=3`` or ``loss=0.1``; returns the link as it is then."""
+        """Change conditions, such as ``one_way_light_time_s=3`` or ``loss=0.1``; returns the link's status after it."""
         return self.change_link(link_change(change))
 
     def change_link(self, change: LinkChange) -> LinkStatus:

@@ -47,7 +47,7 @@ def _thinned(held: tuple[MapSnapshot, ...]) -> tuple[MapSnapshot, ...]:
 
 
 def revisions(snapshot: MapSnapshot) -> tuple[MapSnapshot, ...]:
-    """Every revision that is held, oldest first; the last is the map as it is."""
+    """Every revision that is kept, oldest first; the last is the present map."""
     return (*snapshot.earlier, snapshot)
 
 

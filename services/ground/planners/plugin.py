@@ -48,7 +48,7 @@ def load_plugin(name: str) -> Planner:
 
 @contextmanager
 def _working_directory_for(module: str) -> Iterator[None]:
-    """Let a module that is not on Python's path be found in the working directory, and with it what it imports there.
+    """Within this context, a module that is not on Python's path is imported from the working directory.
 
     The directory comes last on the path, and only while the plug-in is imported or runs. No other module is imported
     from there, not even one that no package provides.
