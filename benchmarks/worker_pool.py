@@ -174,7 +174,7 @@ def _received(worker: _Worker) -> _Item | _Done:
     except (EOFError, ConnectionResetError):
         worker.process.join()
         raise He3Error(
-            f"a worker process ended with exit code {worker.process.exitcode}"; its task has no result"
+            f"a worker process ended with exit code {worker.process.exitcode}; its task has no result"
         ) from None
     return message
 
