@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack, closing
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -41,11 +42,14 @@ from services.runtime.transport.session import Session, close_all
 
 if TYPE_CHECKING:
     from services.runtime.service import Service
+    from services.runtime.trust.identity import Identity
 
 ENDS_WITHIN_S = 1.4
 """Time from the signal to the forced end of a process that hangs in a network call."""
 COMPLETES_WITHIN_S = 20.0
 """This time for a process that completes a file."""
+EXPIRES_SOON = timedelta(days=7)
+"""An identity that expires within this time is reported."""
 SWITCH_INTERVAL_S = 0.0005
 """Python's thread switch interval: a query waits for a computing thread no longer than for the network."""
 
@@ -100,6 +104,8 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
     log = Log(service.name, clock.now_or_none, options.level, options.log_json)
     for warning in options.insecure:
         log.warning(warning)
+    if options.identity is not None:
+        _report_identity(options.identity, log)
     sessions: dict[Side, Session] = {}
     query_process = _query_process(service, options, log)  # it starts while the node is built
     executor = _executor(service, inbox, stack)
@@ -130,6 +136,14 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
         # Without a journal a start must still differ from an earlier one: the other side remembers what it received.
         context.incarnation = int(time.time())
     return context
+
+
+def _report_identity(identity: Identity, log: Log) -> None:
+    """Say who this process is, and warn when that ends soon: TLS closes its connections then."""
+    until = f"{identity.expires:%Y-%m-%d %H:%M} UTC"
+    log.info("identity", name=identity.common_name, expires=until)
+    if identity.expires - datetime.now(UTC) < EXPIRES_SOON:
+        log.warning(f"the certificate of {identity.common_name} expires at {until}, and its connections end then")
 
 
 def _query_process(service: Service, options: Options, log: Log) -> QueryProcess | None:

@@ -10,7 +10,8 @@ from he3.errors import InvalidInput
 INSECURE_WARNING = (
     "INSECURE: {endpoint} is not on loopback and has no TLS: any client can read, forge and command everything"
 )
-_ENCRYPTED = ("tls/", "quic/")
+_ENCRYPTED = "tls/"
+"""The one protocol of Zenoh's for which client certificates and access rules by their names were seen to hold."""
 
 
 def is_encrypted(endpoint: str) -> bool:

@@ -28,8 +28,8 @@ EXAMPLE_NAMES: dict[Role, tuple[str, ...]] = {
 _HEAD = """\
 // Access rules of the {title} router for the mission '{mission}': generated, do not edit.
 //   {command}
-// The link applies the same rules when it is started with --identity; this file is for reading, and for a zenohd:
-//   zenohd --config {side}-router.json5 --cfg 'access_control:...'
+// The link makes the same rules from its roster when it is started with --identity. This file is for reading, and for
+// the configuration of a zenohd that stands in for the {side} router, beside `transport/link/tls` with `enable_mtls`.
 // Everything is denied that is not allowed here. A rule is about one role, one right and one direction: what goes in
 // from the peer (ingress), or comes out to it (egress). Who has a role is known by the common name of its certificate.
 """
