@@ -191,7 +191,7 @@ def table(
         if tours:
             error = mean_and_std(tours, "rmse_ppb")[0] / lowest.rmse_ppb - 1
             metres = mean_and_std(tours, "path_length_m")[0] / lowest.length_m - 1
-            lines.append(f"{name} is {error:+.1%} from its floor's RMSE with {metres:+.1%} of its metres")
+            lines.append(f"{name} compared with its floor: RMSE {error:+.1%}, metres {metres:+.1%}")
     lines.append(
         f"ratios are to {YARDSTICK}, '/ m52' to the RMSE of {HARDER}; "
         "coverage: share of the cells within 1 and 2 std (nominal 68.3 %, 95.4 %)"

@@ -59,7 +59,7 @@ class _Done:
 
 
 class WorkerPool:
-    """Up to `jobs` worker processes, started when they are needed; for one thread, the main thread if signals count."""
+    """Up to `jobs` worker processes, started on demand. Only one thread may use it: for signals, the main thread."""
 
     def __init__(self, jobs: int) -> None:
         """Raises InvalidInput for less than one job."""

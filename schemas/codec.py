@@ -73,7 +73,7 @@ def _check_seal(payload: bytes, where: str) -> bool:
     head = zlib.crc32(payload[len(_OPENING) : seal.start()] + b"}")
     came = zlib.crc32(memoryview(payload)[seal.end() : -1], head)
     if came != int(seal[1]):
-        raise Damaged(f"{where}: expected checksum {seal[1].decode()} as the header says, got {came}: damaged")
+        raise Damaged(f"{where}: expected checksum {seal[1].decode()} as in the header, got {came}: damaged")
     return True
 
 

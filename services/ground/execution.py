@@ -149,7 +149,7 @@ class ExecutionMonitor:
         """Whether the round that has begun had been replaced, with a note on it."""
         if not self._round_log.begin(record):
             return False, ()
-        text = f"round {record.number} of revision {record.introduced} had begun; planning on from it"
+        text = f"round {record.number} of revision {record.introduced} had begun; planning continues from it"
         return True, (LogRecord(Level.INFO, text),)
 
     def _ended_early(self, record: RoundRecord, event: RoverEvent) -> Outcome:

@@ -1,4 +1,4 @@
-"""Plan admission: whether a plan can be executed, given where the rover will be when the plan's turn comes. Pure."""
+"""Plan admission: whether a plan can be executed from the place where the rover will be when the plan begins. Pure."""
 
 from __future__ import annotations
 

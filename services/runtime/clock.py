@@ -132,7 +132,7 @@ class FollowedClock:
             return self._state.model_copy(update={"anchor_wall_ns": self._wall_ns(), "anchor_mission_ns": now})
 
     def _now(self) -> MissionTime:
-        assert self._state is not None, "a clock is read only when there is a state to follow"
+        assert self._state is not None, "a clock is read only after its first state"
         since, at = self._anchor
         self._read = max(self._read, at + _scaled(max(0, self._monotonic_ns() - since), self._state.rate))
         return self._read

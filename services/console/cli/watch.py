@@ -103,7 +103,7 @@ def _on_screen(client: MissionClient, state: MissionState) -> str:
 
 
 class _Screen:
-    """What the screen shows of a mission's state."""
+    """The screen with a mission's state."""
 
     def __init__(self, client: MissionClient, state: MissionState) -> None:
         self._client = client

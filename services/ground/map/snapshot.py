@@ -32,7 +32,7 @@ class MapSnapshot:
     samples: tuple[SampleReport, ...]
     """Every measurement in the map, in the order in which they arrived."""
     driven_path_m: tuple[Waypoint, ...]
-    """The parts of planned paths that the rover is known to have driven."""
+    """The known driven parts of planned paths."""
     planned_path_m: tuple[Waypoint, ...]
     """The planned path ahead, from the last known place of the rover."""
     plan_ends: MissionTime | None

@@ -79,7 +79,7 @@ class QueryServer:
             threading.Thread(target=self._work, name=f"queries-{number}", daemon=True).start()
 
     def show(self, snapshot: Snapshot) -> Snapshot:
-        """Answer from that snapshot from now on; returns what is kept of it and of earlier ones."""
+        """Answer from that snapshot from now on; returns the kept snapshots."""
         kept = self._service.keep(snapshot, self._snapshot)
         self._snapshot = kept
         return kept

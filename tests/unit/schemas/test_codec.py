@@ -37,7 +37,7 @@ def test_a_change_of_one_to_four_bytes_is_always_refused() -> None:
 def test_damage_in_header_or_body_is_reported_as_damage() -> None:
     payload = encode(HEADER, BODY)
     for found, put in ((b'"sequence":5', b'"sequence":7'), (b'"round":3', b'"round":4')):
-        with pytest.raises(Damaged, match=r"tm/event: expected checksum \d+ as the header says, got \d+: damaged"):
+        with pytest.raises(Damaged, match=r"tm/event: expected checksum \d+ as in the header, got \d+: damaged"):
             decode(EVENT, payload.replace(found, put), "m")
 
 
