@@ -14,7 +14,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from schemas.topics import Topic
-from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire, printable
+from schemas.validation import one_line
+from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire
 
 _OPENING = b'{"header":'
 _SEAL = re.compile(rb',"checksum":(\d{1,10})},"body":')
@@ -125,27 +126,3 @@ def _refuse_other_version(payload: bytes, where: str) -> None:
         return
     if version != SCHEMA_VERSION:
         raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {str(version)[:40]}")
-
-
-MAX_PLACE = 120
-MAX_SHOWN = 60
-"""Characters of a refusal that name the place in a document and show what came."""
-
-
-def one_line(error: ValidationError) -> str:
-    """The first error of a validation on one line: 'WHERE: expected ..., got ...'."""
-    first = error.errors(include_url=False, include_context=False)[0]
-    place = _clipped(printable(".".join(str(part) for part in first["loc"]) or "message"), MAX_PLACE)
-    came = first.get("input")
-    shown = "" if first["type"] in {"missing", "json_invalid"} else f", got {_short(came)}"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    message = first["msg"].splitlines()[0].removeprefix("Value error, ")
-    return f"{place}: {printable(message[0].lower() + message[1:])}{shown}{more}"
-
-
-def _short(value: object) -> str:
-    return _clipped(printable(repr(value)), MAX_SHOWN)
-
-
-def _clipped(text: str, limit: int) -> str:
-    return text if len(text) <= limit else text[: limit - 3] + "..."

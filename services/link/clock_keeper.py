@@ -17,8 +17,8 @@ from schemas.wire import Header
 from services.link.kept_clock import keep, kept_clock, this_machine
 from services.runtime.clock import at_rate, started
 from services.runtime.process_clock import CLOCKS
-from services.runtime.queries.request import encode_reply, read_request
 from services.runtime.refusals import refusal_of
+from services.runtime.transport.request import encode_reply, read_request
 
 if TYPE_CHECKING:
     from schemas.link import ClockState

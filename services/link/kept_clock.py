@@ -17,7 +17,7 @@ from pydantic import Field
 from schemas.link import ClockState  # of a model's field: pydantic reads it
 from schemas.wire import Text, Wire
 from services.runtime.clock import mission_time
-from services.runtime.output_files import replace_output
+from services.runtime.files.output import replace_output
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 

@@ -23,8 +23,8 @@ from services.runtime.lockstep.participant_io import ParticipantIO
 from services.runtime.lockstep.time_manager import TimeManager
 from services.runtime.lockstep.topics import JOIN, TO_TIME_MANAGER, grant_to
 from services.runtime.process_clock import CLOCKS
-from services.runtime.queries.request import encode_reply, read_request
 from services.runtime.refusals import refusal_of
+from services.runtime.transport.request import encode_reply, read_request
 from services.runtime.transport.session import IncomingQuery
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import one_line
 from schemas.link import (
     AtEdge,
     Direction,
@@ -21,6 +20,7 @@ from schemas.link import (
     LinkStatus,
 )
 from schemas.topics import COMMAND, Topic
+from schemas.validation import one_line
 from services.link.channel import Channel, Drop, Flight, Limits
 from services.link.contact import Contact
 from services.link.packet import Packet, packet_of

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from he3.errors import InvalidInput
 from he3.provenance import LayerOrigin, OriginKind
-from schemas.codec import one_line
+from schemas.validation import one_line
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.tiff import NotPlain, read_tiff
 

@@ -18,8 +18,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from he3.constants import MAX_SAMPLES
 from he3.errors import InvalidInput
 from he3.frames import Place
-from schemas.codec import one_line
 from schemas.link import LinkConditions
+from schemas.validation import one_line
 from schemas.wire import MissionName
 
 if TYPE_CHECKING:

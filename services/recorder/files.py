@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from he3.errors import He3Error
-from services.runtime.file_lock import FileLock, lock_beside
-from services.runtime.output_files import open_output
+from services.runtime.files.lock import FileLock, lock_beside
+from services.runtime.files.output import open_output
 
 BUFFER_BYTES = 65_536
 """Buffered bytes at which the file is written without a flush."""

@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from services.runtime.output_files import replace_output
+from services.runtime.files.output import replace_output
 
 CRC_BYTES: Final = 4
 _LENGTH_BYTES: Final = 8

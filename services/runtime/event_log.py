@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
-from services.runtime.output_files import open_output
+from services.runtime.files.output import open_output
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime

@@ -36,9 +36,9 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from he3.errors import He3Error, InvalidInput
 from services.runtime.checkpoint_file import CRC_BYTES, Checkpoint, Mark, read_checkpoint, write_checkpoint
+from services.runtime.files.output import open_output
 from services.runtime.input_codec import decode_input, encode_input
 from services.runtime.inputs import Input, ProcessStarted
-from services.runtime.output_files import open_output
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime

@@ -26,7 +26,7 @@ from services.runtime.context import Driver, ProcessContext
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.drivers.wall_clock import WallClockDriver
 from services.runtime.event_log import EventLog
-from services.runtime.file_lock import lock_beside
+from services.runtime.files.lock import lock_beside
 from services.runtime.heartbeat import Heartbeat
 from services.runtime.host import Host
 from services.runtime.inbox import Inbox

@@ -163,7 +163,7 @@ def _build_file(region: str, out: Path, field_seed: int | None) -> None:
 
     from he3.errors import He3Error, InvalidInput
     from services.mission.regions import MAX_PROVENANCE
-    from services.runtime.output_files import open_output
+    from services.runtime.files.output import open_output
 
     if out.suffix != ".npz":
         raise InvalidInput(f"--out {out}: expected a file name that ends in .npz")

@@ -22,7 +22,7 @@ def schemas(
 
     from he3.errors import He3Error
     from schemas.__main__ import json_schemas
-    from services.runtime.output_files import write_output
+    from services.runtime.files.output import write_output
 
     documents = json_schemas()
     if folder is None:

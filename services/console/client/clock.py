@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import one_line
 from schemas.commands import NoParameters
 from schemas.link import ClockChange, ClockMode, ClockState
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL, TIME_SHOW
+from schemas.validation import one_line
 from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.clock import FollowedClock, mission_time
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput, PeerUnreachable
-from schemas.codec import one_line
 from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
 from schemas.topics import COMMAND_STATUS, ISSUE_COMMAND, LIST_COMMANDS
+from schemas.validation import one_line
 from services.console.client.clock import ClockQueries
 from services.mission.mission_time import seconds
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import one_line
 from schemas.commands import NoParameters
 from schemas.link import LinkChange, LinkStatus
 from schemas.topics import LINK_SET, LINK_SHOW
+from schemas.validation import one_line
 
 if TYPE_CHECKING:
     from services.runtime.transport.client import Client

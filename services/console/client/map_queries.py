@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import one_line
 from schemas.commands import NoParameters
 from schemas.ground import InterestArea, InterestChange, InterestList, MissionTrack
 from schemas.maps import (
@@ -37,6 +36,7 @@ from schemas.topics import (
     TRACK,
     Topic,
 )
+from schemas.validation import one_line
 
 if TYPE_CHECKING:
     from services.runtime.transport.client import Client

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
-from services.runtime.output_files import replace_output
+from services.runtime.files.output import replace_output
 
 MAX_FILE_BYTES = 65_536
 MAX_PORT = 65_535

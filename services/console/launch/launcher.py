@@ -17,7 +17,7 @@ from services.console.interruption import uninterrupted
 from services.console.launch.endpoints import Endpoints
 from services.mission.processes import LINK, PROCESSES, RECORDER, VITAL, ProcessSpec, waited_for
 from services.runtime.child import child_environment, exit_in_words, python_command
-from services.runtime.output_files import open_output
+from services.runtime.files.output import open_output
 
 STOP_WITHIN_S = 1.5
 """Time [s] that a service has to end before it is killed."""

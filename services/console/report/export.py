@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from he3.errors import He3Error
 from he3.frames import SiteGrid
 from schemas.maps import MapLayer
-from services.runtime.output_files import open_output
+from services.runtime.files.output import open_output
 
 if TYPE_CHECKING:
     from schemas.telemetry import SampleReport

@@ -17,8 +17,8 @@ from schemas.ground import GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MessageCounts, MissionReport, RegionLayer, ReportSample
 from services.mission.mission_time import SECOND
+from services.runtime.files.output import write_output
 from services.runtime.heartbeat import software_version
-from services.runtime.output_files import write_output
 
 if TYPE_CHECKING:
     from he3.provenance import LayerOrigin

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from he3.errors import He3Error, InvalidInput
-from services.runtime.file_lock import FileLock, lock_beside
+from services.runtime.files.lock import FileLock, lock_beside
 
 if TYPE_CHECKING:
     from he3.reference import Region

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from he3.errors import He3Error
 from schemas.maps import MapLayer, MapRaster, MapScore
 from services.console.report.mission_report import array_of, remove_part
-from services.runtime.output_files import open_output
+from services.runtime.files.output import open_output
 
 if TYPE_CHECKING:
     from he3.reference import Region

@@ -8,8 +8,8 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import one_line
 from schemas.commands import CommandKind  # of a model's field: pydantic reads it
+from schemas.validation import one_line
 from schemas.wire import Identifier, PositionM
 from services.console.client.commands import MAX_EXPIRY_S
 

@@ -15,7 +15,7 @@ from services.console.web.access import READ, Access, Caller, no_certificates
 from services.console.web.address import is_loopback, listening, own_names, urls_of
 from services.console.web.hub import Hub
 from services.console.web.identity import Tls, certified_by, tls_of
-from services.runtime.output_files import replace_output
+from services.runtime.files.output import replace_output
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient

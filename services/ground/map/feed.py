@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import one_line
 from schemas.maps import MAX_CELLS, FrameKind, MapFrame
+from schemas.validation import one_line
 
 if TYPE_CHECKING:
     from he3.frames import BoolArray, Float32Array

@@ -17,8 +17,8 @@ from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyErro
 from services.runtime.inputs import Input, MessageArrived
 from services.runtime.lockstep.participant import Participant
 from services.runtime.lockstep.stamp import Stamp, read_stamp
-from services.runtime.queries.inputs import outcome_input, query_input
 from services.runtime.refusals import refusal_of
+from services.runtime.transport.inputs import outcome_input, query_input
 
 if TYPE_CHECKING:
     from services.runtime.context import ProcessContext

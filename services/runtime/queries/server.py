@@ -1,7 +1,7 @@
 """Operators' queries answered from an immutable snapshot, in threads of their own, never by the node.
 
 The thread that has a new snapshot calls `QueryServer.show` and continues; queries that are being answered finish with
-the snapshot that they began with. How a query is read is in `services.runtime.queries.request`.
+the snapshot that they began with. How a query is read is in `services.runtime.transport.request`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from he3.errors import Busy, He3Error, NotReady
 from schemas.wire import Header, Wire
-from services.runtime.queries.request import Query, encode_reply, read_request
 from services.runtime.refusals import refusal_of
+from services.runtime.transport.request import Query, encode_reply, read_request
 from services.runtime.transport.session import JSON, IncomingQuery, Session
 
 if TYPE_CHECKING:

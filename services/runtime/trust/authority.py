@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 
 from he3.errors import InvalidInput, NotFound
 from schemas.roles import PERSON_ROLES
-from services.runtime.file_lock import lock_beside
+from services.runtime.files.lock import lock_beside
 from services.runtime.trust.certificates import (
     Subject,
     certificate_pem,

@@ -20,8 +20,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import one_line
 from schemas.roles import Role
+from schemas.validation import one_line
 from services.runtime.trust.certificates import (
     fingerprint,
     parse_common_name,

@@ -22,7 +22,7 @@ from services.mission.in_process import InProcessMission
 from services.mission.scenario import load_scenario
 from services.runtime.host import origin
 from services.runtime.node import Level
-from services.runtime.queries.request import request_from_selector
+from services.runtime.transport.request import request_from_selector
 
 MISSION = "short"
 ENVELOPES = [topic for topic in TOPICS if topic is not MAP_FEED]

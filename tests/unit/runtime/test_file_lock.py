@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from he3.errors import He3Error, InvalidInput
-from services.runtime.file_lock import FileLock, lock_beside
+from services.runtime.files.lock import FileLock, lock_beside
 
 HOLD = """
 import sys
 from pathlib import Path
-from services.runtime.file_lock import FileLock
+from services.runtime.files.lock import FileLock
 lock = FileLock(Path(sys.argv[1]), "expected")
 print("held", flush=True)
 sys.stdin.read()

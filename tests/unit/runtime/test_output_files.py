@@ -14,8 +14,8 @@ from services.recorder.files import open_recording
 from services.runtime.checkpoint_file import Checkpoint, Mark, write_checkpoint
 from services.runtime.child import ROOT
 from services.runtime.event_log import EventLog
-from services.runtime.file_lock import FileLock
-from services.runtime.output_files import open_output, replace_output, require_own, write_output
+from services.runtime.files.lock import FileLock
+from services.runtime.files.output import open_output, replace_output, require_own, write_output
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_a_file_of_another_user_is_not_ours(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_link_of_the_system_such_as_standard_output_is_followed() -> None:
     write = (
-        "from pathlib import Path; from services.runtime.output_files import write_output; "
+        "from pathlib import Path; from services.runtime.files.output import write_output; "
         "write_output(Path('/dev/stdout'), b'said')"
     )
     done = subprocess.run([sys.executable, "-c", write], capture_output=True, cwd=ROOT, check=False)

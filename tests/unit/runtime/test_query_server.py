@@ -17,8 +17,8 @@ from schemas.maps import MapPoint, MapPointQuery
 from schemas.refusal import Refusal, RefusalCode
 from schemas.topics import CLOCK_SET, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, MAP_LAYER, MAP_POINT, TIME_CONTROL
 from schemas.wire import Header
-from services.runtime.queries.request import request_from_selector
 from services.runtime.queries.server import QueryServer, QueryService
+from services.runtime.transport.request import request_from_selector
 from tests.waiting import PATIENCE_S
 
 INVALID, OUTSIDE, INTERNAL = RefusalCode.INVALID_INPUT, RefusalCode.OUTSIDE_REGION, RefusalCode.INTERNAL

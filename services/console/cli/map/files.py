@@ -82,7 +82,7 @@ def form_of(file: Path) -> str:
 def written(file: Path, payload: bytes) -> str:
     """Write the file; returns a line that reports it. Raises He3Error if it cannot be written."""
     from he3.errors import He3Error
-    from services.runtime.output_files import write_output
+    from services.runtime.files.output import write_output
 
     try:
         write_output(file, payload)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from services.runtime.inputs import CheckedQueryArrived, QueryArrived, QueryUnanswered, ReplyArrived
-from services.runtime.queries.request import Query, request_from_selector
+from services.runtime.transport.request import Query, request_from_selector
 from services.runtime.transport.session import Outcome, Replied
 
 if TYPE_CHECKING:

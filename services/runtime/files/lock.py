@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Self
 
 from he3.errors import He3Error, InvalidInput
-from services.runtime.output_files import require_own
+from services.runtime.files.output import require_own
 
 
 class FileLock:

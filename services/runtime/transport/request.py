@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
-from schemas.codec import Refused, decode, encode, one_line
+from schemas.codec import Refused, decode, encode
+from schemas.validation import one_line
 
 if TYPE_CHECKING:
     from schemas.topics import Topic

@@ -1,0 +1,33 @@
+"""What a validation of pydantic found wrong, on one line for people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from schemas.wire import printable
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+MAX_PLACE = 120
+MAX_SHOWN = 60
+"""Characters of a refusal that name the place in a document and show what came."""
+
+
+def one_line(error: ValidationError) -> str:
+    """The first error of a validation on one line: 'WHERE: expected ..., got ...'."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    place = _clipped(printable(".".join(str(part) for part in first["loc"]) or "message"), MAX_PLACE)
+    came = first.get("input")
+    shown = "" if first["type"] in {"missing", "json_invalid"} else f", got {_short(came)}"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    message = first["msg"].splitlines()[0].removeprefix("Value error, ")
+    return f"{place}: {printable(message[0].lower() + message[1:])}{shown}{more}"
+
+
+def _short(value: object) -> str:
+    return _clipped(printable(repr(value)), MAX_SHOWN)
+
+
+def _clipped(text: str, limit: int) -> str:
+    return text if len(text) <= limit else text[: limit - 3] + "..."
