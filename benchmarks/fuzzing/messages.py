@@ -21,7 +21,7 @@ from services.mission.scenario import Scenario, checked_scenario
 
 MISSION = "fuzzed"
 RENEWED_AFTER = 200
-"""Examples after which a fresh mission is begun: what was accepted before is forgotten."""
+"""Number of examples per mission; a new mission drops the effects of accepted messages."""
 NODES = ("field", "rover", "link", "ground")
 
 

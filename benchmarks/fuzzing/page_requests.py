@@ -32,7 +32,7 @@ from services.runtime.trust.identity import PAGE_AUTHORITY, PAGE_CERTIFICATE, PA
 
 MISSION = "fuzzed"
 MOST_PER_S = 200.0
-"""Requests over TLS that are sent in a second at most."""
+"""Most requests over TLS per second."""
 LOOK_EVERY, SETTLED_AFTER = 500, 4000
 """Requests between two looks at the memory, and after which it has to stay flat."""
 MOST_GROWTH = 1.1

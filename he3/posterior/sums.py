@@ -1,9 +1,9 @@
 """Mean and variance on a set of cells, accumulated row by row of V = L^-1 K(samples, cells).
 
-All is in standardised units. With a trend, its columns H are kept apart, because their prior variance is large and what
-float32 rounds off is a part of it. With R = H - V' (L^-1 H) on the cells, updated like the mean, and the coefficients'
-posterior covariance S, the trend adds R b to the mean and R S R' to the variance (Rasmussen & Williams 2006, eqs. 2.41
-and 2.42).
+All is in standardised units. With a trend, its columns H are kept apart, because their prior variance is so large that
+float32 would lose digits of the rest. With R = H - V' (L^-1 H) on the cells, updated like the mean, and the
+coefficients' posterior covariance S, the trend adds R b to the mean and R S R' to the variance (Rasmussen & Williams
+2006, eqs. 2.41 and 2.42).
 """
 
 from __future__ import annotations
