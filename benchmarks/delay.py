@@ -7,7 +7,7 @@ time, with the real nodes, custody and link, so that light time is exact.
 
     mission_time_s   until the last sample is in the map
     rmse_ppb         of the final map against the reference, all cells
-    blackout         share of the time without contact, in periods of four hours; what is sent then waits
+    blackout         share of the time without contact, in periods of four hours; messages sent in it wait
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 
 class He3Error(Exception):
-    """Root of all errors that are reported in one line; the text says what was expected and what came."""
+    """Root of all errors that are reported in one line; the text has the form "expected ..., got ..."."""
 
 
 class InvalidInput(He3Error, ValueError):

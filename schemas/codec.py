@@ -1,7 +1,7 @@
 """Bytes from a message and a message from bytes: JSON in an envelope, sealed with a checksum, checked once at the edge.
 
 A payload that its topic does not admit (unknown field, NaN, other version, other mission, too long) is refused with
-`Refused`, whose text is one line: where, what was expected, and what came.
+`Refused`, whose text is one line: "WHERE: expected ..., got ...".
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Refusal:
     """Body of an error reply."""
 
     error: str
-    """One line: what was expected and what came."""
+    """One line of the form "expected ..., got ..."."""
     code: RefusalCode = RefusalCode.INVALID_INPUT
     stamp: str | None = None
     """The lockstep stamp: a Zenoh error reply has no attachment, so the body carries it."""

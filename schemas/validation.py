@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 MAX_PLACE = 120
 MAX_SHOWN = 60
-"""Characters of a refusal that name the place in a document and show what came."""
+"""Most characters of a refusal's line for the place in a document, and for the value there."""
 
 
 def one_line(error: ValidationError) -> str:

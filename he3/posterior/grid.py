@@ -141,7 +141,7 @@ class GridPosterior:
         return self.snapshot().std_ppb
 
     def snapshot(self) -> PosteriorMap:
-        """The map as it is now, safe to hand to other threads: its arrays never change."""
+        """The present map, safe to pass to other threads: its arrays never change."""
         if self._snapshot is None:
             scale = self.hyperparameters.scale_ppb
             least = self._without_trend.least_variance()

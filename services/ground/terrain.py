@@ -60,7 +60,7 @@ class GroundTerrain:
     def set_keep_out(self, area_id: str, polygons_m: Iterable[Sequence[Place]]) -> bool:
         """Close the cells that any of the polygons covers, in place of those that the id closed before.
 
-        Returns whether cells were closed that were not. Without a polygon the area is open again.
+        Returns whether any open cell was closed. Without a polygon the area is open again.
         """
         before = self._areas.pop(area_id, np.zeros_like(self._orbital))
         area = np.zeros_like(self._orbital)

@@ -160,7 +160,7 @@ class SendReply:
 
 @dataclass(frozen=True, slots=True)
 class RefuseQuery:
-    """Refuse a `QueryReceived`: in one line what was expected and what came, and a code for programs."""
+    """Refuse a `QueryReceived`: with one line of the form "expected ..., got ...", and a code for programs."""
 
     token: int
     why: str
