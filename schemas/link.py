@@ -213,6 +213,10 @@ class ClockState(Wire):
     anchor_mission_ns: MissionTimeNs
     start_ns: MissionTimeNs
     """Mission time at which the mission began."""
+    boot_id: Text = ""
+    """The boot of the machine that set the anchor; empty if it is not known."""
+    anchor_monotonic_ns: Count = 0
+    """That machine's monotonic clock at the anchor: what other processes of the same boot count from."""
 
 
 class Acknowledgement(Wire):

@@ -14,8 +14,9 @@ from he3.errors import InvalidInput
 from schemas.codec import encode
 from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
-from services.link.kept_clock import keep, kept_clock, this_machine
+from services.link.kept_clock import keep, kept_clock
 from services.runtime.clock import at_rate, started
+from services.runtime.machine_time import this_machine
 from services.runtime.process_clock import CLOCKS
 from services.runtime.refusals import refusal_of
 from services.runtime.transport.request import encode_reply, read_request

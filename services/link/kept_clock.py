@@ -6,9 +6,6 @@ meanwhile. After another boot only the wall clock can tell it.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,10 +13,9 @@ from pydantic import Field
 
 from schemas.link import ClockState  # of a model's field: pydantic reads it
 from schemas.wire import Text, Wire
-from services.runtime.clock import mission_time
+from services.runtime.clock import anchored, mission_time
 from services.runtime.files.output import replace_output
-
-_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+from services.runtime.machine_time import MachineTime
 
 
 class _Kept(Wire):
@@ -28,23 +24,6 @@ class _Kept(Wire):
     """Boot id of the machine when the clock was saved; empty if the system has none."""
     monotonic_ns: Annotated[int, Field(ge=0)]
     """Monotonic time of the machine at the clock's anchor."""
-
-
-@dataclass(frozen=True, slots=True)
-class MachineTime:
-    """The clocks of this machine and its boot id."""
-
-    wall_ns: Callable[[], int] = time.time_ns
-    monotonic_ns: Callable[[], int] = time.monotonic_ns
-    boot_id: str = ""
-
-
-def this_machine() -> MachineTime:
-    """The machine that this process runs on."""
-    try:
-        return MachineTime(boot_id=_BOOT_ID.read_text(encoding="ascii").strip())
-    except OSError:
-        return MachineTime()
 
 
 def keep(path: Path, clock: ClockState, machine: MachineTime) -> None:
@@ -57,10 +36,10 @@ def keep(path: Path, clock: ClockState, machine: MachineTime) -> None:
 def kept_clock(path: Path, machine: MachineTime) -> ClockState:
     """The clock saved in that file, anchored at this moment; raises ValueError if the file holds none."""
     kept = _Kept.model_validate_json(path.read_bytes())
-    clock, wall_ns = kept.clock, machine.wall_ns()
+    clock, wall_ns, monotonic_ns = kept.clock, machine.wall_ns(), machine.monotonic_ns()
     if machine.boot_id and kept.boot_id == machine.boot_id:
-        away_ns = max(0, machine.monotonic_ns() - kept.monotonic_ns)
+        away_ns = max(0, monotonic_ns - kept.monotonic_ns)
         now = mission_time(clock, clock.anchor_wall_ns + away_ns)
     else:
         now = mission_time(clock, wall_ns)
-    return clock.model_copy(update={"anchor_wall_ns": wall_ns, "anchor_mission_ns": now})
+    return anchored(clock, now, wall_ns, machine.boot_id, monotonic_ns)

@@ -1,8 +1,12 @@
 """Mission time: a clock state has the mission time at its anchor and the rate. The time manager changes it.
 
-Two clocks of the machine take part. The wall clock is the one that all processes share, so they agree on an anchor by
-it. But it can be set, by NTP or by a user; so each process carries mission time forward from the anchor by its own
-monotonic clock, which cannot be set (`FollowedClock`). The time manager sets a new anchor in each state that it sends.
+Two clocks of the machine take part. The monotonic clock cannot be set: each process carries mission time forward by
+it (`FollowedClock`), and processes of one boot of a machine agree on an anchor by it. Processes of other machines have
+only the wall clock in common with the time manager. NTP or a user may set that at any moment, also between the sending
+of a state and its arrival. The time manager sets a new anchor in each state that it sends. A state of the same revision
+that is off by more than `MAX_CORRECTION_NS` says that a wall clock was set: it corrects only a process that is behind
+the anchor itself.
+
 The revision, never the wall clock, tells which of two states is newer. Mission time does not run backwards:
 not within a process, and not by a change. While the machine is suspended, mission time stands.
 """
@@ -11,13 +15,15 @@ from __future__ import annotations
 
 import secrets
 import threading
-import time
 from collections import OrderedDict
-from collections.abc import Callable
 from typing import Final
 
 from schemas.link import ClockMode, ClockState
 from services.mission.mission_time import SECOND, MissionTime
+from services.runtime.machine_time import MachineTime
+
+MAX_CORRECTION_NS: Final = SECOND
+"""Of wall time: monotonic clocks of two machines drift apart by less between two announcements."""
 
 _EPOCH_BITS: Final = 53  # so that a page's numbers hold it exactly
 _MAX_EPOCHS: Final = 100  # whose furthest reading is kept
@@ -70,8 +76,15 @@ def at_rate(state: ClockState, rate: float, wall_ns: int) -> ClockState:
     then.
     """
     now = _furthest.note(state, mission_time(state, wall_ns))
-    changes = {"revision": state.revision + 1, "rate": rate, "anchor_wall_ns": wall_ns, "anchor_mission_ns": now}
-    return state.model_copy(update=changes)
+    monotonic = (state.boot_id, state.anchor_monotonic_ns) if wall_ns == state.anchor_wall_ns else ()
+    changed = state.model_copy(update={"revision": state.revision + 1, "rate": rate})
+    return anchored(changed, now, wall_ns, *monotonic)
+
+
+def anchored(state: ClockState, now: MissionTime, wall_ns: int, boot_id: str = "", monotonic_ns: int = 0) -> ClockState:
+    """The same clock, which shows that mission time at those times of the wall clock and the monotonic clock."""
+    anchor = {"anchor_wall_ns": wall_ns, "anchor_mission_ns": now}
+    return state.model_copy(update={**anchor, "boot_id": boot_id, "anchor_monotonic_ns": monotonic_ns})
 
 
 def newer(one: ClockState | None, other: ClockState) -> ClockState:
@@ -84,11 +97,8 @@ def newer(one: ClockState | None, other: ClockState) -> ClockState:
 class FollowedClock:
     """Mission time in this process. It may be read by several threads."""
 
-    def __init__(
-        self, wall_ns: Callable[[], int] = time.time_ns, monotonic_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
-        self._wall_ns = wall_ns
-        self._monotonic_ns = monotonic_ns
+    def __init__(self, machine: MachineTime) -> None:
+        self._machine = machine
         self._lock = threading.Lock()
         self._state: ClockState | None = None
         self._anchor: tuple[int, MissionTime] = (0, 0)  # monotonic time, and mission time then
@@ -105,10 +115,11 @@ class FollowedClock:
             before = self._state
             if newer(before, state) is not state or (before is not None and _order(before) == _order(state)):
                 return  # an equal one comes late: by now its anchor may not fit the wall clock any more
+            at = self._time_by(state)
             if before is None or before.epoch != state.epoch:
                 self._read = 0  # another clock may stand at an earlier time
             self._state = state
-            self._anchor = self._monotonic_ns(), _at(state, self._wall_ns())
+            self._anchor = self._machine.monotonic_ns(), at
 
     def now(self) -> MissionTime:
         """Mission time [ns]; it never runs backwards. A clock state must be in force."""
@@ -127,14 +138,28 @@ class FollowedClock:
     def anchored_now(self) -> ClockState:
         """The state in force, anchored at this moment, for another process to follow."""
         with self._lock:
-            now = self._now()
+            now, machine = self._now(), self._machine
             assert self._state is not None
-            return self._state.model_copy(update={"anchor_wall_ns": self._wall_ns(), "anchor_mission_ns": now})
+            return anchored(self._state, now, machine.wall_ns(), machine.boot_id, machine.monotonic_ns())
+
+    def _time_by(self, state: ClockState) -> MissionTime:
+        """Mission time now, according to a state that has just arrived."""
+        machine = self._machine
+        if machine.boot_id and state.boot_id == machine.boot_id:
+            elapsed_ns = max(0, machine.monotonic_ns() - state.anchor_monotonic_ns)
+            return state.anchor_mission_ns + _scaled(elapsed_ns, state.rate)
+        at, before = _at(state, machine.wall_ns()), self._state
+        if before is None or (before.epoch, before.revision) != (state.epoch, state.revision):
+            return at
+        known = self._now()
+        if abs(at - known) <= _scaled(MAX_CORRECTION_NS, state.rate):
+            return at
+        return max(known, state.anchor_mission_ns)  # a machine that was suspended is behind the anchor
 
     def _now(self) -> MissionTime:
         assert self._state is not None, "a clock is read only after its first state"
         since, at = self._anchor
-        self._read = max(self._read, at + _scaled(max(0, self._monotonic_ns() - since), self._state.rate))
+        self._read = max(self._read, at + _scaled(max(0, self._machine.monotonic_ns() - since), self._state.rate))
         return self._read
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side
 from services.runtime.clock import FollowedClock
+from services.runtime.machine_time import this_machine
 
 if TYPE_CHECKING:
     from schemas.link import ClockState
@@ -19,7 +20,7 @@ class ProcessClock:
     """The mission's clock as this process received it, and the latest mission time at which the process acted."""
 
     def __init__(self) -> None:
-        self.followed = FollowedClock()
+        self.followed = FollowedClock(this_machine())
         self.latest: MissionTime = 0
 
     @property

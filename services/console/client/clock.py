@@ -15,6 +15,7 @@ from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL, TIME_SHOW
 from schemas.validation import one_line
 from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.clock import FollowedClock, mission_time
+from services.runtime.machine_time import this_machine
 
 if TYPE_CHECKING:
     from schemas.wire import Header
@@ -36,7 +37,7 @@ class MissionClock:
 
     def __init__(self, start_ns: MissionTime | None = None) -> None:
         """start_ns: beginning of the mission, where it is known before a clock state arrives."""
-        self._clock = FollowedClock()
+        self._clock = FollowedClock(this_machine())
         self._start_ns = start_ns
         self._heard: MissionTime = 0
 

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.link.kept_clock import MachineTime, keep, kept_clock, this_machine
+from services.link.kept_clock import keep, kept_clock
 from services.mission.mission_time import SECOND
-from services.runtime.clock import mission_time, newer, started
+from services.runtime.clock import FollowedClock, mission_time, newer, started
+from services.runtime.machine_time import MachineTime, this_machine
 
 START = 1_893_456_000 * SECOND
 WALL = 1_700_000_000 * SECOND
@@ -42,6 +43,10 @@ def test_within_one_boot_mission_time_goes_on_whatever_is_done_to_the_wall_clock
     assert mission_time(back, machine.wall) == START + 20 * away
     assert (back.epoch, back.revision, back.rate) == (clock.epoch, clock.revision, 20.0)
     assert newer(clock, back) is back
+    followed = FollowedClock(machine.time())
+    machine.wall += step
+    followed.follow(back)
+    assert followed.now() == START + 20 * away, "the wall clock counts no more once the clock has been read"
 
 
 @pytest.mark.parametrize("boot", ["b2", ""])

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from schemas.link import ClockState
 from services.mission.mission_time import SECOND
 from services.runtime.clock import FollowedClock, at_rate, mission_time, newer, started
+from services.runtime.machine_time import MachineTime
 
 START = 1_893_456_000 * SECOND
 WALL = 1_700_000_000 * SECOND
@@ -90,9 +91,10 @@ class Machine:
 
     monotonic: int = 5 * SECOND
     wall: int = WALL
+    boot_id: str = "this machine"
 
     def clock(self) -> FollowedClock:
-        return FollowedClock(lambda: self.wall, lambda: self.monotonic)
+        return FollowedClock(MachineTime(lambda: self.wall, lambda: self.monotonic, self.boot_id))
 
     def run(self, elapsed: int) -> None:
         self.monotonic += elapsed
@@ -130,6 +132,42 @@ def test_mission_time_stands_while_the_machine_is_suspended():
     assert clock.now() == START
     newcomer = followed(clock.anchored_now(), machine)
     assert newcomer.now() == START, "who joins afterwards follows the same time"
+
+
+@pytest.mark.parametrize("step", [-HOUR, -40 * SECOND, 40 * SECOND, 24 * HOUR])
+@pytest.mark.parametrize("boot_id", ["this machine", "another machine", ""])
+def test_a_wall_clock_that_is_set_while_an_announcement_is_on_its_way_changes_no_mission_time(step, boot_id):
+    there, here = Machine(), Machine(boot_id=boot_id)
+    manager = followed(started(START, 1000.0, WALL), there)
+    clock = followed(manager.anchored_now(), here)
+    there.run(5 * SECOND)
+    here.run(5 * SECOND)
+    announced = manager.anchored_now()
+    here.set_wall(step)
+    clock.follow(announced)
+    assert clock.now() == manager.now() == START + 5000 * SECOND
+
+
+def test_an_announcement_brings_a_machine_that_was_suspended_to_the_time_of_the_others():
+    there, here = Machine(), Machine(boot_id="another machine")
+    manager = followed(started(START, 20.0, WALL), there)
+    clock = followed(manager.anchored_now(), here)
+    there.run(HOUR)
+    here.suspend(HOUR)
+    assert clock.now() == START
+    clock.follow(manager.anchored_now())
+    assert clock.now() == manager.now() == START + 20 * HOUR
+
+
+def test_an_announcement_corrects_the_drift_between_the_monotonic_clocks_of_two_machines():
+    there, here = Machine(), Machine(boot_id="another machine")
+    manager = followed(started(START, 20.0, WALL), there)
+    clock = followed(manager.anchored_now(), here)
+    there.run(HOUR)
+    here.run(HOUR - SECOND // 2)
+    here.set_wall(SECOND // 2)
+    clock.follow(manager.anchored_now())
+    assert clock.now() == manager.now()
 
 
 def test_a_stopped_clock_never_reaches_a_later_time():
@@ -193,6 +231,15 @@ class Mission:
         for follower in self.followers:
             follower.follow(state)
 
+    def arrive(self, which: int) -> None:
+        """A state arrives at the last process only now."""
+        if self.old:
+            self.followers[-1].follow(self.old[which % len(self.old)])
+
+    def send(self) -> None:
+        """The manager announces a state that reaches no process yet."""
+        self.old.append(self.manager.anchored_now())
+
     def change(self, rate: float) -> None:
         now = self.manager.anchored_now()
         self.manager.follow(at_rate(now, rate, now.anchor_wall_ns))
@@ -220,7 +267,8 @@ actions = st.one_of(
     st.tuples(st.just("change"), st.floats(0, 1000)),
     st.tuples(st.just("announce"), st.none()),
     st.tuples(st.just("join"), st.none()),
-    st.tuples(st.just("late"), st.integers(0, 100)),
+    st.tuples(st.just("send"), st.none()),
+    st.tuples(st.just("arrive"), st.integers(0, 100)),
 )
 
 
@@ -236,6 +284,8 @@ def test_whatever_is_done_to_the_wall_clock_all_processes_agree_and_time_never_r
             mission.announce()
         elif action == "join":
             mission.join()
-        elif mission.old:
-            mission.followers[-1].follow(mission.old[value % len(mission.old)])
+        elif action == "send":
+            mission.send()
+        else:
+            mission.arrive(value)
         mission.check()
