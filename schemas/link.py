@@ -15,7 +15,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 MAX_SCHEDULE_S = 1e9
-"""Contacts can be scheduled so far ahead: 31 years, which keeps their times within int64 nanoseconds."""
+"""Longest time for which contacts can be scheduled: 31 years, which keeps times within int64 nanoseconds."""
 MIN_PERIOD_S = 1.0
 """Shortest period of a duty cycle: in a shorter one, contact would change within one message."""
 

@@ -108,12 +108,12 @@ def _usage(error: Any) -> int:
 
 def _say(message: str, code: int) -> int:
     from schemas.wire import printable
-    from services.console.interruption import end_is_said
+    from services.console.interruption import note_last_line
 
     first, *rest = message.splitlines() or [""]
     sys.stderr.write(f"he3: {printable(first)}{' ...' if rest else ''}\n")
     if code in (INTERRUPTED, TERMINATED):
-        end_is_said()
+        note_last_line()
     return code
 
 

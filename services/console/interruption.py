@@ -55,7 +55,7 @@ _said = threading.Event()
 """Set once the process has written its last line."""
 
 
-def end_is_said() -> None:
+def note_last_line() -> None:
     """Note that the last line is written, so that `ending_in_time` writes none."""
     _said.set()
 

@@ -1,7 +1,7 @@
-"""The round log: every round that was sent to the rover, with what is known of its execution.
+"""The round log: every round that was sent to the rover, with its known state of execution.
 
 It knows which samples are measured, skipped or still to come, and keeps the versions of rounds that were replaced: the
-rover may have begun one of them before it heard of the replacement.
+rover may have begun one of them before it received the replacement.
 """
 
 from __future__ import annotations

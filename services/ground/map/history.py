@@ -23,7 +23,7 @@ MAX_REVISION = 10**12
 
 
 def with_history(shown: MapSnapshot, before: MapSnapshot | None) -> MapSnapshot:
-    """The snapshot shown now, with the earlier ones that the last held, and with the last if the map has changed."""
+    """The new snapshot with its history: that of the last snapshot, and the last one itself if the map has changed."""
     if before is None:
         return shown
     # Equal parts are held once.

@@ -152,7 +152,7 @@ class Client:
 
 
 def selector_text(parameters: Mapping[str, object]) -> str:
-    """Parameters as they stand in a selector, without those that are None.
+    """The parameters as text for a selector, without those that are None.
 
     Raises InvalidInput for a value with a character that would end it.
     """
