@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from schemas.codec import body_of
 from services.runtime.node import Finish, LogRecord, PublishSnapshot
+from services.runtime.service_manager import ServiceManager
 
 if TYPE_CHECKING:
     from schemas.refusal import Refusal
@@ -102,6 +103,8 @@ class ProcessContext:
     resume: list[Action] = field(default_factory=list)
     """Actions that the replay of the journal left to do."""
     open_queries: OpenQueries = field(default_factory=OpenQueries)
+    manager: ServiceManager = field(default_factory=ServiceManager)
+    """The service manager that started this process, if one did."""
 
     @property
     def name(self) -> str:
@@ -112,7 +115,8 @@ class ProcessContext:
         return self.options.scenario.name
 
     def beat(self, monotonic_s: float) -> None:
-        """Publish a heartbeat if it is due."""
+        """Publish a heartbeat if it is due, and tell the service manager that the main loop turns."""
+        self.manager.alive()
         self.heartbeat.beat(monotonic_s, self.clock.latest)
 
     def perform(self, action: Action) -> None:

@@ -95,7 +95,9 @@ def run_process(
         context = _context(service, options, inbox, stack)
         driver = make_driver(context)
         if _join(service, context, driver, open_side):
+            context.manager.ready()
             driver.run()
+        context.manager.stopping()
 
 
 def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack) -> ProcessContext:
