@@ -16,6 +16,7 @@ from services.console.web.address import is_loopback, listening, own_names, urls
 from services.console.web.hub import Hub
 from services.console.web.identity import Tls, certified_by, tls_of
 from services.runtime.files.output import replace_output
+from services.runtime.service_manager import ServiceManager
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
@@ -88,8 +89,19 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
                 **tls_options,
             )
 
+            manager = ServiceManager()
+
             class PageServer(uvicorn.Server):
+                async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+                    await super().startup(sockets)
+                    manager.ready()
+
+                async def on_tick(self, counter: int) -> bool:
+                    manager.alive()  # ten times a second, from the loop that answers
+                    return await super().on_tick(counter)
+
                 async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+                    manager.stopping()
                     hub.close()  # streams never end by themselves
                     await super().shutdown(sockets)
 
