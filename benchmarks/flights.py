@@ -53,8 +53,8 @@ class Flight:
 def flown(flights: Sequence[Flight], pool: WorkerPool) -> tuple[dict[Flight, Mission], list[str]]:
     """The missions that were completed, in the order of the flights, and a line for each that failed.
 
-    A line of progress is printed for each. A mission that fails does not stop the others. After a signal, the missions
-    that were completed before it.
+    A line of progress is printed for each. A mission that fails does not stop the others. After a signal, only the
+    missions that were completed before it are returned.
     """
     completed: dict[Flight, Mission] = {}
     failures: list[str] = []

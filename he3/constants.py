@@ -9,7 +9,7 @@ Sources:
   FA-JIN     Fa and Jin, regression of helium-3 on TiO2, solar wind and maturity, as the paper uses it
   SOURCEBOOK Carrier, Olhoeft and Mendell in the Lunar Sourcebook (1991), section 9.1.4
   PAPER      the publication whose system this project rebuilds
-  ASSUMED a working figure that is not verified
+  ASSUMED    a working figure that is not verified
 """
 
 from __future__ import annotations

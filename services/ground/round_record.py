@@ -34,7 +34,7 @@ class RoundRecord:
     done: set[str] = field(default_factory=set)
     """Samples that the rover reported as measured when the round ended."""
     reached_m: float = 0.0
-    """How far along its path the rover is known to have come [m]."""
+    """Farthest place reached along the path [m]."""
     _arc_m: FloatArray = field(init=False)
     _path_m: FloatArray = field(init=False)
 
@@ -123,12 +123,12 @@ class RoundRecord:
             self.reached_m = max(self.reached_m, float(arc[ahead[0]]))
 
     def driven(self) -> tuple[Waypoint, ...]:
-        """The part of the path up to where the rover is known to have come."""
+        """The part of the path up to the farthest place reached."""
         whole, here = self._reached()
         return (*self.plan.path_m[:whole], here)
 
     def ahead(self) -> tuple[Waypoint, ...]:
-        """The part of the path from there on."""
+        """The part of the path beyond the farthest place reached."""
         whole, here = self._reached()
         return (here, *self.plan.path_m[whole:])
 

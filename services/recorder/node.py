@@ -83,5 +83,5 @@ class RecorderNode:
 
 
 def build_node(scenario: Scenario, sink: Sink, flush_s: float | None = None) -> RecorderNode:
-    """The recorder of that scenario; by default a message is safe after half a second of wall time at its rate."""
+    """The recorder of that scenario; by default it flushes messages every half second of wall time."""
     return RecorderNode(sink, 0.5 * scenario.rate if flush_s is None else flush_s)

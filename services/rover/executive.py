@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from services.runtime.node import SavedState, Stateful
 
 STEP: Final = "step"
-"""Timer: the drive, the bite or the analysis under way is done."""
+"""Timer: the end of the drive, the bite or the analysis."""
 
 
 class Executive:

@@ -69,7 +69,7 @@ class Sampling:
         return now + seconds(duration_s)
 
     def step_ended(self, borehole: Borehole) -> None:
-        """The bite or the analysis under way is done."""
+        """Handles the end of a bite or of the analysis."""
         if self._operating.state is State.DRILLING:
             self._vehicle.drilled_m += borehole.bites_left_m.pop(0)
         elif self._operating.state is State.ANALYSING:

@@ -105,7 +105,7 @@ class _Encoder:
         self._completed: dict[int, int] = {}
 
     def tree(self, value: Any) -> Any:
-        """The value as what JSON can hold."""
+        """The value as a tree of JSON values."""
         kind = type(value)
         if value is None or kind in (bool, int, str):
             return value

@@ -56,13 +56,13 @@ class _Stream:
     """When the next acknowledgement is to be sent; None: there is nothing new to acknowledge."""
 
     def release(self, sequence: int) -> Delivery:
-        """The held message of that sequence, no longer held."""
+        """Removes and returns the held message of that sequence."""
         delivery, size_bytes = self.held.pop(sequence)
         self.held_bytes -= size_bytes
         return delivery
 
     def release_next(self) -> list[Delivery]:
-        """The held messages whose turn it is now."""
+        """Removes and returns the held messages that are next in order."""
         ready = []
         while self.next in self.held:
             ready.append(self.release(self.next))

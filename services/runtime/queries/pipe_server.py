@@ -36,7 +36,7 @@ class SnapshotPublisher(Protocol):
         """Publish from that snapshot from now on; never blocks."""
 
     def end(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
 
 
 def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
