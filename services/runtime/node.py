@@ -274,7 +274,7 @@ class Interface:
     sides: tuple[Side, ...]
     subscribes: tuple[Topic, ...] = ()
     receives_raw: tuple[Topic, ...] = ()
-    """Topics whose messages are not decoded, on each of its sides on which they are made: see `Forward`."""
+    """Topics whose messages the node receives undecoded, on each of its sides where they are made: see `Forward`."""
     serves: tuple[Topic, ...] = ()
     custody: bool = True
     """Whether the node acknowledges the messages under custody that it subscribes to."""

@@ -66,7 +66,7 @@ def moment_now(state: MissionState) -> Moment:
 
 
 def time_left_s(moment: Moment, elapsed_s: float) -> float | None:
-    """Wall time until the last sample if the rest goes as fast as what is done; None before the first sample."""
+    """Expected wall time until the last sample, at the average speed so far; None before the first sample."""
     if moment.samples == 0 or moment.samples_total == 0:
         return None
     return elapsed_s * (moment.samples_total - moment.samples) / moment.samples

@@ -1,4 +1,4 @@
-"""A journal in memory, in the very bytes that a process would write to its files."""
+"""A journal in memory, with exactly the bytes that a process would write to its files."""
 
 from __future__ import annotations
 

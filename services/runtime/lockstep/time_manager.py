@@ -66,8 +66,8 @@ class TimeManager:
     def join(self, joining: Join) -> bool:
         """Handle a request to take part, or the question whether it still does; `admit` admits it between two steps.
 
-        False if it obeys another term: that of a time manager that is gone, or from before it was given up. It may
-        still act on a grant of that term, so its own data may be out of date when it is admitted.
+        False if the process obeys an outdated term: of an ended time manager, or of a membership that was given up. It
+        may still act on a grant of that term, so its own data may be out of date when it is admitted.
 
         An earlier process of that name is given up. Raises InvalidInput for that earlier process, if it asks later, and
         for a process that serves a query which another one serves: a query must have one server.
