@@ -1,4 +1,4 @@
-"""Areas of the site that are worth more, or less, than the rest: the scenario's, as the operator changes them."""
+"""Areas of interest, with more or less weight than the rest: from the scenario, and from changes of the operator."""
 
 from __future__ import annotations
 

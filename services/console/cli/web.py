@@ -52,7 +52,7 @@ def web(
         Path | None, typer.Option("--certificate", metavar="FILE", help="Serve over TLS with this certificate (PEM).")
     ] = None,
     key: Annotated[
-        Path | None, typer.Option("--key", metavar="FILE", help="Its key (PEM, no password, mode 0600).")
+        Path | None, typer.Option("--key", metavar="FILE", help="Key of the certificate (PEM, no password, mode 0600).")
     ] = None,
     page_identity: Annotated[
         Path | None,
