@@ -23,7 +23,7 @@ from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.machine_time import MachineTime
 
 MAX_CORRECTION_NS: Final = SECOND
-"""Of wall time: monotonic clocks of two machines drift apart by less between two announcements."""
+"""Limit in wall time: the monotonic clocks of two machines drift less between two announcements."""
 
 _EPOCH_BITS: Final = 53  # so that a page's numbers hold it exactly
 _MAX_EPOCHS: Final = 100  # whose furthest reading is kept
