@@ -17,6 +17,7 @@ from schemas.commands import CommandKind, Telecommand
 from schemas.roles import Role
 from schemas.topics import COMMAND, GROUND_STATUS, ISSUE_COMMAND, PLAN, Side
 from services.console.launch.endpoints import free_endpoints
+from services.link.routers import guard_of
 from services.runtime.transport.client import Client
 from services.runtime.transport.opening import open_client, open_router
 from services.runtime.trust.authority import Authority
@@ -58,7 +59,7 @@ def site(tmp_path_factory) -> Iterator[Site]:
     found["foreign"] = Identity(foreign, found["operator"].subject, *(None,) * 4)  # type: ignore[arg-type]
     link = load_identity(authority.folder_of(Subject(Role.LINK, "a")))
     endpoint = free_endpoints("tls").earth
-    router = open_router(Side.EARTH, endpoint, MISSION, link)
+    router = open_router(Side.EARTH, endpoint, guard_of(Side.EARTH, MISSION, link))
     yield Site(authority, endpoint, found)
     router.close()
 
@@ -110,7 +111,7 @@ def test_a_certificate_that_does_not_count_gets_no_session(site, who):
 
 def test_only_a_link_can_pose_as_a_router(site):
     endpoint = free_endpoints("tls").earth
-    false_router = open_router(Side.EARTH, endpoint, MISSION, site.identities["operator"])
+    false_router = open_router(Side.EARTH, endpoint, guard_of(Side.EARTH, MISSION, site.identities["operator"]))
     try:
         with pytest.raises(PeerUnreachable, match="no earth router"):
             open_client(Side.EARTH, endpoint, identity=site.identities["ground"])

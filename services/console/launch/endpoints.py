@@ -9,11 +9,14 @@ import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from he3.errors import He3Error
 from schemas.topics import Side
-from services.console.launch.scenarios import Chosen
 from services.runtime.trust.endpoint_policy import is_encrypted
+
+if TYPE_CHECKING:
+    from services.console.launch.scenarios import Chosen
 
 MAX_PORT = 65_536
 

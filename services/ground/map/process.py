@@ -1,4 +1,4 @@
-"""The query process of the map: ``python -m services.ground.map.process SIDE ENDPOINT MISSION``.
+"""The query process of the map: ``python -m services.ground.map.process SIDE ENDPOINT MISSION [IDENTITY]``.
 
 The ground's process starts it and gives it each snapshot through a pipe (`services.runtime.queries.process`).
 """
@@ -17,7 +17,15 @@ def main() -> int:
     from services.ground.map.queries import map_queries
     from services.runtime.queries.pipe_server import serve_from_pipe
 
-    return serve_from_pipe(map_queries(), "ground", FeedPublisher(), sys.argv[1:])
+    arguments, folder = sys.argv[1:4], sys.argv[4:]
+    identity = None
+    if folder:
+        from pathlib import Path
+
+        from services.runtime.trust.identity import load_identity
+
+        identity = load_identity(Path(folder[0]))
+    return serve_from_pipe(map_queries(), "ground", FeedPublisher(), arguments, identity)
 
 
 if __name__ == "__main__":

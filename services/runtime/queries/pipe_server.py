@@ -11,7 +11,6 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from schemas.topics import Side
@@ -21,6 +20,7 @@ from services.runtime.transport.opening import connect_client
 
 if TYPE_CHECKING:
     from services.runtime.transport.session import Session
+    from services.runtime.trust.identity import Identity
 
 SWITCH_INTERVAL_S = 0.0005
 """Python's thread switch interval: a query waits for a computing thread no longer than for the network."""
@@ -39,20 +39,21 @@ class SnapshotPublisher(Protocol):
         """Stop publishing."""
 
 
-def serve_from_pipe(service: QueryService, name: str, publisher: SnapshotPublisher, arguments: Sequence[str]) -> int:
+def serve_from_pipe(
+    service: QueryService,
+    name: str,
+    publisher: SnapshotPublisher,
+    arguments: Sequence[str],
+    identity: Identity | None = None,
+) -> int:
     """Answer that service's queries from the snapshots on standard input; returns when it ends.
 
-    name: of the owner, the source in the headers of replies. arguments: side, endpoint, mission, and the folder of the
-    identity if there is one. publisher: is shown each snapshot as well.
+    name: of the owner, the source in the headers of replies. arguments: side, endpoint and mission. publisher: is
+    shown each snapshot as well. identity: the owner's.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    side, endpoint, mission, *folder = arguments
-    identity = None
-    if folder:
-        from services.runtime.trust.identity import load_identity
-
-        identity = load_identity(Path(folder[0]))
+    side, endpoint, mission = arguments
     ended = threading.Event()
     sessions: list[Session] = []
     server = QueryServer(service, name, mission)

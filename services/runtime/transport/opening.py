@@ -7,6 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import zenoh
@@ -14,7 +15,6 @@ import zenoh
 from he3.errors import InvalidInput, PeerUnreachable
 from services.mission.deployment import deployment
 from services.runtime.transport.session import Session
-from services.runtime.trust.access_control import access_control, names_of
 
 if TYPE_CHECKING:
     from schemas.topics import Side
@@ -27,6 +27,16 @@ SILENT_AFTER_S = 3.0
 
 WhileWaiting = Callable[[float], None]
 """Called while a session is being opened, with the time waited so far [s]; an exception from it ends the wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class RouterGuard:
+    """Whom a router lets in, over TLS, and what they may do."""
+
+    identity: Identity
+    """Its own; the certificates of the same authority are let in."""
+    rules: dict[str, Any]
+    """Zenoh's `access_control`; see `services.runtime.trust.access_control`."""
 
 
 def session_config(side: Side, role: str, endpoint: str, identity: Identity | None = None) -> zenoh.Config:
@@ -58,16 +68,14 @@ def tls_config(role: str, identity: Identity) -> dict[str, Any]:
     }
 
 
-def open_router(side: Side, endpoint: str, mission: str = "", identity: Identity | None = None) -> zenoh.Session:
+def open_router(side: Side, endpoint: str, guard: RouterGuard | None = None) -> zenoh.Session:
     """A session that listens as that side's router; raises PeerUnreachable, with the reason, when it cannot.
 
-    identity: the router lets in those that its roster names, over TLS, and gives each role the rights of the topic
-    table in that mission; None: every client may do everything.
+    guard: None: every client may do everything.
     """
-    config = session_config(side, "router", endpoint, identity)
-    if identity is not None:
-        rules = access_control(side, mission, names_of(identity.roster))
-        config.insert_json5("access_control", json.dumps(rules))
+    config = session_config(side, "router", endpoint, None if guard is None else guard.identity)
+    if guard is not None:
+        config.insert_json5("access_control", json.dumps(guard.rules))
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
