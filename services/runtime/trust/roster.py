@@ -21,7 +21,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from he3.errors import InvalidInput
 from schemas.roles import Role
-from schemas.validation import one_line
 from services.runtime.trust.certificates import (
     fingerprint,
     parse_common_name,
