@@ -15,7 +15,7 @@ import zenoh
 from he3.errors import NotAllowed, PeerUnreachable
 from schemas.commands import CommandKind, Telecommand
 from schemas.roles import Role
-from schemas.topics import COMMAND, GROUND_STATUS, ISSUE_COMMAND, PLAN, Side
+from schemas.topics import COMMAND, GROUND_STATUS, ISSUE_COMMAND, PLAN, Side, liveliness_key
 from services.console.launch.endpoints import free_endpoints
 from services.link.routers import guard_of
 from services.runtime.transport.client import Client
@@ -101,6 +101,43 @@ def test_a_session_that_the_rules_give_nothing_sees_nothing(site):
         publisher.put(b"pause")
         until(lambda: arrived, "the command at the recorder")
         assert seen == []
+
+
+def test_a_rival_that_claims_to_answer_everything_is_asked_nothing(site):
+    key = ISSUE_COMMAND.key(MISSION)
+    with ExitStack() as ends:
+        asked: list[str] = []
+
+        def answer(who, query):
+            asked.append(who)
+            query.reply(key, who.encode())
+            query.drop()
+
+        held = [
+            site.session(ends, who).declare_queryable(key, lambda query, who=who: answer(who, query), complete=claims)
+            for who, claims in (("viewer", True), ("recorder", True), ("ground", False))
+        ]
+        operator = site.session(ends, "operator")
+        replies = until(lambda: list(operator.get(key, timeout=5.0)), "the ground's reply")
+        assert [each.ok.payload.to_bytes() for each in replies] == [b"ground"]
+        assert set(asked) == {"ground"}
+        assert list(site.session(ends, "viewer").get(key, timeout=5.0)) == []
+        del held
+
+
+def test_a_process_appears_under_its_own_name_alone(site):
+    with ExitStack() as ends:
+        seen: list[str] = []
+        pattern = liveliness_key(MISSION, Side.EARTH, "*")
+        watching = site.session(ends, "viewer").liveliness()
+        held = [watching.declare_subscriber(pattern, lambda token: seen.append(str(token.key_expr)), history=True)]
+        appearing = site.session(ends, "recorder").liveliness()
+        names = ("ground", "link", "recorder")
+        held += [appearing.declare_token(liveliness_key(MISSION, Side.EARTH, name)) for name in names]
+        own = liveliness_key(MISSION, Side.EARTH, "recorder")
+        until(lambda: own in seen, "the recorder to appear")
+        assert seen == [own]
+        del held
 
 
 @pytest.mark.parametrize("who", ["expired", "foreign"])
