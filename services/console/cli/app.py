@@ -58,7 +58,7 @@ def build() -> typer.Typer:
     )
     app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
     app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")
-    app.add_typer(region.app, name="reference", hidden=True, callback=region.renamed)
+    app.add_typer(region.app, name="reference", hidden=True)  # the former name: scripts use it, an error stays one line
     app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
     app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
         schemas.schemas

@@ -200,8 +200,3 @@ def template(
     if kind not in TEMPLATES:
         raise InvalidInput(f"expected a template out of {', '.join(TEMPLATES)}, got {kind!r}")
     typer.echo(TEMPLATES[kind], nl=False)
-
-
-def renamed(context: typer.Context) -> None:
-    """The commands under their former name."""
-    typer.echo(f"he3: reference is region now: he3 region {context.invoked_subcommand or ''}".rstrip(), err=True)

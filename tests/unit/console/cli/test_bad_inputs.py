@@ -141,6 +141,7 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a time that is none": (SCENARIO, ["time", "until", "soon"], ("TIME", "15min", "soon")),
     "a time beyond all times": (SCENARIO, ["time", "until", "999999999d"], ("TIME", "2262", "999999999d")),
     "a speed of nothing": (SCENARIO, ["time", "rate", "0"], ("R", "above 0 up to 1000000000", "got 0")),
+    "no region, by the former name of the command": (SCENARIO, ["reference", "show", "nowhere"], ("nowhere", "t1")),
     "no such stage": (SCENARIO, ["command", "pause", "--wait", "soon"], ("soon", "completed")),
 }  # fmt: skip
 
