@@ -164,7 +164,7 @@ class PageRequests:
             return what, None  # the client itself does not send this
         except TimeoutError:
             return what, f"no answer within {ANSWER_S:g} s"
-        except (ConnectionError, http.client.HTTPException) as error:
+        except (ConnectionError, http.client.HTTPException, ssl.SSLEOFError) as error:
             return what, self._gone(error)
         finally:
             connection.close()
