@@ -54,7 +54,7 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
     try:
         import uvicorn
 
-        from services.console.web.connections import BoundedListener, allow_connections, protocol_of
+        from services.console.web.connections import BoundedListener, allow_connections, protocol_of, share_heaps
         from services.console.web.server import page
     except ImportError as error:
         raise He3Error(f"he3 web needs {error.name}: pip install 'he3-seeker[console]'") from None
@@ -72,6 +72,7 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
         hosts = own_names(raw, options.bind) | frozenset(options.other_hosts)
         urls = urls_of(raw, options.bind, "http" if tls is None else "https")
         allow_connections()
+        share_heaps()
         with closing(BoundedListener(raw)) as listener:
             hub = Hub(mission)
             hub.begin()

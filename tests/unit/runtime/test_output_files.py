@@ -28,7 +28,7 @@ def link(tmp_path: Path) -> tuple[Path, Path]:
     return planted, victim
 
 
-def test_a_link_is_not_followed_whatever_is_written(link: tuple[Path, Path]) -> None:
+def test_a_link_is_followed_by_no_kind_of_writing(link: tuple[Path, Path]) -> None:
     planted, victim = link
     for write in (
         lambda: write_output(planted, b"x"),
