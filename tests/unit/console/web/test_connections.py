@@ -59,5 +59,5 @@ def test_a_closed_connection_makes_room(listener: BoundedListener) -> None:
     with ExitStack() as stack:
         first, *_ = [connected(listener, stack) for _ in range(3)]
         first[1].close()
-        listener.busy |= {number for number in range(1000)}
+        listener.busy |= set(range(1000))
         connected(listener, stack)
