@@ -63,12 +63,7 @@ def site_plane(latitude_deg: float, longitude_deg: float, grid: SiteGrid, projec
         own = False
     else:
         crs, own = _polar(latitude_deg, longitude_deg, grid)
-    try:
-        east, north = transformer(MOON_SPHERE, crs).transform(longitude_deg, latitude_deg)
-    except InvalidInput:
-        raise
-    except Exception as error:  # noqa: BLE001 - PROJ's errors have no common base
-        raise InvalidInput(f"projection: expected one that holds the centre, got {error}") from None
+    east, north = transformer(MOON_SPHERE, crs).transform(longitude_deg, latitude_deg)
     if not (math.isfinite(east) and math.isfinite(north)):
         raise InvalidInput(f"projection: expected one that holds the centre, got {projection!r}")
     if projection:
@@ -79,13 +74,15 @@ def site_plane(latitude_deg: float, longitude_deg: float, grid: SiteGrid, projec
 
 def transformer(source: Any, target: Any) -> Any:
     """A transformation of (x, y) between two projections of the Moon; raises InvalidInput for an unknown projection."""
+    return pyproj().Transformer.from_crs(_crs(source), _crs(target), always_xy=True)
+
+
+def _crs(given: Any) -> Any:
     library = pyproj()
     try:
-        return library.Transformer.from_crs(
-            library.CRS.from_user_input(source), library.CRS.from_user_input(target), always_xy=True
-        )
-    except library.exceptions.ProjError as error:
-        raise InvalidInput(f"expected a projection, got {str(source)[:80]!r}: {str(error)[:120]}") from None
+        return library.CRS.from_user_input(given)
+    except library.exceptions.ProjError:
+        raise InvalidInput(f"expected a projection, got {str(given)[:80]!r}") from None
 
 
 def _polar(latitude_deg: float, longitude_deg: float, grid: SiteGrid) -> tuple[str, bool]:

@@ -57,9 +57,11 @@ def write_raster(
     library = rasterio()
     data = np.flipud(values)
     data = data.astype(np.uint8) if data.dtype == np.bool_ else data.astype(np.float32)
+    west, north = west_north
+    transform = library.Affine(cell, 0.0, west, 0.0, -cell, north)
     options: dict[str, Any] = {
         "driver": "GTiff", "height": data.shape[0], "width": data.shape[1], "count": 1, "dtype": data.dtype.name,
-        "crs": library.crs.CRS.from_string(crs), "transform": library.transform.from_origin(*west_north, cell, cell),
+        "crs": library.crs.CRS.from_string(crs), "transform": transform,
         "compress": "deflate", "blockysize": min(64, data.shape[0]),
     }  # fmt: skip
     if data.dtype == np.float32:

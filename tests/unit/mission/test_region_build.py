@@ -1,0 +1,430 @@
+"""Regions built from rasters with analytic fields, at the grids, datums and no-data values of the real products."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from he3.errors import InvalidInput
+from he3.reference import Region
+from services.mission.region_build.build import build_region
+from services.mission.region_build.recipe import Recipe
+from services.mission.region_build.templates import TEMPLATES
+from services.mission.region_folder import checked, load_toml, read_document
+from services.mission.regions import load_region
+
+rasterio = pytest.importorskip("rasterio")
+pytest.importorskip("pyproj")
+
+Array = NDArray[np.float64]
+R = 1_737_400.0
+NO_DATA = -3.4028226550889045e38
+LAT, LON = 20.19, 30.772
+
+
+def heights(latitude_deg: Array, longitude_deg: Array) -> Array:
+    """An analytic field on the sphere [m], smooth everywhere, the poles and the antimeridian included."""
+    lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
+    x, y, z = np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)
+    k = 2 * math.pi * R / 900.0
+    return -1500 + 8 * np.sin(k * x) + 9 * np.cos(k * y + 1) + 7 * np.sin(k * z + 2)
+
+
+def recipe(lat: float, lon: float, **changes: Any) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "format": "he3-region-recipe", "version": 1, "name": "place", "title": "A place", "centre_lat_deg": lat,
+        "centre_lon_deg": lon, "rows": 60, "columns": 70, "resolution_m": 6.0, "slope_limit_deg": 30.0,
+        "chemistry": {"lay_over": "t1", "solar_wind_flux": 0.5},
+        "layers": {"elevation_m": {"file": "dem.tif", "source": "analytic"}},
+    }  # fmt: skip
+    return document | changes
+
+
+def build(document: dict[str, Any], folder: Path) -> Region:
+    build_region(checked(Recipe, document, folder / "recipe.toml"), folder, folder / "out")
+    return load_region(folder / "out")
+
+
+def geotiff(path: Path, values: Array, crs: str, transform: Any, **options: Any) -> None:
+    with rasterio.open(
+        path, "w", driver=options.pop("driver", "GTiff"), height=values.shape[0], width=values.shape[1], count=1,
+        dtype="float32", crs=rasterio.crs.CRS.from_string(crs), transform=transform, **options,
+    ) as target:  # fmt: skip
+        target.write(values.astype("float32"), 1)
+
+
+def from_origin(west: float, north: float, width: float, height: float) -> Any:
+    """The transform of a raster with that outer north-west corner."""
+    return rasterio.Affine(width, 0.0, west, 0.0, -height, north)
+
+
+def degrees_grid(lat: float, lon: float, per_degree: int, pixels: int = 48) -> tuple[Array, Array, float, float]:
+    """(latitudes, longitudes) of pixel centres on the product's own lattice, and its north and west edge [deg]."""
+    north = (math.floor(lat * per_degree) + pixels // 2) / per_degree
+    west = (math.floor(lon * per_degree) - pixels // 2) / per_degree
+    steps = (np.arange(pixels) + 0.5) / per_degree
+    lats, lons = np.meshgrid(north - steps, west + steps, indexing="ij")
+    return lats, lons, north, west
+
+
+def expected(region: Region, lat: float) -> Array:
+    """The field at the cells, by the local equirectangular projection, written out."""
+    assert region.origin_lat_deg is not None
+    assert region.origin_lon_deg is not None
+    lats = region.origin_lat_deg + np.degrees(region.grid.y_m / R)
+    lons = region.origin_lon_deg + np.degrees(region.grid.x_m / (R * math.cos(math.radians(lat))))
+    return heights(*np.meshgrid(lats, lons, indexing="ij"))
+
+
+def expect_agreement(region: Region, truth: Array, tolerance_m: float) -> None:
+    """Heights within the interpolation error, and registration within 0.1 m, fitted to the slopes of the field."""
+    error = region.elevation_m - truth
+    north, east = np.gradient(truth, region.grid.resolution_m)
+    design = np.column_stack((east.ravel(), north.ravel(), np.ones(truth.size)))
+    shift = np.linalg.lstsq(design, error.ravel(), rcond=None)[0]
+    assert np.abs(shift[:2]).max() < 0.1
+    assert np.abs(error).max() < tolerance_m
+
+
+def pds3(folder: Path, sample_type: str, dtype: str, words: str, values: Array, north: float, west: float) -> None:
+    """An image with its detached label; the image begins after two records of other bytes."""
+    rows, columns = values.shape
+    record = columns * np.dtype(dtype).itemsize
+    (folder / "DEM.IMG").write_bytes(b"\x7f" * 2 * record + values.astype(dtype).tobytes())
+    (folder / "DEM.LBL").write_text(
+        f"""PDS_VERSION_ID = "PDS3"
+RECORD_TYPE = FIXED_LENGTH
+RECORD_BYTES = {record}
+FILE_RECORDS = {rows + 2}
+^IMAGE = ("DEM.IMG", 3)
+PRODUCT_ID = "ANALYTIC_512"
+TARGET_NAME = MOON
+OBJECT = IMAGE
+  LINES = {rows}
+  LINE_SAMPLES = {columns}
+  SAMPLE_TYPE = {sample_type}
+  SAMPLE_BITS = {np.dtype(dtype).itemsize * 8}
+{words}
+END_OBJECT = IMAGE
+OBJECT = IMAGE_MAP_PROJECTION
+  MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"
+  MAP_RESOLUTION = 512 <pix/deg>
+  A_AXIS_RADIUS = 1737.4 <km>
+  B_AXIS_RADIUS = 1737.4 <km>
+  C_AXIS_RADIUS = 1737.4 <km>
+  COORDINATE_SYSTEM_NAME = "MEAN EARTH/POLAR AXIS OF DE421"
+  POSITIVE_LONGITUDE_DIRECTION = "EAST"
+  CENTER_LATITUDE = 0 <deg>
+  CENTER_LONGITUDE = 180 <deg>
+  MAP_SCALE = {math.radians(1) * 1737.4 / 512!r} <km/pix>
+  MAXIMUM_LATITUDE = {north!r} <deg>
+  MINIMUM_LATITUDE = {north - rows / 512!r} <deg>
+  WESTERNMOST_LONGITUDE = {west!r} <deg>
+  EASTERNMOST_LONGITUDE = {west + columns / 512!r} <deg>
+  LINE_PROJECTION_OFFSET = {north * 512 - 0.5!r} <pix>
+  SAMPLE_PROJECTION_OFFSET = {(180 - west) * 512 - 0.5!r} <pix>
+END_OBJECT = IMAGE_MAP_PROJECTION
+END
+"""
+    )
+
+
+RADII = "  UNIT = METER\n  SCALING_FACTOR = 0.01\n  OFFSET = 1735900"
+
+
+@pytest.mark.parametrize(
+    ("sample_type", "dtype", "words", "encode"),
+    [
+        ("PC_REAL", "<f4", "  UNIT = KILOMETER", lambda h: h / 1000),
+        ("PC_REAL", "<f4", "  UNIT = KILOMETER\n  SCALING_FACTOR = 1\n  OFFSET = 1737.4", lambda h: h / 1000),
+        ("IEEE_REAL", ">f4", "  UNIT = METER", lambda h: h),
+        ("LSB_INTEGER", "<i2", RADII, lambda h: np.rint((h + 1500) * 100)),
+        ("MSB_INTEGER", ">i2", RADII, lambda h: np.rint((h + 1500) * 100)),
+    ],
+)
+def test_a_pds3_image_is_read_by_its_label_in_its_byte_order_unit_and_place(
+    tmp_path: Path, sample_type: str, dtype: str, words: str, encode: Callable[[Array], Array]
+) -> None:
+    lats, lons, north, west = degrees_grid(LAT, LON, 512)
+    pds3(tmp_path, sample_type, dtype, words, encode(heights(lats, lons)), north, west)
+    layer = {"elevation_m": {"file": "DEM.IMG", "source": "analytic"}}
+    region = build(recipe(LAT, LON, layers=layer), tmp_path)
+    expect_agreement(region, expected(region, LAT), 0.03)
+    assert region.layers[0].product_id == "ANALYTIC_512"
+
+
+def test_a_pds3_label_whose_offsets_and_bounds_disagree_is_refused(tmp_path: Path) -> None:
+    lats, lons, north, west = degrees_grid(LAT, LON, 512)
+    pds3(tmp_path, "PC_REAL", "<f4", "  UNIT = METER", heights(lats, lons), north, west)
+    label = tmp_path / "DEM.LBL"
+    label.write_text(label.read_text().replace(f"= {north * 512 - 0.5!r} <pix>", f"= {north * 512 + 1.5!r} <pix>"))
+    with pytest.raises(InvalidInput, match=r"DEM\.LBL: expected offsets that agree with MAXIMUM_LATITUDE"):
+        build(recipe(LAT, LON, layers={"elevation_m": {"file": "DEM.IMG", "source": "x"}}), tmp_path)
+
+
+def test_a_pds4_label_leads_to_its_image(tmp_path: Path) -> None:
+    lats, lons, north, west = degrees_grid(LAT, LON, 512)
+    transform, moon = from_origin(west, north, 1 / 512, 1 / 512), "+proj=longlat +R=1737400 +no_defs"
+    geotiff(tmp_path / "dem.xml", heights(lats, lons), moon, transform, driver="PDS4", nodata=NO_DATA)
+    region = build(recipe(LAT, LON, layers={"elevation_m": {"file": "dem.xml", "source": "x"}}), tmp_path)
+    expect_agreement(region, expected(region, LAT), 0.02)
+
+
+@pytest.mark.parametrize(("lon", "raster_lon"), [(LON, LON), (LON - 360, LON), (LON, LON - 360)])
+def test_longitudes_of_0_to_360_and_of_minus_180_to_180_are_the_same_places(
+    tmp_path: Path, lon: float, raster_lon: float
+) -> None:
+    lats, lons, north, west = degrees_grid(LAT, raster_lon, 512)
+    transform = from_origin(west, north, 1 / 512, 1 / 512)
+    geotiff(tmp_path / "dem.tif", heights(lats, lons), "IAU_2015:30100", transform, nodata=NO_DATA)
+    region = build(recipe(LAT, lon), tmp_path)
+    expect_agreement(region, expected(region, LAT), 0.02)
+
+
+@pytest.mark.parametrize(("parallel", "south_up"), [(0.0, False), (20.0, False), (20.0, True)])
+def test_an_equirectangular_raster_with_a_standard_parallel_is_placed_north_up_or_south_up(
+    tmp_path: Path, parallel: float, south_up: bool
+) -> None:
+    cell, stretch = 20.0, math.cos(math.radians(parallel))
+    x0 = math.radians(LON - 180) * R * stretch - 1000 + 3.7
+    y0 = math.radians(LAT) * R + 1000 + 8.3
+    x, y = x0 + (np.arange(100) + 0.5) * cell, y0 - (np.arange(100) + 0.5) * cell
+    lats, lons = np.meshgrid(np.degrees(y / R), 180 + np.degrees(x / (R * stretch)), indexing="ij")
+    transform, values = from_origin(x0, y0, cell, cell), heights(lats, lons)
+    if south_up:
+        transform, values = rasterio.Affine(cell, 0, x0, 0, cell, y0 - 100 * cell), values[::-1]
+    crs = f"+proj=eqc +lat_ts={parallel} +lon_0=180 +R=1737400 +units=m"
+    geotiff(tmp_path / "dem.tif", values, crs, transform, nodata=NO_DATA)
+    region = build(recipe(LAT, LON), tmp_path)
+    expect_agreement(region, expected(region, LAT), 0.01)
+
+
+def polar_truth(region: Region, pole: float) -> Array:
+    """The field at the cells, by the polar stereographic projection of the document, inverted as in Snyder (21)."""
+    words = dict(part.lstrip("+").split("=") for part in region.crs.split() if "=" in part)
+    assert region.origin_x_m is not None
+    assert region.origin_y_m is not None
+    x, y = np.meshgrid(region.origin_x_m + region.grid.x_m, region.origin_y_m + region.grid.y_m)
+    lats = pole * (90 - 2 * np.degrees(np.arctan(np.hypot(x, y) / (2 * R * float(words["k_0"])))))
+    return heights(lats, float(words["lon_0"]) + np.degrees(np.arctan2(x, -pole * y)))
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "pole"), [(-89.45, 222.7, -1.0), (-88.0, -179.99, -1.0), (-90.0, 0.0, -1.0), (89.999, 12.0, 1.0)]
+)
+def test_a_polar_stereographic_raster_is_placed_near_its_pole_and_over_it(
+    tmp_path: Path, lat: float, lon: float, pole: float
+) -> None:
+    rho = 2 * R * math.tan(math.radians(90 - abs(lat)) / 2)
+    cell = 20.0
+    x0 = math.floor(rho * math.sin(math.radians(lon)) / cell) * cell - 50 * cell
+    y0 = math.floor(-pole * rho * math.cos(math.radians(lon)) / cell) * cell + 50 * cell
+    x, y = np.meshgrid(x0 + (np.arange(100) + 0.5) * cell, y0 - (np.arange(100) + 0.5) * cell)
+    lats = pole * (90 - 2 * np.degrees(np.arctan(np.hypot(x, y) / (2 * R))))
+    values = heights(lats, np.degrees(np.arctan2(x, -pole * y)))
+    crs = f"+proj=stere +lat_0={90 * pole} +lon_0=0 +k=1 +R=1737400 +units=m"
+    geotiff(tmp_path / "dem.tif", values, crs, from_origin(x0, y0, cell, cell), nodata=NO_DATA)
+    region = build(recipe(lat, lon), tmp_path)
+    expect_agreement(region, polar_truth(region, pole), 0.01)
+    across = abs(lat) > 89.99
+    assert (region.origin_lat_deg is None) == across
+    if not across:  # the corner's meridian is the site's north
+        assert region.origin_x_m == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("lon", [180.0, -179.999])
+def test_a_site_on_the_antimeridian_is_read_from_both_ends_of_a_global_mosaic(tmp_path: Path, lon: float) -> None:
+    """The grid of the Kaguya mosaics, 512 pixels a degree, of which only the blocks at both ends exist."""
+    columns, rows, north = 360 * 512, 64, 10.0
+    lat = north - 32.3 / 512
+    lats = np.repeat((north - (np.arange(rows) + 0.5) / 512)[:, None], 256, axis=1)
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", driver="GTiff", height=rows, width=columns, count=1, dtype="float32", nodata=NO_DATA,
+        crs="IAU_2015:30100", transform=from_origin(-180, north, 1 / 512, 1 / 512), tiled=True, blockxsize=64,
+        blockysize=64, sparse_ok=True,
+    ) as target:  # fmt: skip
+        for first in (0, columns - 256):
+            lons = np.repeat((-180 + (first + np.arange(256) + 0.5) / 512)[None, :], rows, axis=0)
+            window = rasterio.windows.Window(first, 0, 256, rows)
+            target.write(heights(lats, lons).astype("float32"), 1, window=window)
+    region = build(recipe(lat, lon), tmp_path)
+    expect_agreement(region, expected(region, lat), 0.02)
+
+
+def plain(folder: Path, values: Array | None = None, per_degree: int = 1516, **options: Any) -> Array:
+    """Write a raster around (LAT, LON), with pixels of about 20 m by default; return its values."""
+    lats, lons, north, west = degrees_grid(LAT, LON, per_degree, 96)
+    values = heights(lats, lons) if values is None else values
+    transform = from_origin(west, north, 1 / per_degree, 1 / per_degree)
+    geotiff(folder / options.pop("name", "dem.tif"), values, "IAU_2015:30100", transform, **options)
+    return values
+
+
+@pytest.mark.parametrize("missing", [NO_DATA, math.nan, -math.inf, -32768.0, 0.0])
+def test_a_hole_is_refused_with_its_place_or_filled_and_marked(tmp_path: Path, missing: float) -> None:
+    values = plain(tmp_path, nodata=NO_DATA)
+    values[46:49, 47:50] = missing
+    plain(tmp_path, values, nodata=NO_DATA)
+    layer: dict[str, Any] = {"file": "dem.tif", "source": "x", "no_data": [-32768.0], "zero_is_missing": True}
+    with pytest.raises(InvalidInput, match=r"dem\.tif: layer elevation_m: expected values everywhere in the site"):
+        build(recipe(LAT, LON, layers={"elevation_m": layer}), tmp_path)
+    region = build(recipe(LAT, LON, layers={"elevation_m": layer | {"fill_holes": True}}), tmp_path)
+    assert np.abs(region.elevation_m - expected(region, LAT)).max() < 10
+    document = read_document(tmp_path / "out")
+    assert "filled" in document.layers
+    assert "of it filled" in document.layers["elevation_m"].source
+
+
+@pytest.mark.parametrize("offset", [(60, 0), (0, 60), (-60, 0), (0, -60)])
+def test_ground_beyond_the_edge_of_a_raster_is_not_invented(tmp_path: Path, offset: tuple[int, int]) -> None:
+    plain(tmp_path)
+    lat, lon = LAT + offset[0] / 1516, LON + offset[1] / 1516
+    with pytest.raises(InvalidInput, match="expected a raster that surrounds the site"):
+        build(recipe(lat, lon), tmp_path)
+
+
+def test_cells_larger_than_pixels_are_means_of_them(tmp_path: Path) -> None:
+    values = plain(tmp_path, per_degree=6064)
+    plain(tmp_path, values + np.where(np.indices(values.shape).sum(axis=0) % 2 == 0, 3.0, -3.0), per_degree=6064)
+    region = build(recipe(LAT, LON, rows=10, columns=10, resolution_m=10.0, slope_limit_deg=45.0), tmp_path)
+    assert np.abs(region.elevation_m - expected(region, LAT)).max() < 0.05
+
+
+def test_ground_that_is_steep_in_the_raster_is_closed_although_the_site_is_smooth(tmp_path: Path) -> None:
+    """A single high pixel: averaged cells do not show it, the raster's own slope does."""
+    values = np.zeros((96, 96))
+    values[48, 48] = 6.0
+    plain(tmp_path, values, per_degree=6064)
+    region = build(recipe(LAT, LON, rows=12, columns=12, resolution_m=10.0, slope_limit_deg=15.0), tmp_path)
+    assert region.slope_deg.max() < 5.0
+    assert 1 <= (~region.traversable).sum() <= 9
+
+
+def test_chemistry_of_another_resolution_is_measured_where_it_can_be_and_named_where_it_is_assumed(
+    tmp_path: Path,
+) -> None:
+    plain(tmp_path)
+    iron = plain(tmp_path, np.linspace(12, 18, 96 * 96).reshape(96, 96), 512, name="iron.tif", nodata=NO_DATA)
+    layers = {"elevation_m": {"file": "dem.tif", "source": "x"}, "iron_wt": {"file": "iron.tif", "source": "FeO"}}
+    chemistry = {"assumed_maturity": 0.2, "perturbation": 0.0, "solar_wind_flux": 0.5}
+    region = build(recipe(LAT, LON, layers=layers, chemistry=chemistry), tmp_path)
+    middle = 0.56 * 10 ** (0.06 * iron[48, 48] - 0.54) * 0.5 / 0.2 + 1.62
+    assert region.he3_ppb.mean() == pytest.approx(middle, rel=0.01)
+    assert "ASSUMED maturity (OMAT 0.2 everywhere, not measured here)" in region.provenance
+    other = chemistry | {"titanium": "apollo-17-soils"}
+    assert build(recipe(LAT, LON, layers=layers, chemistry=other), tmp_path).he3_ppb.mean() > 1.5 * middle
+    measured = layers | {"titanium_wt": {"file": "iron.tif", "source": "TiO2", "scale": 0.1}}
+    region = build(recipe(LAT, LON, layers=measured, chemistry=chemistry), tmp_path)
+    assert region.he3_ppb.mean() == pytest.approx(0.56 * 0.1 * iron[48, 48] * 0.5 / 0.2 + 1.62, rel=0.01)
+
+
+def test_a_stand_ins_chemistry_is_named_as_one(tmp_path: Path) -> None:
+    plain(tmp_path)
+    region = build(recipe(LAT, LON), tmp_path)
+    assert "SYNTHETIC iron_wt (of the stand-in t1, laid over this place, not measured here)" in region.provenance
+    assert {origin.layer: origin.kind for origin in region.layers}["elevation_m"] == "real"
+
+
+@pytest.mark.parametrize("kind", TEMPLATES)
+def test_every_template_is_a_valid_recipe(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "r.toml").write_text(TEMPLATES[kind])
+    assert checked(Recipe, load_toml(tmp_path / "r.toml"), tmp_path).layers
+
+
+def source(**changes: Any) -> dict[str, Any]:
+    return {"layers": {"elevation_m": {"file": "dem.tif", "source": "b"} | changes}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"version": 2}, "version"),
+        ({"colour": "red"}, "colour"),
+        ({"centre_lat_deg": 91.0}, "centre_lat_deg"),
+        ({"layers": {"iron_wt": {"file": "a", "source": "b"}}}, "expected a layer elevation_m"),
+        ({"chemistry": {}}, "chemistry.lay_over"),
+        (source(file="none.tif"), "none.tif: expected a raster, got no such file"),
+        (source(band="x"), "expected one band named 'x'"),
+        (source(band=2), "expected a band of 1 to 1, got 2"),
+        (source(unit="ppb"), "expected a unit of length, got 'ppb'"),
+        ({"projection": "nonsense"}, "expected a projection, got 'nonsense'"),
+        ({"projection": "IAU_2015:30110"}, "expected metres of the ground"),
+        ({"slope_limit_deg": 0.001}, "expected ground of at most 0.001 deg"),
+    ],
+)
+def test_a_wrong_recipe_is_refused_in_one_line_and_nothing_is_written(
+    tmp_path: Path, changes: dict[str, Any], said: str
+) -> None:
+    plain(tmp_path)
+    with pytest.raises(InvalidInput) as caught:
+        build(recipe(LAT, LON) | changes, tmp_path)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_raster_of_another_planet_is_refused(tmp_path: Path) -> None:
+    lats, lons, north, west = degrees_grid(LAT, LON, 1516, 96)
+    transform, mars = from_origin(west, north, 1 / 1516, 1 / 1516), "+proj=longlat +R=3396190 +no_defs"
+    geotiff(tmp_path / "dem.tif", heights(lats, lons), mars, transform)
+    with pytest.raises(InvalidInput, match="expected a raster of the Moon"):
+        build(recipe(LAT, LON), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("version = 1", "version = 3", "version"),
+        ('kind = "site"', 'kind = "globe"', "kind"),
+        ('file = "he3_ppb.tif"', 'file = "../he3_ppb.tif"', "he3_ppb"),
+        (
+            'file = "he3_ppb.tif"',
+            'file = "other.tif"',
+            "other.tif: layer he3_ppb: expected a GeoTIFF, got no such file",
+        ),
+        ('file = "he3_ppb.tif"', 'file = "elevation_m.tif"', "expected the sha256 of region.toml"),
+    ],
+)
+def test_a_wrong_folder_is_refused_in_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    plain(tmp_path)
+    build(recipe(LAT, LON, rows=20, columns=20), tmp_path)
+    document = tmp_path / "out" / "region.toml"
+    document.write_text(document.read_text().replace(old, new))
+    with pytest.raises(InvalidInput) as caught:
+        load_region(tmp_path / "out")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.exhaustive
+def test_a_window_of_1_km_of_a_sparse_mosaic_of_3_gb_is_built_in_seconds_with_little_memory(tmp_path: Path) -> None:
+    import resource
+
+    per_degree, rows, columns = 512, 5120, 160_000
+    path = tmp_path / "dem.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", height=rows, width=columns, count=1, dtype="float32", nodata=NO_DATA, tiled=True,
+        crs="IAU_2015:30100", transform=from_origin(-150, 25, 1 / per_degree, 1 / per_degree), sparse_ok=True,
+        bigtiff="yes",
+    ) as target:  # fmt: skip
+        row, column = int((25 - LAT) * per_degree) - 40, int((LON + 150) * per_degree) - 40
+        steps = (np.arange(80) + 0.5) / per_degree
+        lats, lons = np.meshgrid(25 - row / per_degree - steps, -150 + column / per_degree + steps, indexing="ij")
+        target.write(heights(lats, lons).astype("float32"), 1, window=rasterio.windows.Window(column, row, 80, 80))
+    with path.open("r+b") as stream:
+        stream.truncate(rows * columns * 4)  # as large as the whole mosaic, without its bytes on the disk
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.monotonic()
+    region = build(recipe(LAT, LON, rows=1000, columns=1000, resolution_m=1.0), tmp_path)
+    seconds, grown_kb = time.monotonic() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    print(f"{seconds:.2f} s, {grown_kb / 1000:.0f} MB")
+    expect_agreement(region, expected(region, LAT), 0.02)
+    assert grown_kb < 500_000
+    assert seconds < 5
