@@ -1,0 +1,238 @@
+"""Missions on real places: terrain and chemistry of orbital products, at their own resolution and resampled to 1 m.
+
+The data stay outside of the project; docs/regions.md tells where they come from. Where a place has no chemistry, that
+of a stand-in is laid over it; where it has FeO alone, OMAT is assumed; each report says so. A mission is flown whole in
+one process: field, rover, link and ground. Its path is then held against the slopes of the original raster, computed
+here anew. RMSE is against the region that was built, as the true field is not known.
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+from scipy import ndimage
+
+from benchmarks.worker_pool import WorkerPool, progress
+from he3.errors import He3Error, InvalidInput
+from he3.frames import FloatArray
+from he3.reference import Region
+from services.mission.region_build.build import build_region
+from services.mission.region_build.projection import transformer
+from services.mission.region_build.recipe import Recipe, SourceTable
+from services.mission.region_build.sources import Source, opened
+from services.mission.region_folder import checked
+from services.mission.regions import load_region
+from services.mission.scenario import checked_scenario
+
+Row = dict[str, Any]
+
+_PLANNER: Final = "real/leggedrobotics+lunar_planner/user_data/map_data"
+_CLEAR_M: Final = 3.0  # m of open ground around the start
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A real place: its terrain, its chemistry, and the part that is flown at the raster's own resolution."""
+
+    title: str
+    terrain: dict[str, Any]
+    chemistry: dict[str, Any]
+    further: dict[str, dict[str, Any]]
+    """Layers of measured chemistry."""
+    centre_deg: tuple[float, float]
+    """Of the whole, at the raster's own resolution."""
+    detail_deg: tuple[float, float]
+    """Of the windows of 500 m and 1 km: ground that is not all too steep."""
+    own: tuple[int, int, float]
+    """Rows, columns and cell [m] at the raster's own resolution."""
+
+
+PLACES: Final = {
+    "apollo-17": Place(
+        "Apollo 17, LROC NAC terrain",
+        {"file": "apollo17_lm_dem_5m.npy", "source": "LROC NAC DTM of Apollo 17", "citation": "NASA/GSFC/ASU",
+         "grid": {"centre_lat_deg": 20.19113, "centre_lon_deg": 30.77229, "resolution_m": 5.0}},
+        {"lay_over": "t1"}, {}, (20.19113, 30.77229), (20.19113, 30.77229), (370, 370, 5.0),
+    ),
+    "herodotus": Place(
+        "Mons Herodotus, QuickMap terrain and Kaguya FeO",
+        {"file": f"{_PLANNER}/Herodutus_Mons/hsr.tif", "band": "qts_demstack", "source": "QuickMap DEM stack"},
+        {"assumed_maturity": 0.2},
+        {"iron_wt": {"file": f"{_PLANNER}/Herodutus_Mons/clino_feo_tio_plagio.tif", "band": "lk_feo",
+                     "source": "FeO of Kaguya MI"}},
+        (27.4895, -52.957), (27.40, -52.957), (176, 240, 53.634071),
+    ),
+    "aristarchus-imp": Place(
+        "Aristarchus, irregular mare patch",
+        {"file": f"{_PLANNER}/Aristarchus_IMP/hsr.tif", "band": "qts_demstack", "source": "QuickMap DEM stack"},
+        {"lay_over": "t1"}, {}, (25.047646, -46.76548), (25.047646, -46.76548), (206, 226, 4.764721),
+    ),
+    "aristarchus-cp": Place(
+        "Aristarchus, central peak",
+        {"file": f"{_PLANNER}/Aristarchus_CP/data.tif", "band": "qts_demstack", "source": "QuickMap DEM stack"},
+        {"lay_over": "t1"}, {}, (23.80, -47.23), (23.80, -47.23), (228, 240, 214.023094),
+    ),
+}  # fmt: skip
+SIZES: Final = ("own", "500m", "1km")
+
+
+def run(
+    data: Path | None = None,
+    places: Sequence[str] = tuple(PLACES),
+    sizes: Sequence[str] = SIZES,
+    planners: Sequence[str] = ("rrtstar", "tour"),
+    rounds: int = 30,
+    seed: int = 1,
+    jobs: int = 2,
+    out: Path | None = None,
+    json: Path | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """One row a mission; the table printed, rows written to `json`, reports and pictures to folders in `out`.
+
+    data: folder with the rasters. Raises InvalidInput for names that are not known, He3Error if a mission failed.
+    """
+    if data is None or not data.is_dir():
+        raise InvalidInput(f"expected --data DIR with the rasters (docs/regions.md), got {data or 'none'}")
+    for given, known in ((places, tuple(PLACES)), (sizes, SIZES)):
+        for name in given:
+            if name not in known:
+                raise InvalidInput(f"expected names out of {', '.join(known)}, got {name!r}")
+    rows: list[Row] = []
+    failures: list[str] = []
+    with TemporaryDirectory() as scratch:
+        root = Path(scratch) if out is None else out
+        flights = [
+            (data, root, place, size, planner, rounds, seed)
+            for place in places
+            for size in sizes
+            for planner in planners
+        ]
+        with WorkerPool(jobs) as pool:
+            for flight, outcome in pool.results(_outcome, flights):
+                name = f"{flight[2]} {flight[3]} {flight[4]}"
+                if isinstance(outcome, str):
+                    failures.append(f"{name}: {outcome}")
+                    progress(f"  {name}: failed: {outcome}")
+                    continue
+                rows.append(outcome)
+                progress(f"  {len(rows):>3}/{len(flights)}  {name}  {outcome['wall_time_s']:.0f} s")
+    order = {name: index for index, name in enumerate(places)}
+    rows.sort(key=lambda row: (order[row["place"]], SIZES.index(row["size"]), row["planner"]))
+    for line in table(rows):
+        say(line)
+    if json is not None:
+        json.write_text(json_format.dumps(rows, indent=1), encoding="utf-8")
+    if failures:
+        raise He3Error(f"{len(failures)} of the missions failed, the first: {failures[0]}")
+    return rows
+
+
+def recipe_of(place: Place, size: str, name: str) -> Recipe:
+    """The recipe of a place at one of the sizes."""
+    rows, columns, cell = place.own if size == "own" else (500, 500, 1.0) if size == "500m" else (1000, 1000, 1.0)
+    centre = place.centre_deg if size == "own" else place.detail_deg
+    return checked(Recipe, {
+        "format": "he3-region-recipe", "version": 1, "name": f"{name}-{size}", "title": f"{place.title}, {size}",
+        "centre_lat_deg": centre[0], "centre_lon_deg": centre[1], "rows": rows, "columns": columns,
+        "resolution_m": cell, "chemistry": place.chemistry, "layers": {"elevation_m": place.terrain, **place.further},
+    }, Path(name))  # fmt: skip
+
+
+def _outcome(flight: tuple[Path, Path, str, str, str, int, int]) -> Row | str:
+    try:
+        return fly(*flight)
+    except He3Error as error:
+        return str(error)
+
+
+def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int, seed: int) -> Row:
+    """Build the region, fly one mission over it, and return its row."""
+    from services.console.launch.in_process import run_in_process
+    from services.console.report.outputs import outputs
+    from services.console.report.progress import SilentProgress
+
+    place = PLACES[name]
+    folder = root / f"{name}-{size}-{planner}"
+    build_region(recipe_of(place, size, name), data, folder / "region")
+    region = load_region(folder / "region")
+    kernel = "smooth+rough" if planner == "tour" else "matern52"
+    scenario = checked_scenario({
+        "name": f"{name}-{size}", "region": str(folder / "region"), "seed": seed, "rounds": rounds,
+        "start_m": start_of(region), "ground": {"planner": planner, "kernel": kernel},
+    }, "places")  # fmt: skip
+    began = time.monotonic()
+    report = run_in_process(scenario, outputs(folder / "run", folder / "run" / "report.json"), SilentProgress()).report
+    if not report.completed or report.samples < report.samples_wanted:
+        raise He3Error(f"ended with {report.samples} of {report.samples_wanted} samples: {report.detail}")
+    steepest = steepest_deg(place, data, region, np.array(report.path_m, dtype=np.float64))
+    if steepest > 15.0:
+        raise He3Error(f"expected a path over at most 15 deg of the original raster, got {steepest:.2f} deg")
+    return {
+        "place": name, "size": size, "planner": planner, "cells": region.grid.columns * region.grid.rows,
+        "width_m": region.grid.width_m, "samples": report.samples, "rmse_ppb": report.rmse_ppb,
+        "std_ppb": float(region.he3_ppb.std()), "path_length_m": report.path_length_m,
+        "coverage_68": report.coverage_68, "coverage_95": report.coverage_95, "steepest_deg": steepest,
+        "closed": region.untraversable_fraction, "wall_time_s": time.monotonic() - began,
+        "provenance": region.provenance,
+    }  # fmt: skip
+
+
+def start_of(region: Region) -> tuple[float, float]:
+    """A place near the south-west corner of the largest connected open ground, with room around it [m]."""
+    cell = region.grid.resolution_m
+    room = max(0, round(_CLEAR_M / cell))
+    labels, count = ndimage.label(region.traversable)
+    largest = labels == 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=count + 1)[1:]))
+    size = 2 * max(room, 1) + 1
+    clear = ndimage.binary_erosion(largest, np.ones((size, size)))
+    rows, columns = np.nonzero(clear if clear.any() else largest)
+    nearest = int(np.argmin(rows + columns))
+    return float((columns[nearest] + 0.5) * cell), float((rows[nearest] + 0.5) * cell)
+
+
+def steepest_deg(place: Place, data: Path, region: Region, path_m: FloatArray) -> float:
+    """The steepest pixel [deg] of the original raster below a path (K, 2), by central differences on that raster."""
+    with opened("elevation_m", checked(SourceTable, place.terrain, Path("terrain")), data) as source:
+        return _steepest(source, region, path_m)
+
+
+def _steepest(source: Source, region: Region, path_m: FloatArray) -> float:
+    values = source.read(0, 0, source.rows, source.columns)
+    pixel_m = abs(source.transform[0])
+    north, east = np.gradient(values, pixel_m)
+    slopes = np.degrees(np.arctan(np.hypot(north, east)))
+    step = min(0.25, region.grid.resolution_m / 4)
+    points = [path_m[:1]]
+    for first, second in pairwise(path_m):
+        count = max(1, int(np.hypot(*(second - first)) / step))
+        points.append(first + (second - first) * (np.arange(1, count + 1)[:, None] / count))
+    x, y = np.concatenate(points).T
+    assert region.origin_x_m is not None  # a built region has them
+    assert region.origin_y_m is not None
+    there = transformer(region.crs, source.crs).transform(region.origin_x_m + x, region.origin_y_m + y)
+    rows, columns = source.pixels(*there)
+    return float(slopes[rows.astype(np.intp), columns.astype(np.intp)].max())
+
+
+def table(rows: Sequence[Row]) -> list[str]:
+    """The rows as aligned lines."""
+    head = (
+        f"{'place':<16} {'size':<5} {'planner':<8} {'width':>8} {'samples':>7} {'RMSE ppb':>9} {'std ppb':>8} "
+        f"{'driven m':>9} {'68 %':>6} {'95 %':>6} {'steepest':>9} {'closed':>7}"
+    )
+    return [head, "-" * len(head)] + [
+        f"{row['place']:<16} {row['size']:<5} {row['planner']:<8} {row['width_m']:>7.0f}m {row['samples']:>7} "
+        f"{row['rmse_ppb']:>9.4f} {row['std_ppb']:>8.3f} {row['path_length_m']:>9.0f} {row['coverage_68']:>6.1%} "
+        f"{row['coverage_95']:>6.1%} {row['steepest_deg']:>8.2f}° {row['closed']:>7.1%}"
+        for row in rows
+    ]
