@@ -25,7 +25,7 @@ ReadAt = Callable[[int, int], bytes]
 _WIDTH, _LENGTH, _BITS, _COMPRESSION, _SAMPLES, _PREDICTOR, _FORMAT = 256, 257, 258, 259, 277, 317, 339
 _STRIPS, _ROWS_PER_STRIP, _STRIP_BYTES = 273, 278, 279
 _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES = 322, 323, 324, 325
-_KINDS: Final = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}
+_KINDS: Final = {1: "B", 2: "B", 3: "H", 4: "I", 5: "Q", 7: "B", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}
 _DTYPES: Final = {
     (1, 8): "u1",
     (1, 16): "u2",
@@ -157,7 +157,7 @@ def _tags(read_at: ReadAt) -> tuple[dict[int, Any], bool]:
         field = directory[index * entry : (index + 1) * entry]
         tag, kind = struct.unpack(order + "HH", field[:4])
         (values,) = struct.unpack(order + ("I" if inline == 4 else "Q"), field[4 : entry - inline])
-        if kind not in _KINDS or _KINDS[kind] in ("s", "II"):
+        if kind not in _KINDS:
             continue
         if values > _MAX_VALUES:
             raise ValueError(values)

@@ -51,7 +51,7 @@ def build_region(
     grid = SiteGrid(recipe.rows, recipe.columns, recipe.resolution_m)
     plane = site_plane(recipe.centre_lat_deg, recipe.centre_lon_deg, grid, recipe.projection)
     relief = grid.resolution_m < constants.RELIEF_WINDOW_M
-    margin = math.ceil(constants.RELIEF_WINDOW_M / 2 / grid.resolution_m) if relief else 1
+    margin = margin_cells(recipe)
     sampled: dict[str, Sampled] = {}
     origins: list[LayerOrigin] = []
     for layer, table in recipe.layers.items():
@@ -92,6 +92,13 @@ def build_region(
     progress(f"writing {out}")
     corner = plane.x_m, plane.y_m + grid.height_m
     return write_folder(out, document, maps, plane.crs, corner, grid.resolution_m, _DESCRIPTIONS)
+
+
+def margin_cells(recipe: Recipe) -> int:
+    """Cells around the site that its terrain is read in: half a relief window, for relief and slopes at the edge."""
+    if recipe.resolution_m >= constants.RELIEF_WINDOW_M:
+        return 1
+    return math.ceil(constants.RELIEF_WINDOW_M / 2 / recipe.resolution_m)
 
 
 def _terrain(recipe: Recipe, sampled: Sampled, margin: int, with_relief: bool) -> Terrain:

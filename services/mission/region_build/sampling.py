@@ -46,13 +46,7 @@ def sample(source: Source, plane: SitePlane, margin: int = 0, *, slopes: bool = 
 
     Raises InvalidInput if the raster does not surround them, or has holes there that are not to be filled.
     """
-    x, y = plane.centres(margin)
-    east, north = transformer(plane.crs, source.crs).transform(x, y)
-    if not (np.isfinite(east).all() and np.isfinite(north).all()):
-        raise InvalidInput(f"{source.name}: expected a projection that holds the site, got places outside of it")
-    rows, columns = source.pixels(east, north)
-    columns = _unwrapped(columns, source)
-    row, column, height, width = _window(source, rows, columns)
+    rows, columns, (row, column, height, width) = needed(source, plane, margin)
     values = source.read(row, column, height, width)
     where = f"rows {row} to {row + height - 1}, columns {column} to {column + width - 1}"
     checksum = source.sha256 or hashlib.sha256(values.astype("<f8").tobytes()).hexdigest()
@@ -77,6 +71,20 @@ def sample(source: Source, plane: SitePlane, margin: int = 0, *, slopes: bool = 
         values = _filled(values, missing, source)
     fine = ndimage.map_coordinates(values, np.stack((rows, columns)), order=3, mode="mirror")
     return Sampled(values=fine, filled=holes, source_slope_deg=steep, pixel_m=pixel_m[0], window=where, sha256=checksum)
+
+
+def needed(source: Source, plane: SitePlane, margin: int) -> tuple[FloatArray, FloatArray, tuple[int, int, int, int]]:
+    """Rows and columns of the cells in the raster, and the window (row, column, rows, columns) that they need.
+
+    Raises InvalidInput if the raster does not surround the site.
+    """
+    x, y = plane.centres(margin)
+    east, north = transformer(plane.crs, source.crs).transform(x, y)
+    if not (np.isfinite(east).all() and np.isfinite(north).all()):
+        raise InvalidInput(f"{source.name}: expected a projection that holds the site, got places outside of it")
+    rows, columns = source.pixels(east, north)
+    columns = _unwrapped(columns, source)
+    return rows, columns, _window(source, rows, columns)
 
 
 def _unwrapped(columns: FloatArray, source: Source) -> FloatArray:

@@ -287,7 +287,10 @@ def _expect_label_agrees(source: Source, label: str) -> None:
 
 def _checksum(files: list[Path]) -> str:
     """Checksum of a single file; empty for several files, or for one that is too large."""
-    if len(files) != 1 or files[0].stat().st_size > MAX_CHECKSUM_BYTES:
+    if len(files) != 1:
         return ""
+    found = files[0].stat()
+    if found.st_size > MAX_CHECKSUM_BYTES or found.st_blocks * 512 < 0.9 * found.st_size:
+        return ""  # large, or fetched in part
     with files[0].open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -426,7 +426,6 @@ def test_a_window_of_1_km_of_a_sparse_mosaic_of_3_gb_is_built_in_seconds_with_li
     build_region(checked(Recipe, document, tmp_path), tmp_path, tmp_path / "out")
     seconds, grown_kb = time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     region = load_region(tmp_path / "out")
-    print(f"{seconds:.2f} s, {grown_kb / 1000:.0f} MB")
     expect_agreement(region, expected(region, LAT), 0.02)
     assert grown_kb < 500_000
     assert seconds < 5
