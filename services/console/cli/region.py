@@ -18,6 +18,7 @@ Examples:
   he3 region show t2 --png t2.png
   he3 region template dem > place.toml
   he3 region build place.toml --out place
+  he3 region fetch herodotus --out data
   he3 region build t1 --field-seed 7 --out t1-seed7.npz
   he3 run my.toml --in-process --set region=place
 """
@@ -200,3 +201,21 @@ def template(
     if kind not in TEMPLATES:
         raise InvalidInput(f"expected a template out of {', '.join(TEMPLATES)}, got {kind!r}")
     typer.echo(TEMPLATES[kind], nl=False)
+
+
+@app.command("fetch", epilog=EXAMPLES)
+def fetch(
+    site: Annotated[
+        str, typer.Argument(metavar="SITE", help="t1, t2, apollo-17, herodotus, mare-tranquillitatis, south-pole, ...")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the products and the region.")],
+    sites: Annotated[
+        Path | None, typer.Option("--sites", metavar="FILE", help="A file of other sites and addresses, as sites.toml.")
+    ] = None,
+) -> None:
+    """Download the windows of public products at a site, and build its region. Continues a download broken off."""
+    from services.mission.region_build.fetching import fetch_site
+    from services.mission.region_build.sites import site_named
+
+    document = fetch_site(site_named(site, sites), out, _progress)
+    typer.echo(f"written to {out}: {document.title}")

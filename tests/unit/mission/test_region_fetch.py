@@ -86,7 +86,7 @@ def server(tmp_path: Path) -> Iterator[Server]:
     served.folder.mkdir()
 
     class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:  # noqa: N802 - the library calls it
+        def do_GET(self) -> None:
             served.reply(self)
 
         def log_message(self, format: str, *args: Any) -> None:
