@@ -204,6 +204,8 @@ def test_the_page_is_served_over_ipv6(mission: MissionClient, bind: str) -> None
     with Served(mission, "--bind", bind, "--insecure") as where:
         assert where.startswith("http://[::1]:")
         assert get(f"{where}api/map/history", {"host": "[0::1]:1"})[0] == 200
+        warning = json.loads(get(f"{where}api/session")[1])["warning"]
+        assert (warning or "").startswith("INSECURE") == (bind == "::")
 
 
 # --- who may do what ------------------------------------------------------------------------------------------------
