@@ -228,7 +228,8 @@ def test_services_that_are_up_stay_up_without_a_recorder_that_dies(tmp_path: Pat
     ) as process:
         assert process.stderr is not None
         pids = services_of(process, environment)
-        assert "is up" in process.stderr.readline()
+        # On a busy machine it may first say that it still waits for the router.
+        assert any("is up" in line for line in iter(process.stderr.readline, ""))
         os.kill(pids["recorder"], signal.SIGKILL)
         ended = "the recorder service ended by itself, killed by SIGKILL"
         assert process.stderr.readline() == f"he3: {ended}; the mission continues without it\n"
