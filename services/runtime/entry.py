@@ -53,8 +53,11 @@ def forget_working_directory() -> None:
     except FileNotFoundError:
         here = ""
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))  # noqa: PTH100, PTH120
-    if not sys.flags.safe_path and sys.path and sys.path[0] in ("", here) and here == root not in sys.path[1:]:
-        sys.path[0] = root
+    if not sys.flags.safe_path and sys.path and sys.path[0] in ("", here):
+        if here != root or root in sys.path[1:]:
+            del sys.path[0]
+        else:
+            sys.path[0] = root
     sys.path[:] = [entry for entry in sys.path if entry == root or entry not in ("", ".", here)]
 
 

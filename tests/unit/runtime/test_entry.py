@@ -142,6 +142,13 @@ def test_an_empty_entry_of_the_path_is_not_the_working_directory(
         assert not {"''", "'.'", repr(str(strange_folder))} & set(done.stdout.strip("[]\n").split(", "))
 
 
+def test_in_a_checkout_that_is_installed_its_root_is_on_the_path_once_and_not_first() -> None:
+    show = "import sys; from services.runtime.entry import forget_working_directory as f; f(); print(sys.path)"
+    command = [sys.executable, "-c", f"import sys; sys.path.append({ROOT!r}); {show}"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+    assert not done.stdout.startswith(("['',", f"[{ROOT!r},"))
+
+
 def test_a_planner_task_imports_nothing_from_the_working_directory(
     strange_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
