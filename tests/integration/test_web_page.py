@@ -51,9 +51,9 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MissionClient]
 
 
 @pytest.fixture(scope="module")
-def served(mission: MissionClient) -> Iterator[tuple[str, str]]:
-    """The address of a page, and the one with a login that may command."""
-    server = Served(mission, "--authority")
+def served(mission: MissionClient, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str]]:
+    """The address of a page where commands take a login, and the one with a login that may command."""
+    server = Served(mission, "--authority", "--login-file", str(tmp_path_factory.mktemp("logins") / "logins"))
     with server as where:
         yield where, server.login
 
@@ -67,6 +67,7 @@ class Served:
     """The page's server as a process; gives its address."""
 
     def __init__(self, mission: MissionClient, *flags: str) -> None:
+        self._login_file = Path(flags[flags.index("--login-file") + 1]) if "--login-file" in flags else None
         self._command = [
             sys.executable, "-m", "services.console", "web", "--port", "0", *flags,
             "--mission", mission.mission, "--earth", mission.earth,
@@ -78,6 +79,8 @@ class Served:
         line = self.process.stderr.readline()
         if "INSECURE" in line:
             line = self.process.stderr.readline()
+        if self._login_file is not None:
+            line = self._login_file.read_text()
         found = re.search(r"(https?://[^/]+/)(login[^\s,]+)?", line)
         assert found is not None, line
         self.login = found[0]
@@ -211,7 +214,16 @@ def test_the_page_is_served_over_ipv6(mission: MissionClient, bind: str) -> None
 # --- who may do what ------------------------------------------------------------------------------------------------
 
 
-def test_reading_needs_no_login_on_this_machine_and_commanding_does(address: str, mission: MissionClient) -> None:
+def test_the_page_of_a_mission_without_keys_commands_on_loopback_when_it_is_asked_to(mission: MissionClient) -> None:
+    stranger = urllib.request.build_opener()
+    for flags, status in (((), 403), (("--authority",), 400)):
+        with Served(mission, *flags) as where:
+            assert post(stranger, where.rstrip("/"), "command", {"kind": "pause", "expires_in_s": "soon"}) == status
+
+
+def test_with_a_file_of_logins_reading_needs_none_on_this_machine_and_commanding_does(
+    address: str, mission: MissionClient
+) -> None:
     own, before = address.rstrip("/"), len(mission.commands())
     stranger = urllib.request.build_opener()
     assert opened(stranger, f"{own}/api/map/history")[0] == 200

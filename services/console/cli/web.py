@@ -13,7 +13,7 @@ from services.console.cli.options import Earth, IdentityFolder, Insecure, Missio
 EXAMPLES = """\b
 Examples:
   he3 web                              the page at http://127.0.0.1:8030/
-  he3 web --authority                  prints an address with a login that may command and change the link
+  he3 web --authority                  the page may command and change the link
   he3 web --bind 0.0.0.0 --allow-host moonbase.lan --identity keys/identities/operator-anna     for other machines
   he3 web --bind 10.0.0.2 --certificate page.pem --key page-key.pem --login-file logins
 """
@@ -41,7 +41,7 @@ def web(
         str, typer.Option("--bind", metavar="ADDRESS", help="Address to listen on, IPv4 or IPv6.")
     ] = "127.0.0.1",
     authority: Annotated[
-        bool, typer.Option("--authority", help="Also print an address with a login that may command.")
+        bool, typer.Option("--authority", help="Let the page command; off loopback, or with keys, after a login.")
     ] = False,
     allow_host: Annotated[
         list[str] | None,
@@ -70,7 +70,8 @@ def web(
 ) -> None:  # fmt: skip
     """Serve the operator's page: the live map, rover, link, commands and alarms.
 
-    On this machine it can be read without a login. Commands need the address that --authority prints, or a certificate.
+    On this machine it can be read without a login. With --authority it commands; where the mission has keys, or other
+    machines can reach the page, that takes the address with a login that it prints, or a certificate.
     For other machines the page is served over TLS: with --identity, or with --certificate and --key.
     """
     from services.console.client.mission_client import MissionClient

@@ -64,7 +64,7 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
         tls_options = {} if tls is None else tls.options()
         access = Access(
             raw.getsockname()[1],
-            anonymous=READERS if local and tls is None else frozenset(),
+            anonymous=_without_login(options, mission, local and tls is None),
             able=READ if mission.identity is None else frozenset({Role.VIEWER, mission.identity.role}),
             secure=tls is not None,
             certified=no_certificates if options.identity is None or tls is None else certified_by(options.identity),
@@ -113,6 +113,17 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
                 hub.close()
 
 
+def _without_login(options: PageOptions, mission: MissionClient, plain: bool) -> frozenset[Role]:
+    """The roles of a caller that has not logged in; plain: the page is on loopback and without TLS.
+
+    Every program of the machine may command a mission without keys, so a login at its page would protect nothing.
+    """
+    if not plain:
+        return frozenset()
+    open_to_all = options.authority and mission.identity is None and options.login_file is None
+    return COMMANDERS if open_to_all else READERS
+
+
 def _protection(options: PageOptions, local: bool) -> tuple[Tls | None, str | None]:
     """The files of TLS, and a warning if there is none and other machines can reach the page."""
     tls = options.tls
@@ -133,8 +144,11 @@ def _announce(
 ) -> None:
     """Print the addresses of the page, and issue the tokens."""
     lines = []
-    needs_login = access.caller("", None) is None
-    if options.authority:
+    local = access.caller("", None)
+    needs_login = local is None
+    if options.authority and local is not None and local.roles == COMMANDERS:
+        lines.append(("", "with command authority"))
+    elif options.authority:
         token = access.new_token(Caller("page.commander", COMMANDERS))
         lines.append((f"login?token={token}", "with command authority"))
     if needs_login:
