@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from schemas.report import MissionReport
 from services.console.__main__ import main
@@ -45,6 +46,16 @@ def test_the_mission_ends_with_every_sample_in_the_map(first: Path) -> None:
     under_way = made.messages.up.in_flight + made.messages.down.in_flight
     assert made.messages.sent == made.messages.delivered + under_way > 10
     assert "SYNTHETIC" in made.region_note
+
+
+def test_report_and_recording_name_where_each_layer_of_the_region_comes_from(first: Path) -> None:
+    kinds = {layer.layer: layer.kind for layer in report(first).region_layers}
+    assert kinds["iron_wt"] == kinds["elevation_m"] == "synthetic"
+    assert kinds["he3_ppb"] == "derived"
+    with (first / "mission.mcap").open("rb") as stream:
+        records = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    assert "SYNTHETIC" in records["region"]["region"]
+    assert records["region"]["iron_wt"].startswith("iron_wt synthetic: drawn by scripts/make_standin_regions.py")
 
 
 def test_everything_that_is_promised_is_written(first: Path) -> None:

@@ -287,7 +287,7 @@ def region_figure(region: Region) -> Figure:
             _draw_panel(figure, axis, panel, picture, with_start=False)
         axes[0].set_ylabel("north [m]")
         figure.suptitle(region.title, fontsize=12.5, fontweight="bold", x=0.015, ha="left")
-        figure.supxlabel(region.provenance, fontsize=7.5, color=QUIET, x=0.015, ha="left")
+        figure.supxlabel(fill(region.provenance, 180), fontsize=7.5, color=QUIET, x=0.015, ha="left")
     return figure
 
 
