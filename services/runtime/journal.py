@@ -22,6 +22,7 @@ import json
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from io import SEEK_END, BytesIO
@@ -92,10 +93,16 @@ class JournalWriter:
     """Appends inputs to a stream, as MCAP; each call is flushed before it returns."""
 
     def __init__(
-        self, stream: IO[bytes], identity: dict[str, str], codec: StateCodec, keep: Keep = lambda *_: None
+        self,
+        stream: IO[bytes],
+        identity: dict[str, str],
+        codec: StateCodec,
+        keep: Keep = lambda *_: None,
+        where: str = "journal",
     ) -> None:
-        """keep: called with each checkpoint."""
+        """keep: called with each checkpoint. where: the file, for the line of an error."""
         self._stream = stream
+        self._where = where
         self._codec = codec
         self._keep = keep
         self._starts = 0
@@ -106,7 +113,16 @@ class JournalWriter:
         self._count = 0
 
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
-        """Write inputs that are about to be handled at that time."""
+        """Write inputs that are about to be handled at that time.
+
+        Raises He3Error if the system refuses: what is not in the journal must not be handled.
+        """
+        try:
+            self._write(now, inputs)
+        except OSError as error:
+            raise He3Error(f"{self._where}: cannot write the journal: {error.strerror}") from None
+
+    def _write(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         for given in inputs:
             name, data = encode_input(given, self._codec)
             channel = self._channels.get(name)
@@ -156,14 +172,16 @@ class JournalFolder:
         except OSError as error:
             raise InvalidInput(f"{self._folder}: cannot keep a journal there: {error.strerror}") from None
         if history is None:
-            return JournalWriter(stream, self._identity, self._codec)
+            return JournalWriter(stream, self._identity, self._codec, where=str(path))
         earlier_starts = history.starts
 
         def keep(mark: Mark, starts: int, state: bytes) -> None:
             checkpoint = Checkpoint(path.name, mark, earlier_starts + starts, state)
-            write_checkpoint(self._checkpoint, self._identity, checkpoint)
+            # On a full disk the journal alone is the history, and the restart after it takes longer.
+            with suppress(OSError):
+                write_checkpoint(self._checkpoint, self._identity, checkpoint)
 
-        return JournalWriter(stream, self._identity, self._codec, keep)
+        return JournalWriter(stream, self._identity, self._codec, keep, str(path))
 
     def _read(
         self,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import pickle
+import resource
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +213,56 @@ def test_with_a_checkpoint_only_later_inputs_are_read_and_every_start_is_counted
     ended(writer)
     assert folder.history().starts == 4
     assert same(folder.history().inputs, [*inputs(5), (9, ProcessStarted(4))])
+
+
+@contextmanager
+def files_no_longer_than(size: int) -> Iterator[None]:
+    """Let the system refuse every byte of a file beyond that size, as on a full disk."""
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+
+@given(room=st.integers(0, 200))
+def test_a_journal_that_cannot_be_written_is_one_line_and_what_was_written_before_is_read(room: int) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = JournalFolder(Path(name), "rover", WHO, CODEC)
+        writer = folder.begin(folder.history())
+        for now, each in inputs(8):
+            writer.append(now, [each])
+        path = Path(name) / "rover-0001.mcap"
+        whole = path.stat().st_size
+        with files_no_longer_than(whole + room), pytest.raises(He3Error) as refusal:
+            append_without_end(writer)
+        assert str(refusal.value) == f"{path}: cannot write the journal: File too large"
+        kept = folder.history().inputs
+        assert same(kept[:8], inputs(8))
+        assert same(kept[8:], [(2000, TimerElapsed("step"))] * (len(kept) - 8))
+        ended(writer)
+
+
+def append_without_end(writer: JournalWriter) -> None:
+    while True:
+        writer.append(2000, [TimerElapsed("step")])
+
+
+def test_a_checkpoint_that_cannot_be_written_leaves_the_journal_and_the_earlier_checkpoint_in_use(
+    tmp_path: Path,
+) -> None:
+    folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
+    writer = folder.begin(folder.history())
+    writer.checkpoint(STATE)
+    for now, each in inputs(8):
+        writer.append(now, [each])
+    with files_no_longer_than((tmp_path / "rover-0001.mcap").stat().st_size):
+        writer.checkpoint({"large": "x" * 10_000})
+    ended(writer)
+    assert folder.history().state == STATE
+    assert same(folder.history().inputs, inputs(8))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rover-0001.mcap", "rover.checkpoint"]
 
 
 def test_a_later_checkpoint_replaces_an_earlier_one(tmp_path: Path) -> None:
