@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import threading
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
+from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -25,6 +27,7 @@ from services.console.launch.endpoints import free_endpoints
 from services.mission.deployment import find_scenario
 from services.mission.processes import LINK, VITAL, waited_for
 from services.mission.scenario import Scenario, load_scenario
+from services.recorder.reader import Recording
 from services.runtime.child import child_environment, python_command
 from services.runtime.journal import JournalReader, identity_of
 from services.runtime.options import parse_setting, with_settings
@@ -33,9 +36,45 @@ from services.runtime.transport.client import Client
 SERVICES = ("rover", "ground", "link", "field")
 """The processes that a mission needs."""
 RECORDER = "recorder"
+STREAMS_END_WITHIN_S = 5.0
 READY_WITHIN_S = 600.0
 """Time limit [s] that only a hanging process reaches."""
 POLL_S = 0.005
+
+
+class _Log:
+    """What one start of a process writes on its standard streams."""
+
+    def __init__(self, name: str, process: subprocess.Popen[bytes]) -> None:
+        self.name = name
+        self._said = bytearray()
+        self._reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"log of {name}", daemon=True)
+        self._reader.start()
+
+    def text(self) -> str:
+        """Everything so far."""
+        return bytes(self._said).decode(errors="replace")
+
+    def complete(self) -> None:
+        """Wait for the end of the streams, after the end of the process; a child that holds them open is left."""
+        self._reader.join(STREAMS_END_WITHIN_S)
+
+    def _read(self, stream: BufferedReader) -> None:
+        with stream:
+            while part := stream.read1():
+                self._said += part
+
+
+def judged_samples(planned: int, taken: Sequence[str], reported: Mapping[str, Set[tuple[int, int]]]) -> tuple[int, int]:
+    """How many samples were lost, and how many doubled.
+
+    planned: how many there should be. taken: ids of those in the map. reported: ids of those that came down, each with
+    the numbers of the messages that told of it.
+    """
+    counts = Counter(taken)
+    lost = max(planned - len(counts), 0) + len(reported.keys() - counts.keys())
+    doubled = sum(count > 1 for count in counts.values()) + sum(len(told) > 1 for told in reported.values())
+    return lost, doubled
 
 
 class JournalledMission:
@@ -63,8 +102,7 @@ class JournalledMission:
         for text in settings:
             self._command += ["--set", text]
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._logs: dict[str, Path] = {}
-        self._starts = 0
+        self._logs: list[_Log] = []
         self._client: Client | None = None
         self.over = False
 
@@ -105,13 +143,23 @@ class JournalledMission:
         """Kill that process as a power failure would, and start it again; how long it took to take part [s]."""
         process = self._processes[name]
         if process.poll() is not None:
-            raise He3Error(f"{name}: expected it to run, it ended with {process.returncode}:\n{self._said(name)}")
+            raise He3Error(f"{name}: expected it to run, it ended with {process.returncode}:\n{self.said(name)}")
         process.kill()
         process.wait()
         began = time.monotonic()
         self._start(name)
         self._wait_until_ready(name)
         return time.monotonic() - began
+
+    def end(self, name: str) -> tuple[int, str]:
+        """Tell that process to end; its exit code and the last line that it wrote."""
+        process = self._processes[name]
+        process.terminate()
+        try:
+            code = process.wait(READY_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            raise He3Error(f"{name}: has not ended within {READY_WITHIN_S:g} s:\n{self.said(name)}") from None
+        return code, self.last_words(name)
 
     def process(self, name: str) -> subprocess.Popen[bytes]:
         """The process that runs under that name now."""
@@ -124,13 +172,31 @@ class JournalledMission:
 
     def last_words(self, name: str) -> str:
         """The last line that the present start of the process wrote."""
-        lines = self._logs[name].read_text(errors="replace").strip().splitlines()
+        log = self._log(name)
+        log.complete()
+        lines = log.text().strip().splitlines()
         return lines[-1] if lines else ""
+
+    def said(self, name: str) -> str:
+        """The end of what this start of the process wrote."""
+        return f"--- {name}\n" + self._log(name).text()[-3000:]
+
+    @property
+    def logs(self) -> list[tuple[str, str]]:
+        """What each start of each process wrote, with the name of the process."""
+        return [(log.name, log.text()) for log in self._logs]
 
     @property
     def recording(self) -> Path:
         """Where the recorder writes."""
         return self._folder / "mission.mcap"
+
+    def written_bytes(self, name: str) -> int:
+        """Length of the file that this start of the process appends to; 0 if it appends to none."""
+        if name == RECORDER:
+            return self.recording.stat().st_size
+        files = sorted(self._folder.glob(f"{name}-[0-9]*.mcap"))
+        return files[-1].stat().st_size if files else 0
 
     def ask(self, topic: Topic, request: Wire, timeout_s: float = READY_WITHIN_S) -> Any:
         """The answer to an operator's question."""
@@ -142,24 +208,39 @@ class JournalledMission:
         end = time.monotonic() + within_s
         while not self.over:
             if time.monotonic() > end:
-                said = "\n".join(self._said(name) for name in self.names)
+                said = "\n".join(self.said(name) for name in self.names)
                 raise He3Error(f"the mission is not over within {within_s:g} s:\n{said}")
             for name, process in self._processes.items():
                 if process.poll() is not None:
-                    raise He3Error(f"{name} ended with {process.returncode}:\n{self._said(name)}")
+                    raise He3Error(f"{name} ended with {process.returncode}:\n{self.said(name)}")
             time.sleep(POLL_S * 10)
 
     def judged(self) -> tuple[int, int, int]:
         """Lost samples, doubled samples, and 1 if a restart of the ground changed the map, else 0."""
+        lost, doubled = judged_samples(self.scenario.samples, self.samples_in_the_map(), self.samples_reported())
+        return lost, doubled, int(not self.map_survives_a_restart())
+
+    def samples_in_the_map(self) -> list[str]:
+        """Ids of the samples that the ground has taken in, each as often as it has."""
         track: MissionTrack = self.ask(TRACK, NoParameters())
+        return [sample.sample_id for sample in track.samples]
+
+    def map_survives_a_restart(self) -> bool:
+        """Whether the map is the same to the byte after the ground was killed and started again."""
         before = self._layers()
         self.restart("ground")
-        after = self._layers()
-        taken = Counter(sample.sample_id for sample in track.samples)
-        reported = self._reported()
-        lost = max(self.scenario.samples - len(taken), 0) + len(reported.keys() - taken.keys())
-        doubled = sum(count > 1 for count in taken.values()) + sum(len(told) > 1 for told in reported.values())
-        return lost, doubled, int(before != after)
+        return before == self._layers()
+
+    def samples_recorded(self) -> tuple[set[str], list[str]]:
+        """Ids of the samples in all recordings, and one line on each part of the last recording that is not whole."""
+        recorded: set[str] = set()
+        problems: list[str] = []
+        for path in sorted(self._folder.glob("mission*.mcap")):
+            recording = Recording(path)
+            recorded.update(each.body.sample_id for each in recording.messages() if each.topic is SAMPLE)
+            if path == self.recording:
+                problems = recording.problems()
+        return recorded, problems
 
     def _layers(self) -> list[str]:
         end = time.monotonic() + READY_WITHIN_S
@@ -174,7 +255,7 @@ class JournalledMission:
                     raise
                 time.sleep(0.1)
 
-    def _reported(self) -> dict[str, set[tuple[int, int]]]:
+    def samples_reported(self) -> dict[str, set[tuple[int, int]]]:
         """The samples that arrived, each with the sequences of the messages that reported it."""
         identity = {**identity_of(self.scenario), "node": "ground"}
         reported: dict[str, set[tuple[int, int]]] = {}
@@ -191,25 +272,24 @@ class JournalledMission:
         self.over = self.over or status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED)
 
     def _start(self, name: str, flags: Sequence[str] = ()) -> None:
-        self._starts += 1
-        log = self._folder / f"{name}-{self._starts:03d}.log"
         own = ("--out", str(self.recording)) if name == RECORDER else ()
-        with log.open("wb") as stream:
-            self._processes[name] = subprocess.Popen(
-                python_command(f"services.{name}", *self._command, *flags, *own),
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=stream,
-                env={**child_environment(), **self._environment},
-            )
-        self._logs[name] = log
+        # A pipe takes what the process says also when its files can take no more.
+        process = subprocess.Popen(
+            python_command(f"services.{name}", *self._command, *flags, *own),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env={**child_environment(), **self._environment},
+        )
+        self._processes[name] = process
+        self._logs.append(_Log(name, process))
 
-    def _said(self, name: str) -> str:
-        return f"--- {name}\n" + self._logs[name].read_text(errors="replace")[-3000:]
+    def _log(self, name: str) -> _Log:
+        return next(log for log in reversed(self._logs) if log.name == name)
 
     def _wait_until_ready(self, name: str) -> None:
         end = time.monotonic() + READY_WITHIN_S
-        while b" ready" not in self._logs[name].read_bytes():
+        while " ready" not in self._log(name).text():
             if self._processes[name].poll() is not None or time.monotonic() > end:
-                raise He3Error(f"{name}: not ready within {READY_WITHIN_S:g} s:\n{self._said(name)}")
+                raise He3Error(f"{name}: not ready within {READY_WITHIN_S:g} s:\n{self.said(name)}")
             time.sleep(POLL_S)
