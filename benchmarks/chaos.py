@@ -125,6 +125,7 @@ def run(
     within: float = 600.0,
     jobs: int = 2,
     first: int = 0,
+    settings: Sequence[str] = ("rover.state_period_s=600",),
     json: Path | None = None,
     *,
     say: Callable[[str], None] = print,
@@ -132,7 +133,7 @@ def run(
     """Fly one mission a schedule; the counts of what happened and of what went wrong.
 
     within: seconds of wall time after which a mission counts as stuck. first: number of the first schedule, to fly one
-    again. Raises He3Error when anything went wrong.
+    again. settings: other values of the scenario, as for ``--set``. Raises He3Error when anything went wrong.
     """
     if min(schedules, rounds, samples_per_round) < 1:
         raise InvalidInput(
@@ -145,8 +146,8 @@ def run(
         library = compiled(folder)
         if library is None:
             progress("the wall clock is not stepped: there is no C compiler")
-        settings = [f"rounds={rounds}", f"samples_per_round={samples_per_round}", f"rate={rate}"]
-        task = partial(fly, seed=seed, settings=settings, within_s=within, folder=folder, library=library)
+        flown = [f"rounds={rounds}", f"samples_per_round={samples_per_round}", f"rate={rate}", *settings]
+        task = partial(fly, seed=seed, settings=flown, within_s=within, folder=folder, library=library)
         with WorkerPool(jobs) as pool:
             for _, outcome in pool.results(task, range(first, first + schedules)):
                 outcomes.append(outcome)

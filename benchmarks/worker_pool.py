@@ -137,12 +137,14 @@ class WorkerPool:
             os.write(self._signal, b"!")
 
     def _end(self, workers: Iterable[_Worker]) -> None:
-        for worker in list(workers):
+        ending = list(workers)
+        for worker in ending:
             pid = worker.process.pid
             if pid is not None:
                 with suppress(ProcessLookupError):  # it has ended, or does not lead its group yet
                     os.killpg(pid, signal.SIGKILL)
             worker.process.kill()
+        for worker in ending:
             worker.process.join()
             worker.connection.close()
             self._workers.remove(worker)
