@@ -101,7 +101,7 @@ def _with_sentinels(rng: Random, arrays: dict[str, Any], key: str) -> str:
     if np.ndim(arrays.get(key)) != 2:
         return "unchanged"
     layer = np.array(arrays[key], dtype=np.float64)
-    count = rng.choice((1, 1, 3, layer.size))
+    count = min(rng.choice((1, 1, 3, layer.size)), layer.size)
     value = rng.choice(SENTINELS)
     layer.flat[rng.sample(range(layer.size), count)] = value
     arrays[key] = layer

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import lzma
+import struct
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +39,12 @@ MAX_LATITUDE_DEG: Final = 89.0  # deg, beyond it a region is no plane of east an
 MAX_PROVENANCE: Final = 500  # characters
 _LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable")
 _FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_deg")
+
+_UNREADABLE: Final = (
+    OSError, ValueError, EOFError, RuntimeError, MemoryError, OverflowError,
+    zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError,
+)  # fmt: skip
+"""What zipfile and numpy raise for a file that is damaged, encrypted, or packed in a way that they do not know."""
 
 
 def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
@@ -170,7 +180,7 @@ def _read_layers(path: Path) -> dict[str, NDArray[Any]]:
             layers = {key: arrays[key] for key in arrays.files if key in (*_LAYERS, *_FURTHER)}
     except FileNotFoundError:
         raise InvalidInput(f"{path}: expected a region file, got no such file") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+    except _UNREADABLE as error:
         if isinstance(error, InvalidInput):
             raise
         raise InvalidInput(f"{path}: expected an .npz file of plain numeric arrays, got {error}") from None

@@ -331,6 +331,65 @@ def test_pickled_objects_are_not_opened(tmp_path: Path) -> None:
         load_region(path)
 
 
+def packed(path: Path, member: bytes, method: int = zipfile.ZIP_STORED) -> bytearray:
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("he3_ppb.npy", member)
+    return bytearray(path.read_bytes())
+
+
+@pytest.mark.parametrize(
+    ("method", "spoil"),
+    [
+        (zipfile.ZIP_STORED, "unknown method"),
+        (zipfile.ZIP_STORED, "encrypted"),
+        (zipfile.ZIP_DEFLATED, "damaged"),
+        (zipfile.ZIP_BZIP2, "damaged"),
+        (zipfile.ZIP_LZMA, "damaged"),
+    ],
+)
+def test_an_archive_that_cannot_be_unpacked_is_refused_in_one_line(tmp_path: Path, method: int, spoil: str) -> None:
+    array = io.BytesIO()
+    np.save(array, np.random.default_rng(1).uniform(5, 9, (30, 40)))
+    path = tmp_path / "packed.npz"
+    content = packed(path, array.getvalue(), method)
+    entry = content.rindex(b"PK\x01\x02")
+    match spoil:
+        case "unknown method":
+            content[entry + 10] = 99
+        case "encrypted":
+            content[entry + 8] |= 1
+        case _:
+            content[60:90] = bytes(range(30))
+    path.write_bytes(content)
+    with pytest.raises(
+        InvalidInput, match=r"packed\.npz: expected an \.npz file of plain numeric arrays, got "
+    ) as caught:
+        load_region(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "header", [b"{'shape': ((((", b"{'descr': '<f8', 'fortran_order': False, 'shape': (10**9", b"[" * 900]
+)
+def test_an_array_with_a_header_that_cannot_be_read_is_refused_in_one_line(tmp_path: Path, header: bytes) -> None:
+    path = tmp_path / "header.npz"
+    packed(path, b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(InvalidInput, match=r"header\.npz: expected an \.npz file") as caught:
+        load_region(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_array_that_claims_more_cells_than_memory_holds_is_refused_in_one_line(tmp_path: Path) -> None:
+    array = io.BytesIO()
+    shape = (2**28, 2**28)
+    np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    path = tmp_path / "claims.npz"
+    packed(path, array.getvalue())
+    with pytest.raises(InvalidInput, match=r"claims\.npz: expected an \.npz file") as caught:
+        load_region(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_what_is_no_archive_no_file_or_no_known_name_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("hello")
     (tmp_path / "folder.npz").mkdir()
