@@ -100,11 +100,12 @@ class PageRequests:
         self._closing.append(self._end_server)
         assert self._server.stderr is not None
         line = self._server.stderr.readline()
-        found = re.search(r"https?://([\w.]+):(\d+)(/login\S*?)[,\s]", line)
+        found = re.search(r"https?://([\w.]+):(\d+)/(login[^\s,]+)?", line)
         if found is None:
             raise He3Error(f"fuzz: expected the page's address, got {line!r}")
         self._host, self._port = found[1], int(found[2])
-        self._log_in(found[3])
+        if found[3] is not None:
+            self._log_in(f"/{found[3]}")
         while not self._has_a_map():
             if self._server.poll() is not None:
                 raise He3Error("fuzz: the page's server has ended before the first request")
