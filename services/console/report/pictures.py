@@ -100,8 +100,8 @@ def map_figure(picture: MapPicture) -> Figure:
             axis.label_outer()
             if index % 2 == 0:
                 axis.set_ylabel("north [m]")
-        figure.suptitle(picture.title, fontsize=12.0, fontweight="bold", x=0.012, ha="left")
-        figure.supxlabel(fill(picture.note, 100), fontsize=7.5, color=QUIET, x=0.012, ha="left")
+        figure.suptitle(fill(picture.title, 88), fontsize=12.0, fontweight="bold", x=0.012, ha="left")
+        figure.supxlabel(fill(picture.note, 88), fontsize=7.5, color=QUIET, x=0.012, ha="left")
         figure.legend(handles=_legend(picture), loc="outside lower right", ncols=4, fontsize=8.5, handlelength=1.8)
     return figure
 
