@@ -22,9 +22,9 @@ from services.ground.planners.interface import PlannedRound, PlanningRequest
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.regions import load_region
 
-OWN_PROCESS = ("rrt", "rrtstar", "informative")
-"""Planners on OMPL: each plan in a fresh process, as in a mission, so that a plan depends on its request alone. So is
-each plug-in planner (``module:function``)."""
+IN_THIS_PROCESS = ("tour",)
+"""Planners without global state, which plan in the benchmark's process. Every other one, a plug-in too, has a fresh
+process for each plan, as in a mission, so that a plan depends on its request alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def fly(flight: Flight) -> Mission:
     """The mission of that flight, with the label and the orbital map's errors in its row."""
     region = region_named(flight.region, flight.variation)
     planner: Any = flight.planner
-    if flight.planner in OWN_PROCESS or ":" in flight.planner:
+    if flight.planner not in IN_THIS_PROCESS:
         planner = partial(_planned, flight.planner)
     orbital = flight.orbital_gain * region.orbital_ppb + flight.orbital_offset_ppb
     mission = run_mission(

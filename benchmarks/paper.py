@@ -32,7 +32,7 @@ from benchmarks.floor import floor as floor_of
 from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Mission, Row
 from benchmarks.worker_pool import WorkerPool
 from he3.errors import InvalidInput
-from services.ground.planners import planner_named
+from services.ground.planners import PLANNERS, planner_named
 from services.mission.embedded_regions import EMBEDDED
 
 PUBLISHED = {
@@ -76,9 +76,10 @@ def run(
         raise InvalidInput(f"expected one seed at least, got {seeds}")
     if not planners or not (regions or region):
         raise InvalidInput("expected one planner and one region at least, got none")
-    unknown = [name for name in planners if name not in ALL and ":" not in name]
+    known = (*ALL, *(name for name in PLANNERS if name not in ALL))
+    unknown = [name for name in planners if name not in known and ":" not in name]
     if unknown:
-        raise InvalidInput(f"expected planners among {'; '.join(ALL)}, or module:function; got {', '.join(unknown)}")
+        raise InvalidInput(f"expected planners among {'; '.join(known)}, or module:function; got {', '.join(unknown)}")
     for name in planners:
         if ":" in name:
             planner_named(name)

@@ -31,6 +31,8 @@ class Kernel(Protocol):
     """A covariance function of the squared distance between two places."""
 
     name: ClassVar[str]
+    half_correlation_scales: ClassVar[float]
+    """Distance at which the correlation (that of the rough part, if there are two) is a half, in length scales."""
 
     @property
     def prior_variance(self) -> float:
@@ -91,6 +93,7 @@ class SquaredExponential(_Stationary):
     length_scale_m: float = 60.0
 
     name: ClassVar[str] = "se"
+    half_correlation_scales: ClassVar[float] = 1.1774
 
     @property
     def prior_variance(self) -> float:
@@ -122,6 +125,7 @@ class Matern12(_Stationary):
     length_scale_m: float = 60.0
 
     name: ClassVar[str] = "matern12"
+    half_correlation_scales: ClassVar[float] = 0.6931
 
     @property
     def prior_variance(self) -> float:
@@ -157,6 +161,7 @@ class Matern32(_Stationary):
     length_scale_m: float = 60.0
 
     name: ClassVar[str] = "matern32"
+    half_correlation_scales: ClassVar[float] = 0.9690
 
     @property
     def prior_variance(self) -> float:
@@ -198,6 +203,7 @@ class Matern52(_Stationary):
     length_scale_m: float = 60.0
 
     name: ClassVar[str] = "matern52"
+    half_correlation_scales: ClassVar[float] = 1.0420
 
     @property
     def prior_variance(self) -> float:
@@ -242,6 +248,7 @@ class SmoothPlusRough(_Stationary):
     rough_length_scale_m: float = 25.0
 
     name: ClassVar[str] = "smooth+rough"
+    half_correlation_scales: ClassVar[float] = 0.6931
 
     @property
     def smooth(self) -> SquaredExponential:

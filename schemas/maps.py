@@ -83,7 +83,9 @@ class MapLayer(StrEnum):
     """A table of the vertices of the driven and the planned path."""
 
 
-RASTERS: tuple[MapLayer, ...] = tuple(MapLayer)[:5]
+TABLES: tuple[MapLayer, ...] = (MapLayer.SAMPLES, MapLayer.PLAN)
+"""Layers that are lists of places."""
+RASTERS: tuple[MapLayer, ...] = tuple(layer for layer in MapLayer if layer not in TABLES)
 """Layers with a value in every cell."""
 
 

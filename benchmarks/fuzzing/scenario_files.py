@@ -14,8 +14,9 @@ from pydantic import BaseModel
 from benchmarks.fuzzing import values
 from benchmarks.fuzzing.surface import one_line
 from he3.errors import He3Error, InvalidInput
+from he3.kernels import AUTO, KERNELS
 from services.mission.in_process import InProcessMission
-from services.mission.scenario import Scenario, load_scenario
+from services.mission.scenario import PLANNER_NAMES, Scenario, load_scenario
 
 INSTANTS = 300
 """How many instants of an accepted mission are run: enough for a plan, a drive, a sample and its way to the map."""
@@ -91,9 +92,9 @@ class ScenarioFiles:
 def _value(rng: Random, key: str) -> Any:
     kind = rng.random()
     if key == "kernel" and kind < 0.7:
-        return rng.choice(("se", "matern12", "matern32", "matern52", "smooth+rough", "auto"))
+        return rng.choice((*KERNELS, AUTO))
     if key == "planner" and kind < 0.7:
-        return rng.choice(("rrt", "rrtstar", "informative", "tour"))
+        return rng.choice(PLANNER_NAMES)
     if (key.endswith("_m") or "polygon" in key) and kind < 0.3:
         corners = [[rng.uniform(-5, 25), rng.uniform(-5, 25)] for _ in range(rng.choice((2, 3, 4, 5)))]
         return rng.choice(([corners], corners, corners[0]))

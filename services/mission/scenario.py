@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from he3.constants import MAX_SAMPLES
 from he3.errors import InvalidInput
 from he3.frames import Place
+from he3.kernels import AUTO, KERNELS
 from schemas.link import LinkConditions
 from schemas.validation import one_line
 from schemas.wire import MissionName
@@ -116,8 +117,15 @@ class InterestRegion(Section):
     """Factor of the uncertainty there, relative to ground without an area of interest."""
 
 
-KernelName = Literal["se", "matern12", "matern32", "matern52", "smooth+rough", "auto"]
+def _kernel_name(name: str) -> str:
+    if name not in KERNELS and name != AUTO:
+        raise ValueError(f"expected {', '.join(KERNELS)} or {AUTO}")
+    return name
+
+
+KernelName = Annotated[str, AfterValidator(_kernel_name)]
 PLANNER_NAMES = ("rrt", "rrtstar", "informative", "tour")
+"""The built-in planners, as `services.ground.planners.PLANNERS`, which is above this package."""
 PLUGIN_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 """Name of a plug-in planner: a function of a module."""
 

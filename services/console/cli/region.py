@@ -190,7 +190,7 @@ def _build_file(region: str, out: Path, field_seed: int | None) -> None:
     typer.echo(f"written to {out}: {loaded.title}, {loaded.grid.rows} x {loaded.grid.columns} cells")
 
 
-@app.command("template")
+@app.command("template", epilog=EXAMPLES)
 def template(
     kind: Annotated[str, typer.Argument(metavar="KIND", help="dem, kaguya, sldem, polar, npy or multiband.")] = "dem",
 ) -> None:

@@ -40,7 +40,7 @@ def _moment(text: str) -> str:
     return text
 
 
-@app.command(short_help="Show mission time.")
+@app.command(short_help="Show mission time.", epilog=EXAMPLES)
 def show(
     mission: Mission = None,
     earth: Earth = None,
@@ -52,7 +52,7 @@ def show(
     _change(mission, earth, identity, insecure, json)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES)
 def pause(
     mission: Mission = None,
     earth: Earth = None,
@@ -64,7 +64,7 @@ def pause(
     _change(mission, earth, identity, insecure, json, clock_rate=0.0, paused=True)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES)
 def resume(
     mission: Mission = None,
     earth: Earth = None,
@@ -76,7 +76,7 @@ def resume(
     _change(mission, earth, identity, insecure, json, clock_rate=1.0, paused=False)
 
 
-@app.command(short_help="Advance to the next instant, then pause.")
+@app.command(short_help="Advance to the next instant, then pause.", epilog=EXAMPLES)
 def step(
     count: Annotated[
         int, typer.Argument(metavar="[N]", help="How many instants (1 to 1000000).", callback=within(1, 1_000_000))
@@ -91,7 +91,7 @@ def step(
     _change(mission, earth, identity, insecure, json, steps=count)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES)
 def until(
     when: Annotated[
         str,
@@ -108,7 +108,7 @@ def until(
     _change(mission, earth, identity, insecure, json, until=when)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES)
 def rate(
     factor: Annotated[
         float,
@@ -124,7 +124,7 @@ def rate(
     _change(mission, earth, identity, insecure, json, clock_rate=factor, rate=factor)
 
 
-@app.command()
+@app.command(epilog=EXAMPLES)
 def unlimited(
     mission: Mission = None,
     earth: Earth = None,

@@ -26,6 +26,7 @@ from schemas.topics import (
     LINK_STATUS,
     LIST_COMMANDS,
     STATE,
+    Crosses,
     Topic,
 )
 from services.console.client.clock import MissionClock, time_shown
@@ -159,7 +160,8 @@ class MissionState:
     # --- what is known ----------------------------------------------------------------------------------------------
 
     def fact(self, topic: Topic) -> Fact | None:
-        """The newest message of that topic; None while there is none."""
+        """The newest message of that topic, one of ``FOLLOWED``; None while there is none."""
+        assert topic in FOLLOWED, f"expected a topic among FOLLOWED, got {topic.name}"
         return self._facts.get(topic)
 
     @property
@@ -232,7 +234,9 @@ class MissionState:
         """Keep a new fact; header: None for an entry of the list of commands."""
         with self._lock:
             self._heard_wall = time.monotonic()
-            if header is not None and topic not in (STATE, EVENT):  # those were made on the Moon, a light time ago
+            if (
+                header is not None and topic.crosses is not Crosses.DOWN
+            ):  # those were made on the Moon, a light time ago
                 self.time.hear(header.made_at)
             new = self._is_kept(topic, header, body)
         self.changed.set()

@@ -231,13 +231,14 @@ def _round_length(wanted: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= wanted))
 
 
-_LABELS = {
+LAYER_LABELS = {
     MapLayer.MEAN: "helium-3 [ppb]",
     MapLayer.STD: "std [ppb]",
     MapLayer.INFORMATION: "information of one measurement [nat]",
     MapLayer.EXCEEDANCE: "probability of more than the threshold",
     MapLayer.TRAVERSABLE: "open to the rover (1) or closed (0)",
 }
+"""What the colours of each layer mean, with the unit."""
 
 
 def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
@@ -253,7 +254,7 @@ def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
         colours=UNCERTAINTY if uncertain else ABUNDANCE,
         low=low,
         high=high if high > low else low + 1.0,
-        label=_LABELS[raster.layer],
+        label=LAYER_LABELS[raster.layer],
         dots="#4fd1ff" if uncertain else SAMPLE_COLOUR,
         with_path=not uncertain,
     )

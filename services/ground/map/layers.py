@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,15 +153,20 @@ def cell_indices(places_m: FloatArray, cells: int, cell_m: float) -> NDArray[np.
 
 
 def _values(layer: MapLayer, threshold_ppb: float | None, snapshot: MapSnapshot, part: Any) -> NDArray[Any]:
-    if layer is MapLayer.MEAN:
-        values = snapshot.mean_ppb[part]
-    elif layer is MapLayer.STD:
-        values = snapshot.std_ppb[part]
-    elif layer is MapLayer.TRAVERSABLE:
-        return np.ascontiguousarray(snapshot.traversable[part]).view(np.uint8)
-    elif layer is MapLayer.INFORMATION:
-        values = information_nats(snapshot.std_ppb[part], snapshot.noise_std_ppb)
-    else:
-        assert threshold_ppb is not None, "checked at the edge"
-        values = exceedance(snapshot.mean_ppb[part], snapshot.std_ppb[part], threshold_ppb)
+    match layer:
+        case MapLayer.MEAN:
+            values = snapshot.mean_ppb[part]
+        case MapLayer.STD:
+            values = snapshot.std_ppb[part]
+        case MapLayer.TRAVERSABLE:
+            return np.ascontiguousarray(snapshot.traversable[part]).view(np.uint8)
+        case MapLayer.INFORMATION:
+            values = information_nats(snapshot.std_ppb[part], snapshot.noise_std_ppb)
+        case MapLayer.EXCEEDANCE:
+            assert threshold_ppb is not None, "checked at the edge"
+            values = exceedance(snapshot.mean_ppb[part], snapshot.std_ppb[part], threshold_ppb)
+        case MapLayer.SAMPLES | MapLayer.PLAN:
+            raise AssertionError(f"layer '{layer.value}' is a table; checked at the edge")
+        case _:
+            assert_never(layer)
     return np.ascontiguousarray(values, dtype="<f4")

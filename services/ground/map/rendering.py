@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from he3.colour_maps import OF_LAYER, shaded
 from he3.errors import InvalidInput
-from schemas.maps import MapAbout, MapBoxQuery, MapFormat, MapLayer, MapLayerQuery
+from schemas.maps import TABLES, MapAbout, MapBoxQuery, MapFormat, MapLayer, MapLayerQuery
 from schemas.topics import MAP_BOX, MAP_LAYER, Topic
 from services.ground.map import geotiff
 from services.ground.map.history import as_of
@@ -34,7 +34,6 @@ MEDIA_TYPES = {
     MapFormat.CSV: "text/csv",
 }
 MAX_KEPT_BYTES = 64 * 1024 * 1024
-_TABLES = (MapLayer.SAMPLES, MapLayer.PLAN)
 
 
 class Renderer:
@@ -49,7 +48,7 @@ class Renderer:
     def __call__(self, topic: Topic, request: Wire, snapshot: MapSnapshot) -> Encoded | None:
         """The answer as bytes; None if the answer is a JSON message. Raises He3Error."""
         if topic is MAP_LAYER and isinstance(request, MapLayerQuery):
-            if request.layer in _TABLES:
+            if request.layer in TABLES:
                 return rendered_table(request, as_of(snapshot, request.as_of))
         elif topic is not MAP_BOX or not isinstance(request, MapBoxQuery):
             return None

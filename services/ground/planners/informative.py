@@ -66,14 +66,6 @@ DEFAULTS = {
     "rewire_scale_m": 400.0,
 }
 """Settings by name. The tree's rewiring radius shrinks more slowly than the paper's, which makes paths shorter."""
-HALF_CORRELATION_SCALES = {
-    "se": 1.1774,
-    "matern12": 0.6931,
-    "matern32": 0.9690,
-    "matern52": 1.0420,
-    "smooth+rough": 0.6931,
-}
-"""Distance at which a kernel's correlation (that of the rough part, if there are two) is a half, in length scales."""
 _LENGTH_SCALES = ("length_scale_m", "rough_length_scale_m")
 
 
@@ -125,7 +117,7 @@ def path_information(request: PlanningRequest, places_m: FloatArray) -> FloatArr
 def with_least_length_scale(hyperparameters: Hyperparameters, least_m: float) -> Hyperparameters:
     """The hyperparameters with length scales raised so that no correlation is below a half within ``least_m`` [m]."""
     kernel = hyperparameters.kernel
-    least_scale_m = least_m / HALF_CORRELATION_SCALES[kernel.name]
+    least_scale_m = least_m / kernel.half_correlation_scales
     short = {k: least_scale_m for k, v in kernel.parameters().items() if k in _LENGTH_SCALES and v < least_scale_m}
     return replace(hyperparameters, kernel=replace(kernel, **short)) if short else hyperparameters  # type: ignore[type-var]
 

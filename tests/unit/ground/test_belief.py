@@ -10,6 +10,7 @@ import pytest
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
+from he3.kernels import AUTO, KERNELS
 from he3.trend import OrbitalTrend
 from services.ground.belief import Belief
 from services.ground.fitting import fit
@@ -134,7 +135,7 @@ def test_without_a_sample_there_is_nothing_to_fit() -> None:
     assert Belief(GRID, "se", NOISE).fit_request(1, (1,)) is None
 
 
-@pytest.mark.parametrize("kernel", ["se", "matern12", "matern32", "matern52", "smooth+rough", "auto"])
+@pytest.mark.parametrize("kernel", [*KERNELS, AUTO])
 def test_every_kernel_of_a_scenario_is_fitted_and_keeps_the_likelihood_or_betters_it(kernel: str) -> None:
     belief = belief_of(observations(20), kernel)
     refit(belief, 4)

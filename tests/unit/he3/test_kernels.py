@@ -75,6 +75,17 @@ def test_a_place_with_itself_has_the_prior_variance_and_covariance_falls_with_di
 
 
 @every_kernel
+def test_the_correlation_is_a_half_at_the_distance_that_the_kernel_states(name: str) -> None:
+    kernel = EXAMPLES[name][0]
+    if isinstance(kernel, SmoothPlusRough):
+        kernel = kernel.rough
+    distance_m = KERNELS[name].half_correlation_scales * kernel.parameters()["length_scale_m"]
+    assert kernel.of_squared_distance(np.array([distance_m**2]))[0] == pytest.approx(
+        0.5 * kernel.prior_variance, rel=1e-3
+    )
+
+
+@every_kernel
 def test_a_kernel_survives_the_wire(name: str) -> None:
     kernel, _ = EXAMPLES[name]
     assert kernel_from(kernel.name, kernel.parameters()) == kernel

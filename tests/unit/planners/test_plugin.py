@@ -14,7 +14,7 @@ from he3.frames import SiteGrid
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import SquaredExponential
 from services.ground.planner_process import PlannerProcess
-from services.ground.planners import planner_named
+from services.ground.planners import PLANNERS, planner_named
 from services.ground.planners.interface import PlanningRequest
 from services.ground.planners.traversability import OpenGround
 from services.mission.regions import load_region
@@ -190,7 +190,7 @@ def test_a_planner_that_finds_no_way_says_so_as_ours_do(here, request_m):
         ("user_planner:number", "expected a function number in user_planner, got int"),
         ("leaving:planner", "got SystemExit: 3"),
         (":planner", "expected a planner as module:function, got ':planner'"),
-        ("luck", "expected a planner among rrt, rrtstar, informative, tour, or module:function; got 'luck'"),
+        ("luck", f"expected a planner among {', '.join(PLANNERS)}, or module:function; got 'luck'"),
     ],
 )
 def test_a_planner_that_is_not_there_is_refused_in_one_line(here, name, expected):
@@ -203,7 +203,7 @@ def test_a_planner_that_is_not_there_is_refused_in_one_line(here, name, expected
 def test_a_scenario_takes_names_of_planners_only(tmp_path, name):
     path = tmp_path / "mine.toml"
     path.write_text(f'name = "mine"\nregion = "t1"\n[ground]\nplanner = "{name}"\n')
-    with pytest.raises(InvalidInput, match=r"ground.planner: .*expected rrt, rrtstar, informative, tour or module:fun"):
+    with pytest.raises(InvalidInput, match=rf"ground.planner: .*expected {', '.join(PLANNERS)} or module:fun"):
         load_scenario(path)
     path.write_text(f'name = "mine"\nregion = "t1"\n[ground]\nplanner = "{EXAMPLE}"\n')
     assert load_scenario(path).ground.planner == EXAMPLE

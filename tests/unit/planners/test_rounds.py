@@ -256,7 +256,7 @@ def test_a_setting_that_a_planner_does_not_know_is_refused(name):
 
 
 def test_an_unknown_planner_is_refused_with_the_names_of_those_there_are():
-    with pytest.raises(InvalidInput, match="rrt, rrtstar, informative, tour, or module:function; got 'rrt2'"):
+    with pytest.raises(InvalidInput, match=f"{', '.join(PLANNERS)}, or module:function; got 'rrt2'"):
         planner_named("rrt2")
 
 

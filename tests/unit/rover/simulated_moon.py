@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
 
@@ -72,10 +73,12 @@ class Moon:
         self.field = FieldNode(land or region(closed), FieldConfig(), 1, START)
         self.rover = RoverNode(self.config, GRID, START, 0)
         self.now = 0
-        self.events: list[RoverEvent] = []
-        self.samples: list[SampleReport] = []
-        self.states: list[RoverState] = []
-        self.reports: list[CommandReport] = []
+        self.sent: defaultdict[Topic, list[Any]] = defaultdict(list)
+        """What the rover has sent, by topic."""
+        self.events: list[RoverEvent] = self.sent[EVENT]
+        self.samples: list[SampleReport] = self.sent[SAMPLE]
+        self.states: list[RoverState] = self.sent[STATE]
+        self.reports: list[CommandReport] = self.sent[COMMAND_REPORT]
         self.finished: list[Finish] = []
         self.asked: list[SendQuery] = []
         self.refuses: dict[Topic, tuple[NoReply, str]] = {}
@@ -117,10 +120,7 @@ class Moon:
     def _perform(self, effect: Effect) -> None:
         match effect:
             case Send(topic, body):
-                logs: dict[Topic, list[Any]] = {
-                    EVENT: self.events, SAMPLE: self.samples, STATE: self.states, COMMAND_REPORT: self.reports,
-                }  # fmt: skip
-                logs[topic].append(body)
+                self.sent[topic].append(body)
             case SendQuery():
                 self.asked.append(effect)
                 heapq.heappush(self._heap, (self.now, next(self._order), self._reply(effect)))
@@ -164,10 +164,10 @@ class Moon:
     @property
     def state(self) -> RoverState:
         """The state that the rover reports now; a restart makes it report."""
-        (report,) = self.rover.handle(Started(2), self.now)
-        assert isinstance(report, Send)
-        assert isinstance(report.body, RoverState)
-        return report.body
+        effects = self.rover.handle(Started(2), self.now)
+        (state,) = (each.body for each in effects if isinstance(each, Send) and each.topic is STATE)
+        assert isinstance(state, RoverState)
+        return state
 
     @property
     def place(self) -> tuple[float, float]:

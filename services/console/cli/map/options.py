@@ -13,14 +13,12 @@ from services.console.cli.options import MAX_PPB, checked, within
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
 
-RASTERS = ("mean", "std", "traversable", "information", "exceedance")
-"""The layers with a value in every cell, as `schemas.maps.RASTERS`; spelled here so that help needs no schemas."""
-
 _AS_OF = re.compile(r"\d{1,19}|\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d(\.\d{1,9})?)?Z?")
 
 
 def _layer(name: str) -> str:
     from he3.errors import InvalidInput
+    from schemas.maps import RASTERS
 
     if name not in RASTERS:
         raise InvalidInput(f"expected a layer out of {', '.join(RASTERS)}; got '{name}'")

@@ -64,7 +64,8 @@ function showScale(layer, stops, [low, high], about) {
   context.fillRect(0, 0, 512, canvas.height);
   const unit = about.unit === "1" ? "" : ` ${about.unit}`;
   const middle = layer === "exceedance" ? `${NAMES[layer]} ${about.threshold_ppb} ppb` : NAMES[layer];
-  const digits = unit ? (high - low < .5 ? 3 : 2) : 0;
+  const whole = Number.isInteger(low) && Number.isInteger(high);
+  const digits = !unit && whole ? 0 : high - low < .5 ? 3 : 2;
   const everywhere = high <= low && unit;
   $("ticks").replaceChildren(
     element("span", {}, low.toFixed(digits) + unit),

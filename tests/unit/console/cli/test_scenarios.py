@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from he3.kernels import AUTO, KERNELS
+from services.console.__main__ import main
 from services.console.launch.scenarios import choose
+from services.ground.planners import PLANNERS
 from services.mission.deployment import deployment, shipped_scenarios
-from services.mission.scenario import Scenario, load_scenario
+from services.mission.scenario import PLANNER_NAMES, Scenario, load_scenario
 
 REFERENCE = deployment("scenarios", "t1-paper.toml")
 DOCUMENTATION = Path(__file__).parents[4] / "docs" / "scenarios.md"
@@ -98,3 +101,20 @@ def test_the_scenario_of_a_region_differs_from_the_published_protocol_in_the_gro
     assert (best.ground.planner, best.ground.kernel, best.ground.pipeline) == ("tour", "smooth+rough", 2)
     same = {"name": paper.name, "description": paper.description}
     assert best.changed(top=same, ground=paper.ground.model_dump(mode="json")) == paper
+
+
+def test_a_scenario_accepts_every_built_in_planner_and_no_other() -> None:
+    assert tuple(PLANNERS) == PLANNER_NAMES
+
+
+@pytest.mark.parametrize(("key", "names"), [("planner", [*PLANNERS]), ("kernel", [*KERNELS, AUTO])], ids=str)
+def test_the_reference_and_the_page_on_scenarios_name_every_planner_and_kernel(key: str, names: list[str]) -> None:
+    line = next(line for line in REFERENCE.read_text().splitlines() if line.startswith(f"{key} = "))
+    assert set(names) <= set(re.findall(r"[\w+]+", line.partition("#")[2]))
+    table = [row for row in DOCUMENTATION.read_text().splitlines() if row.startswith("| `")]
+    assert set(names) <= {name for row in table for name in re.findall(r"`([\w+]+)`", row.split("|")[1])}
+
+
+def test_the_help_of_run_names_every_built_in_planner(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--help"]) == 0
+    assert f"{', '.join(PLANNERS)}, or a plug-in" in " ".join(capsys.readouterr().out.split())
