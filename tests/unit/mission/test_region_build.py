@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from he3.reference import Region
 from services.mission.region_build.build import build_region
 from services.mission.region_build.recipe import Recipe
@@ -401,6 +402,19 @@ def test_a_wrong_folder_is_refused_in_one_line(tmp_path: Path, old: str, new: st
         load_region(tmp_path / "out")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_without_the_extra_a_region_is_read_and_building_one_names_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain(tmp_path)
+    built = build(recipe(LAT, LON), tmp_path)
+    for name in ("rasterio", "pyproj"):
+        monkeypatch.setitem(sys.modules, name, None)  # an import of it fails, as if it were not installed
+    assert np.array_equal(load_region(tmp_path / "out").he3_ppb, built.he3_ppb)
+    assert load_region("t1").layers[0].kind == "synthetic"
+    with pytest.raises(He3Error, match=r"^expected pyproj, which is not installed: pip install he3-seeker\[geo\]$"):
+        build(recipe(LAT, LON), tmp_path)
 
 
 @pytest.mark.exhaustive
