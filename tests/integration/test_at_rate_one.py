@@ -34,6 +34,7 @@ from schemas.topics import (
 )
 from services.mission.mission_time import SECOND
 from services.runtime.clock import mission_time
+from services.runtime.transport.client import Client
 from tests.waiting import PATIENCE_S, expect_within, until
 
 SERVICES = ("rover", "recorder", "ground", "field")
@@ -177,6 +178,26 @@ def test_a_client_tells_three_causes_of_no_answer_apart(earth):
         earth.query(BY_NAME["moon/field/measure"], LinkChange())
     with pytest.raises(He3Error, match="field required"):
         earth.query(MAP_POINT, LinkChange())
+
+
+def test_an_answer_of_another_version_is_an_error_in_one_line(mission):
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([mission.earth]))
+    with zenoh.open(config) as stranger, Client(mission.earth, "newer") as client:
+        stranger.declare_queryable(
+            EARTH_CLOCK.key("newer"), lambda query: query.reply(query.key_expr, b'{"header":{"version":99},"body":{}}')
+        )
+
+        def said():
+            try:
+                return client.latest(EARTH_CLOCK)
+            except PeerUnreachable:
+                return None  # the router does not know the queryable yet
+            except He3Error as error:
+                return str(error)
+
+        assert "expected schema version 1, got 99" in until(said, "an answer")
 
 
 # --- light time -------------------------------------------------------------------------------------------------

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from he3.errors import InvalidInput, NotAllowed, PeerUnreachable
-from schemas.codec import decode, decode_reply, encode
+from he3.errors import He3Error, InvalidInput, NotAllowed, PeerUnreachable
+from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.refusal import Refusal
 from schemas.topics import Side, Topic
 from schemas.wire import Header, Wire
@@ -67,11 +67,15 @@ class Client:
     def query(self, topic: Topic, request: Wire, timeout_s: float = QUERY_TIMEOUT_S) -> Any:
         """The body of the reply to a query that carries a message.
 
-        Raises PeerUnreachable when there is no reply, else the exception of the refusal's code.
+        Raises PeerUnreachable when there is no reply, He3Error for one of another version or form, else the exception
+        of the refusal's code.
         """
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=0)
         payload, _ = self._reply(topic, encode(header, request), timeout_s)
-        return decode_reply(topic, payload, self._mission)[1]
+        try:
+            return decode_reply(topic, payload, self._mission)[1]
+        except Refused as refusal:
+            raise He3Error(str(refusal)) from None
 
     def fetch(
         self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = QUERY_TIMEOUT_S
@@ -86,9 +90,13 @@ class Client:
     def latest(self, topic: Topic, timeout_s: float = QUERY_TIMEOUT_S) -> tuple[Header, Any]:
         """Header and body of the last message of a topic whose sender keeps it, such as the clock.
 
-        Raises PeerUnreachable when there is no reply.
+        Raises PeerUnreachable when there is no reply, He3Error for one of another version or form.
         """
-        return decode(topic, self._reply(topic, b"", timeout_s)[0], self._mission)
+        payload, _ = self._reply(topic, b"", timeout_s)
+        try:
+            return decode(topic, payload, self._mission)
+        except Refused as refusal:
+            raise He3Error(str(refusal)) from None
 
     def _require_right(self, topic: Topic, roles: tuple[Role, ...]) -> None:
         """Raise NotAllowed if the router would drop this without an answer."""

@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.fuzz import fuzz, surfaces
 
-EXAMPLES = {"cli": 600, "scenario": 350, "region": 1500, "messages": 2000, "page": 550, "page-tls": 50}
+EXAMPLES = {"cli": 600, "scenario": 350, "region": 1500, "messages": 2000, "page": 500, "page-tls": 50}
 """5,000 in all, of which the gate runs a tenth; `he3 bench fuzz --examples N` runs more, from other seeds."""
 
 
