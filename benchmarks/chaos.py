@@ -42,15 +42,20 @@ from benchmarks.journalled_mission import RECORDER, SERVICES, JournalledMission,
 from benchmarks.wall_clock import WallClock, compiled
 from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error, InvalidInput
+from services.mission.processes import LINK
 
 MAX_EVENTS = 4
 MAX_PAUSE_S = 1.5
 MAX_STOP_S = 4.0
-MAX_ROOM_BYTES = 2000
+MAX_ROOM_BYTES = 600
 """What a disk takes before it is full: less than a record, or a few."""
 STEPS_S = (-3600.0, -40.0, -2.0, 2.0, 40.0, 86400.0)
 FULL_S = 1.0
-"""How long a disk stays full."""
+"""How long a disk stays full, from the first byte that it does not take."""
+FILLS_WITHIN_S = 30.0
+"""A process that writes less than the room in this time goes on with what it has."""
+LINK_WRITES_WITHIN_S = 6.0
+"""The link saves its clock every five seconds, in a file that is replaced."""
 WRONG = ("lost", "doubled", "unrecorded", "unequal", "stuck", "unexplained")
 JOURNALS = ("rover", "ground")
 
@@ -275,15 +280,33 @@ class _Flight:
         if process.poll() is not None:
             self._revive(name)
             return
-        self._full.add(process.pid)
-        size = self._mission.written_bytes(name) + room_bytes
+        written = self._mission.written_bytes(name)
+        size = 1 if written is None else written + room_bytes
         _, most = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, most))
-        time.sleep(FULL_S)
+        self._full.add(process.pid)
+        if written is not None:
+            self._wait(
+                FILLS_WITHIN_S, lambda: process.poll() is not None or self._mission.over or self._filled(name, size)
+            )
+        elif name == LINK.name:
+            time.sleep(LINK_WRITES_WITHIN_S)
+        self._wait(FULL_S, lambda: process.poll() is not None)
         if process.poll() is not None:
             self._revive(name)
             return
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (most, most))
+
+    def _filled(self, name: str, size: int) -> bool:
+        written = self._mission.written_bytes(name)
+        return written is not None and written >= size
+
+    @staticmethod
+    def _wait(within_s: float, over: Callable[[], bool]) -> None:
+        """Return when it is over, or after that time."""
+        end = time.monotonic() + within_s
+        while not over() and time.monotonic() < end:
+            time.sleep(0.02)
 
     def _revive(self, name: str) -> None:
         """Start that process again if it has ended, and judge its end."""

@@ -191,12 +191,12 @@ class JournalledMission:
         """Where the recorder writes."""
         return self._folder / "mission.mcap"
 
-    def written_bytes(self, name: str) -> int:
-        """Length of the file that this start of the process appends to; 0 if it appends to none."""
+    def written_bytes(self, name: str) -> int | None:
+        """Length of the file that this start of the process appends to; None if it appends to none."""
         if name == RECORDER:
             return self.recording.stat().st_size
         files = sorted(self._folder.glob(f"{name}-[0-9]*.mcap"))
-        return files[-1].stat().st_size if files else 0
+        return files[-1].stat().st_size if files else None
 
     def ask(self, topic: Topic, request: Wire, timeout_s: float = READY_WITHIN_S) -> Any:
         """The answer to an operator's question."""
