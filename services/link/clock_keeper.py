@@ -14,7 +14,7 @@ from he3.errors import InvalidInput
 from schemas.codec import encode
 from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
-from services.link.kept_clock import keep, kept_clock
+from services.link.kept_clock import KeptClock, keep, kept_clock
 from services.runtime.clock import at_rate, started
 from services.runtime.machine_time import this_machine
 from services.runtime.process_clock import CLOCKS
@@ -48,11 +48,13 @@ class ClockKeeper:
     def begin(self) -> bool:
         """Start the clock, or continue the one that an earlier start of this process kept."""
         context, scenario = self._context, self._context.options.scenario
-        state = self._remembered()
-        if state is None:
+        kept = self._remembered()
+        if kept is None:
             state = started(scenario.start_ns, 0.0 if self._missing else scenario.rate, time.time_ns())
         else:
-            self._missing.clear()
+            state = kept.state
+            if not kept.waits:
+                self._missing.clear()
         self._clock.follow(state)
         inbox = context.inbox
         for side, session in context.sessions.items():
@@ -114,7 +116,7 @@ class ClockKeeper:
 
     # --- what survives a restart --------------------------------------------------------------------------------
 
-    def _remembered(self) -> ClockState | None:
+    def _remembered(self) -> KeptClock | None:
         if self._file is None or not self._file.exists():
             return None
         try:
@@ -129,7 +131,7 @@ class ClockKeeper:
         if self._file is None:
             return
         try:
-            keep(self._file, self._clock.anchored_now(), self._machine)
+            keep(self._file, self._clock.anchored_now(), self._machine, waits=bool(self._missing))
             self._kept = True
         except OSError as error:
             if self._kept:  # reported once: it is tried again with each announcement

@@ -6,6 +6,7 @@ meanwhile. After another boot only the wall clock can tell it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -24,16 +25,30 @@ class _Kept(Wire):
     """Boot id of the machine when the clock was saved; empty if the system has none."""
     monotonic_ns: Annotated[int, Field(ge=0)]
     """Monotonic time of the machine at the clock's anchor."""
+    waits: bool = False
+    """Whether mission time has not begun, because processes are waited for."""
 
 
-def keep(path: Path, clock: ClockState, machine: MachineTime) -> None:
-    """Save the clock, anchored at this moment; the file is replaced in one step."""
-    kept = _Kept(clock=clock, boot_id=machine.boot_id, monotonic_ns=machine.monotonic_ns())
+@dataclass(frozen=True, slots=True)
+class KeptClock:
+    """A clock that an earlier start of the link has saved, anchored at this moment."""
+
+    state: ClockState
+    waits: bool
+    """Whether mission time had not begun yet, because processes were waited for."""
+
+
+def keep(path: Path, clock: ClockState, machine: MachineTime, *, waits: bool = False) -> None:
+    """Save the clock, anchored at this moment; the file is replaced in one step.
+
+    waits: whether mission time has not begun, because processes are waited for.
+    """
+    kept = _Kept(clock=clock, boot_id=machine.boot_id, monotonic_ns=machine.monotonic_ns(), waits=waits)
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_output(path, kept.model_dump_json().encode())
 
 
-def kept_clock(path: Path, machine: MachineTime) -> ClockState:
+def kept_clock(path: Path, machine: MachineTime) -> KeptClock:
     """The clock saved in that file, anchored at this moment; raises ValueError if the file holds none."""
     kept = _Kept.model_validate_json(path.read_bytes())
     clock, wall_ns, monotonic_ns = kept.clock, machine.wall_ns(), machine.monotonic_ns()
@@ -42,4 +57,4 @@ def kept_clock(path: Path, machine: MachineTime) -> ClockState:
         now = mission_time(clock, clock.anchor_wall_ns + away_ns)
     else:
         now = mission_time(clock, wall_ns)
-    return anchored(clock, now, wall_ns, machine.boot_id, monotonic_ns)
+    return KeptClock(anchored(clock, now, wall_ns, machine.boot_id, monotonic_ns), kept.waits)

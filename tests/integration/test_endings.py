@@ -94,3 +94,14 @@ def test_a_service_ends_in_time_while_it_waits_for_a_router_that_says_nothing(mi
         connection, _ = mute.accept()
         with connection:
             assert mission["rover"].stop(number) == 0
+
+
+def test_mission_time_begins_even_if_the_link_is_killed_while_it_waits_for_processes(missions, tmp_path):
+    mission = missions("short", "--journal", str(tmp_path / "journal"))
+    mission.start("link", flags=["--wait-for", "rover"])
+    mission["link"].line("mission time waits")
+    mission["link"].kill()
+    mission.start("link", flags=["--wait-for", "rover"])
+    mission["link"].line("mission time waits")
+    mission.start("rover")
+    mission["link"].line("mission time runs")

@@ -39,7 +39,7 @@ def test_within_one_boot_mission_time_goes_on_whatever_is_done_to_the_wall_clock
     keep(tmp_path / "clock.json", clock, machine.time())
     machine.monotonic += away
     machine.wall += away + step
-    back = kept_clock(tmp_path / "clock.json", machine.time())
+    back = kept_clock(tmp_path / "clock.json", machine.time()).state
     assert mission_time(back, machine.wall) == START + 20 * away
     assert (back.epoch, back.revision, back.rate) == (clock.epoch, clock.revision, 20.0)
     assert newer(clock, back) is back
@@ -54,7 +54,17 @@ def test_after_another_boot_the_wall_clock_says_how_long_the_link_was_away(tmp_p
     machine = Machine()
     keep(tmp_path / "clock.json", started(START, 20.0, machine.wall), machine.time())
     machine.wall, machine.monotonic, machine.boot = WALL + 100 * SECOND, 7, boot
-    assert mission_time(kept_clock(tmp_path / "clock.json", machine.time()), machine.wall) == START + 2000 * SECOND
+    back = kept_clock(tmp_path / "clock.json", machine.time()).state
+    assert mission_time(back, machine.wall) == START + 2000 * SECOND
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_a_clock_that_waits_for_processes_is_told_from_one_that_an_operator_stopped(
+    tmp_path: Path, waits: bool
+) -> None:
+    machine = Machine()
+    keep(tmp_path / "clock.json", started(START, 0.0, machine.wall), machine.time(), waits=waits)
+    assert kept_clock(tmp_path / "clock.json", machine.time()).waits is waits
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"clock":1}', b"\xff"])
