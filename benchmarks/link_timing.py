@@ -87,6 +87,8 @@ def run(
             Peer(ends, "benchmarks.link_timing", side.value, getattr(endpoints, side.value), mission.name)
             for side in Side
         ]
+        for side in sides:
+            side.answer()  # it listens: what the other one sends from now on reaches it
         for owlt_s in (None, changed_to_s):
             change = LinkChange() if owlt_s is None else LinkChange(one_way_light_time_s=owlt_s)
             status = _changed(client, change, link.check)
@@ -171,6 +173,7 @@ def _one_side(side: Side, endpoint: str, mission: str) -> None:
         client.subscribe_raw(HEARS[side], came.take)
         clock: ClockState = _once_it_answers(partial(client.latest, CLOCKS[side]))[1]
         session = Session(open_client(side, endpoint), mission)
+        answer_line(side.value)
         try:
             first = 0
             for line in sys.stdin:
