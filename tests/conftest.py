@@ -42,6 +42,7 @@ def quarter_of_t1(tmp_path_factory):
     return path
 
 
+@pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
 def pytest_collection_modifyitems(items):
     """Tests that share a fixture of their module run in one process, so that it is made once."""
     for item in items:

@@ -31,6 +31,7 @@ def test_the_link_s_light_time_is_measured_each_way_before_and_after_a_live_chan
     assert len(lines) == 7
 
 
+@pytest.mark.exhaustive
 def test_a_map_query_while_planning_is_measured_beside_a_bare_queryable(tmp_path):
     lines: list[str] = []
     query_latency.run(

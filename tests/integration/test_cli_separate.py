@@ -273,6 +273,7 @@ def free_ports() -> tuple[int, int]:
         return one.getsockname()[1], other.getsockname()[1]
 
 
+@pytest.mark.exhaustive
 def test_no_process_of_a_mission_imports_a_module_that_lies_beside_the_user(
     environment: dict[str, str], tmp_path: Path
 ) -> None:

@@ -115,6 +115,7 @@ def test_every_delivery_takes_exactly_its_light_time(busy: bool, tmp_path: Path)
     assert loaded.events == ran(tmp_path / "in-process", "--in-process", settings=("rounds=1",)).events
 
 
+@pytest.mark.exhaustive
 @busy_or_not
 def test_every_delivery_takes_its_transmission_time_too_and_never_less(busy: bool, tmp_path: Path) -> None:
     with cores_busy(busy):

@@ -280,6 +280,7 @@ os.kill(os.getpid(), signal.SIGSTOP)
 """
 
 
+@pytest.mark.exhaustive
 def test_clients_that_subscribe_to_everything_and_hang_hold_nothing_up(lockstep: Callable[..., Lockstep]) -> None:
     mission = lockstep(journal=False)
     mission.standing(until=START + 600 * SECOND)

@@ -21,7 +21,7 @@ from services.runtime.scheduler import InlineExecutor
 
 EXTENT_M = 120.0
 BATCH = 4
-IN_THE_GATE = 8
+IN_THE_GATE = 4
 """The missions, of a hundred, that every test run includes."""
 
 

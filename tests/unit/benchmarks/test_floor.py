@@ -93,6 +93,7 @@ def test_a_prior_that_is_not_known_is_refused(region):
         run_mission(region, "tour", "matern12", 1, rounds=1, prior="radar")
 
 
+@pytest.mark.exhaustive
 def test_the_floor_is_printed_and_written(quarter_of_t1, tmp_path):
     out = tmp_path / "floor.json"
     quick = ["--designs", "1", "--steps", "20", "--cells", "200", "--budget", "900"]

@@ -84,6 +84,7 @@ def test_a_mission_that_ends_early_is_told_from_the_others(quarter_of_t1):
     assert "rrt, seed 1: 12 of 150 samples: no place left to go to" in lines
 
 
+@pytest.mark.exhaustive
 def test_a_mission_that_fails_does_not_take_the_others_with_it(quarter_of_t1, tmp_path, monkeypatch):
     (tmp_path / "failing.py").write_text("def planner(request):\n    return None\n")
     monkeypatch.chdir(tmp_path)
