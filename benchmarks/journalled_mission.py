@@ -103,14 +103,15 @@ class JournalledMission:
             self._command += ["--set", text]
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._logs: list[_Log] = []
+        # As a supervisor would, every start of a process has the same flags.
+        self._flags = {LINK.name: ("--wait-for", ",".join(waited_for(VITAL)))}
         self._client: Client | None = None
         self.over = False
 
     def __enter__(self) -> Self:
         try:
             for name in self.names:
-                waits = ["--wait-for", ",".join(waited_for(VITAL))] if name == LINK.name else []
-                self._start(name, waits)
+                self._start(name)
             for name in self.names:
                 self._wait_until_ready(name)
             self._client = Client(self._ends.earth, self.scenario.name, "judge")
@@ -271,11 +272,11 @@ class JournalledMission:
     def _heard(self, _header: Any, status: Any) -> None:
         self.over = self.over or status.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED)
 
-    def _start(self, name: str, flags: Sequence[str] = ()) -> None:
+    def _start(self, name: str) -> None:
         own = ("--out", str(self.recording)) if name == RECORDER else ()
         # A pipe takes what the process says also when its files can take no more.
         process = subprocess.Popen(
-            python_command(f"services.{name}", *self._command, *flags, *own),
+            python_command(f"services.{name}", *self._command, *self._flags.get(name, ()), *own),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

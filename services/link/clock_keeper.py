@@ -65,6 +65,8 @@ class ClockKeeper:
         self._announce()
         if self._missing:
             context.log.info("mission time waits", for_=", ".join(sorted(self._missing)))
+        elif kept is not None and kept.waits:  # the earlier start waited, this one was told to wait for no process
+            self._begin_mission_time()
         return True
 
     def tend(self, monotonic_s: float) -> None:
@@ -76,9 +78,12 @@ class ClockKeeper:
         if alive and name in self._missing:
             self._missing.discard(name)
             if not self._missing:
-                rate = self._context.options.scenario.rate
-                self._change_rate(rate)
-                self._context.log.info("mission time runs", rate=rate)
+                self._begin_mission_time()
+
+    def _begin_mission_time(self) -> None:
+        rate = self._context.options.scenario.rate
+        self._change_rate(rate)
+        self._context.log.info("mission time runs", rate=rate)
 
     def _set_rate(self, query: IncomingQuery) -> None:
         try:

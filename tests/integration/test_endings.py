@@ -105,3 +105,14 @@ def test_mission_time_begins_even_if_the_link_is_killed_while_it_waits_for_proce
     mission["link"].line("mission time waits")
     mission.start("rover")
     mission["link"].line("mission time runs")
+
+
+def test_mission_time_begins_if_the_link_waited_when_it_was_killed_and_is_told_to_wait_for_no_process(
+    missions, tmp_path
+):
+    mission = missions("short", "--journal", str(tmp_path / "journal"))
+    mission.start("link", flags=["--wait-for", "rover"])
+    mission["link"].line("mission time waits")
+    mission["link"].kill()
+    mission.start("link")
+    mission["link"].line("mission time runs")
