@@ -42,10 +42,8 @@ def quarter_of_t1(tmp_path_factory):
     return path
 
 
-@pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
-def pytest_collection_modifyitems(items):
+def pytest_itemcollected(item):
     """Tests that share a fixture of their module run in one process, so that it is made once."""
-    for item in items:
-        shared = item._fixtureinfo.name2fixturedefs.values()
-        if any(definition.scope == "module" for definitions in shared for definition in definitions):
-            item.add_marker(pytest.mark.xdist_group(item.module.__name__))
+    shared = item._fixtureinfo.name2fixturedefs.values()
+    if any(definition.scope == "module" for definitions in shared for definition in definitions):
+        item.add_marker(pytest.mark.xdist_group(item.module.__name__))
