@@ -40,10 +40,3 @@ def quarter_of_t1(tmp_path_factory):
         path, he3_ppb=whole.he3_ppb[:250:2, :250:2], traversable=whole.traversable[:250:2, :250:2], resolution_m=2.0
     )
     return path
-
-
-def pytest_itemcollected(item):
-    """Tests that share a fixture of their module run in one process, so that it is made once."""
-    shared = item._fixtureinfo.name2fixturedefs.values()
-    if any(definition.scope == "module" for definitions in shared for definition in definitions):
-        item.add_marker(pytest.mark.xdist_group(item.module.__name__))
