@@ -363,6 +363,8 @@ def test_a_killed_rover_and_a_killed_ground_go_on_where_they_were(mission, earth
         assert "torn_bytes=" in mission[name].line("restarted from its journal")
         mission.ready(name)
     again = earth.query(LIST_COMMANDS, BY_NAME["earth/ground/commands"].payload())
-    assert again == commands
+    for before, after in zip(commands.commands, again.commands, strict=True):
+        assert after.command == before.command
+        assert after.stages[: len(before.stages)] == before.stages  # commands of earlier tests may have gone on
     status = command(earth).command.command_id
     told.wait(lambda _, body: body.command.command_id == status and passed(body, CommandStage.ACCEPTED) is not None)
