@@ -11,7 +11,7 @@ recorder must go on whatever its disk does. What is counted as wrong:
     lost         a planned sample that is not in the map, or one that came down and is not in the map
     doubled      a sample that is twice in the map, or that was reported under two numbers
     unrecorded   a sample in the map that is in no recording although the recorder was never killed, and a recording
-                 that is damaged although nobody damaged it
+                 that is damaged although no schedule damaged it
     unequal      the map is not the same to the byte after one more restart of the ground
     stuck        the mission did not come to its end
     unexplained  a process that ended by itself, unless its disk was full and its last line says so; a traceback
