@@ -84,6 +84,8 @@ class RemoteFile:
             try:
                 got = self._request(first, end)
             except (OSError, http.client.HTTPException) as error:
+                if isinstance(error, urllib.error.HTTPError):
+                    error.close()  # it is the reply, too, and holds the connection
                 failures += 1
                 if failures >= ATTEMPTS or self._is_final(error):
                     raise He3Error(f"{self.url}: cannot fetch: {_reason(error)}; what has arrived is kept") from None

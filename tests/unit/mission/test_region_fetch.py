@@ -6,6 +6,7 @@ import json
 import re
 import threading
 import time
+import urllib.error
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -233,6 +234,18 @@ def test_a_server_without_ranges_without_the_file_or_out_of_reach_is_one_line(se
     with pytest.raises(He3Error, match="cannot fetch: Connection refused; what has arrived is kept"):
         RemoteFile("http://127.0.0.1:9/a", tmp_path / "b").read(0, 10)
     assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize("code", [404, 503])
+def test_an_error_of_the_server_leaves_no_connection_open(code: int, server: Server, tmp_path: Path) -> None:
+    (server.folder / "a").write_bytes(b"1" * 1000)
+    server.gone_after = 0
+    name = {404: "none", 503: "a"}[code]
+    with pytest.raises(He3Error, match=f"cannot fetch: HTTP {code}") as caught:
+        RemoteFile(f"{server.url}/{name}", tmp_path / name).read(0, 10)
+    reply = caught.value.__context__
+    assert isinstance(reply, urllib.error.HTTPError)
+    assert reply.fp is None or reply.fp.closed
 
 
 def test_ranges_are_joined_and_subtracted() -> None:
