@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -38,18 +39,20 @@ def test_a_second_service_on_the_same_journal_is_refused_until_the_first_is_gone
         ["run", "short", "--lockstep", "--out", "{out}"],
         ["run", "short", "--in-process", "--report", "{out}/report.json"],
         ["run", "short", "--in-process", "--events", "{out}/events.log"],
-        ["up", "short", "--out", "{out}"],
-        ["up", "short", "--journal", "{out}/journal"],
+        ["up", "short", "--set", "network.moon={taken}", "--out", "{out}"],
+        ["up", "short", "--set", "network.moon={taken}", "--journal", "{out}/journal"],
     ],
 )
 def test_a_mission_whose_outputs_are_in_use_is_refused_and_changes_nothing(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    with claimed(Outputs(out, out / "report.json"), out / "events.log", out / "journal"):
+    held = claimed(Outputs(out, out / "report.json"), out / "events.log", out / "journal")
+    with held, socket.create_server(("127.0.0.1", 0)) as other:
+        taken = f"tcp/127.0.0.1:{other.getsockname()[1]}"
         (out / "mission.mcap").write_bytes(b"theirs")
         (out / "report.json").write_bytes(b"theirs")
-        assert main([word.format(out=out) for word in words]) == 2
+        assert main([word.format(out=out, taken=taken) for word in words]) == 2
         said = capsys.readouterr().err
         assert re.fullmatch(rf"he3: {words[-2]} .*: expected .*, got one in use by process \d+ since .*\n", said)
         kept = {

@@ -76,20 +76,23 @@ def up(
     viewer = None if chosen.keys is None else chosen.keys.viewer
     where = outputs(out, None)
     checked_region(mission)
-    require_free(endpoints)
     services = services_of(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
     )
-    with claimed(where, journal=journal), services as (launcher, _):
-        with MissionClient.when_up(
-            endpoints.earth, mission.name, launcher.check, identity=viewer, insecure=insecure
-        ) as client:
-            client.wait_for_ground(launcher.check)
-        typer.echo(
-            f"mission '{mission.name}' is up: Earth at {endpoints.earth}, Moon at {endpoints.moon}; Ctrl-C stops it",
-            err=True,
-        )
-        while True:
-            for line in launcher.check_vital():
-                typer.echo(f"he3: {line}", err=True)
-            time.sleep(LOOK_EVERY_S)
+    with claimed(where, journal=journal):
+        # What the user named comes before the state of the machine: it is refused whoever listens at the endpoints.
+        require_free(endpoints)
+        with services as (launcher, _):
+            with MissionClient.when_up(
+                endpoints.earth, mission.name, launcher.check, identity=viewer, insecure=insecure
+            ) as client:
+                client.wait_for_ground(launcher.check)
+            typer.echo(
+                f"mission '{mission.name}' is up: Earth at {endpoints.earth}, Moon at {endpoints.moon}; "
+                "Ctrl-C stops it",
+                err=True,
+            )
+            while True:
+                for line in launcher.check_vital():
+                    typer.echo(f"he3: {line}", err=True)
+                time.sleep(LOOK_EVERY_S)
