@@ -1,7 +1,7 @@
 """Bytes from a message and a message from bytes: JSON in an envelope, sealed with a checksum, checked once at the edge.
 
-A payload that its topic does not admit (unknown field, NaN, other version, other mission, too long) is refused with
-`Refused`, whose text is one line: "WHERE: expected ..., got ...".
+A payload that its topic does not admit (unknown field, NaN, other version, other mission, a source that does not make
+such messages, too long) is refused with `Refused`, whose text is one line: "WHERE: expected ..., got ...".
 """
 
 from __future__ import annotations
@@ -80,17 +80,20 @@ def _check_seal(payload: bytes, where: str) -> bool:
 
 def decode(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
     """Header and body of a message of that topic; raises Refused with one line for anything else."""
-    return _decode(topic.payload, payload, mission, topic.key(mission), topic.max_bytes)
+    return _decode(topic.payload, payload, mission, topic.key(mission), topic.max_bytes, topic.sources)
 
 
 def decode_reply(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
     """Header and body of the answer to a query of that topic; raises Refused with one line for anything else."""
     if topic.reply is None:
         raise Refused(f"{topic.key(mission)}: is not a query, so there is nothing to answer")
-    return _decode(topic.reply, payload, mission, f"{topic.key(mission)} (reply)", topic.max_reply_bytes)
+    where = f"{topic.key(mission)} (reply)"
+    return _decode(topic.reply, payload, mission, where, topic.max_reply_bytes, topic.reply_sources)
 
 
-def _decode(body_type: type[Wire], payload: bytes, mission: str, where: str, limit: int) -> tuple[Header, Any]:
+def _decode(
+    body_type: type[Wire], payload: bytes, mission: str, where: str, limit: int, sources: frozenset[str] | None
+) -> tuple[Header, Any]:
     if len(payload) > limit:
         raise Refused(f"{where}: expected at most {limit} bytes, got {len(payload)}")
     sealed = _check_seal(payload, where)
@@ -106,6 +109,8 @@ def _decode(body_type: type[Wire], payload: bytes, mission: str, where: str, lim
         raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {header.version}")
     if header.mission != mission:
         raise Refused(f"{where}: expected mission '{mission}', got '{header.mission}'")
+    if sources is not None and header.source not in sources:
+        raise Refused(f"{where}: expected a message of {' or '.join(sorted(sources))}, got one of '{header.source}'")
     return header, envelope.body
 
 

@@ -10,9 +10,7 @@ from pydantic import Field
 from schemas.maps import MapScore
 from schemas.plans import Waypoint
 from schemas.telemetry import RoverState, SampleReport
-from schemas.wire import Identifier, MissionTimeNs, Text, Wire
-
-Count = Annotated[int, Field(ge=0)]
+from schemas.wire import Count, Identifier, MissionTimeNs, Text, Wire
 
 
 class MissionPhase(StrEnum):

@@ -7,11 +7,10 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from schemas.wire import Identifier, MissionTimeNs, Text, Wire
+from schemas.wire import Count, Identifier, MissionTimeNs, Text, Wire
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, le=86_400)]
-Count = Annotated[int, Field(ge=0)]
 
 
 MAX_SCHEDULE_S = 1e9
@@ -199,6 +198,13 @@ class ClockMode(StrEnum):
     """Mission time jumps from event to event."""
 
 
+LATEST_CLOCK_NS = 8_204_803_200 * 10**9
+"""2230-01-01, after the latest start of a scenario. What is scheduled at most `MAX_SCHEDULE_S` later fits into int64."""
+
+ClockTimeNs = Annotated[int, Field(ge=0, lt=LATEST_CLOCK_NS)]
+"""A time that a clock shows [ns]."""
+
+
 class ClockState(Wire):
     """Mission time as an anchor and a rate: at wall time `anchor_wall_ns` it was `anchor_mission_ns`."""
 
@@ -209,14 +215,18 @@ class ClockState(Wire):
     """Counts the changes of the clock: of two states of one epoch, that of the higher revision is newer."""
     rate: Annotated[float, Field(ge=0, le=1e6)]
     """Mission seconds per wall second; 0 while the mission is paused."""
-    anchor_wall_ns: MissionTimeNs
-    anchor_mission_ns: MissionTimeNs
-    start_ns: MissionTimeNs
+    anchor_wall_ns: ClockTimeNs
+    anchor_mission_ns: ClockTimeNs
+    start_ns: ClockTimeNs
     """Mission time at which the mission began."""
     boot_id: Text = ""
     """The boot of the machine that set the anchor; empty if it is not known."""
-    anchor_monotonic_ns: Count = 0
+    anchor_monotonic_ns: ClockTimeNs = 0
     """That machine's monotonic clock at the anchor: what other processes of the same boot count from."""
+
+
+MAX_GAPS = 64
+"""Runs of missing messages that one acknowledgement may list."""
 
 
 class Acknowledgement(Wire):
@@ -228,7 +238,7 @@ class Acknowledgement(Wire):
     incarnation: Count
     next_sequence: Count
     """One more than the highest sequence received."""
-    gaps: Annotated[tuple[tuple[Count, Count], ...], Field(max_length=64)] = ()
+    gaps: Annotated[tuple[tuple[Count, Count], ...], Field(max_length=MAX_GAPS)] = ()
     """First and last sequence of each missing run below `next_sequence`."""
     last_sequence: Count | None = None
     """The sequence of the message received last."""
@@ -236,6 +246,15 @@ class Acknowledgement(Wire):
     """Repetition of that message, as in its header."""
     last_received_at: MissionTimeNs | None = None
     """Mission time at which that message was received."""
+
+    @model_validator(mode="after")
+    def _gaps_lie_below_in_order(self) -> Acknowledgement:
+        end = -1
+        for first, last in self.gaps:
+            if not end < first <= last < self.next_sequence:
+                raise ValueError(f"expected gaps in order below {self.next_sequence}, got {first} to {last}")
+            end = last
+        return self
 
 
 class ClockChange(Wire):

@@ -6,9 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from schemas.wire import Identifier, MissionTimeNs, Text, Wire
-
-Count = Annotated[int, Field(ge=0)]
+from schemas.wire import MAX_COUNT, Count, Identifier, MissionTimeNs, Text, Wire
 
 ProcessId = Identifier
 """Identifies one start of a service; a later start does not wait for messages to an earlier one."""
@@ -49,7 +47,7 @@ class Grant(Wire):
     """A step at mission time `at`: the process acts once it has received all inputs sent to it in the step before."""
 
     term: Text
-    step: Annotated[int, Field(ge=1)]
+    step: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
     at: MissionTimeNs
     process: ProcessId
     """The process that acts; an earlier process of the same name must not."""

@@ -7,12 +7,11 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from schemas.wire import MissionTimeNs, PositionM, Text, Wire
+from schemas.wire import Count, MissionTimeNs, PositionM, Text, Wire
 
 MAX_CELLS: Final = 4_000_000
 """Most cells of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
 
-Count = Annotated[int, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 Ppb = Annotated[float, Field(ge=-1e6, le=1e6)]
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from schemas.wire import Identifier, MissionTimeNs, PositionM, Wire
+from schemas.wire import MAX_COUNT, Count, Identifier, MissionTimeNs, PositionM, Wire
 
 Waypoint = tuple[PositionM, PositionM]
 
@@ -33,11 +33,11 @@ class RoundPlan(Wire):
 class MissionPlan(Wire):
     """Consecutive rounds, the next first. A newer revision replaces the rounds that have not begun."""
 
-    revision: Annotated[int, Field(ge=1)]
+    revision: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
     rounds: Annotated[tuple[RoundPlan, ...], Field(min_length=1, max_length=64)]
     last: bool = False
     """No rounds follow: the mission is complete when these are."""
-    samples_known: Annotated[int, Field(ge=0)]
+    samples_known: Count
     """Number of measured values on the ground at the time of planning."""
     samples_pending: tuple[Identifier, ...] = ()
     """Measurements under way that the plan takes into account; the posterior variance does not need their values."""

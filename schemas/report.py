@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from pydantic import Field
-
 from schemas.link import DirectionCounts
 from schemas.maps import MapScore
-from schemas.wire import Text, Wire
-
-Count = Annotated[int, Field(ge=0)]
+from schemas.wire import Count, Text, Wire
 
 
 class MessageCounts(Wire):

@@ -7,9 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from schemas.wire import Identifier, MissionTimeNs, PositionM, Text, Wire
+from schemas.wire import MAX_COUNT, Count, Identifier, MissionTimeNs, PositionM, Text, Wire
 
-Count = Annotated[int, Field(ge=0)]
 Metres = Annotated[float, Field(ge=0)]
 
 
@@ -28,8 +27,8 @@ class SampleReport(Wire):
     """One finished measurement."""
 
     sample_id: Identifier
-    round: Annotated[int, Field(ge=1)]
-    plan_revision: Annotated[int, Field(ge=1)]
+    round: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+    plan_revision: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
     x_m: PositionM
     y_m: PositionM
     depth_m: Annotated[float, Field(gt=0, le=3)]

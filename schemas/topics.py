@@ -113,6 +113,20 @@ class Topic:
         return f"{KEY_ROOT}/{mission}/{self.name}"
 
     @property
+    def sources(self) -> frozenset[str] | None:
+        """The names of the processes that make its messages, or its queries; None: people do, under names of their own.
+
+        The role of a process has the name of the process. It holds end to end: the link that carries a message does not
+        become its source.
+        """
+        return _process_names(self.access.query if isinstance(self.service, Query) else self.access.publish)
+
+    @property
+    def reply_sources(self) -> frozenset[str] | None:
+        """The names of the processes that reply to its queries."""
+        return _process_names(self.access.answer)
+
+    @property
     def direction(self) -> Direction | None:
         """Direction in which it crosses the link; None for a topic that stays on its side."""
         return {Crosses.UP: Direction.UP, Crosses.DOWN: Direction.DOWN, Crosses.NEVER: None}[self.crosses]
@@ -136,6 +150,10 @@ class Topic:
         if side is departs:
             return replace(here, subscribe=(Role.LINK, *here.subscribe))
         return replace(here, publish=(Role.LINK, *here.publish))
+
+
+def _process_names(roles: tuple[Role, ...]) -> frozenset[str] | None:
+    return None if any(role in PERSON_ROLES for role in roles) else frozenset(role.value for role in roles)
 
 
 def _standing_on(side: Side, roles: tuple[Role, ...]) -> tuple[Role, ...]:

@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, Generic, Self, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 SCHEMA_VERSION = 1
 """Version of all schemas together; a message of another version is refused."""
@@ -20,6 +20,12 @@ Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:-]{0,63}$")
 
 MissionTimeNs = Annotated[int, Field(ge=0, lt=2**63)]
 """Mission time (UTC), integer nanoseconds since 1970-01-01T00:00:00Z."""
+
+MAX_COUNT = 2**53
+"""Every count is lower: programs that read numbers of JSON as doubles hold it exactly."""
+
+Count = Annotated[int, Field(ge=0, lt=MAX_COUNT)]
+"""A number of things, or the number of one of them."""
 
 MAX_POSITION_M = 1e5
 """Largest coordinate that messages hold [m]: no site is longer on a side."""
@@ -58,17 +64,23 @@ class Header(Wire):
     mission: MissionName
     source: Identifier
     """Name of the process that made it: rover, ground, field, link, an operator's session."""
-    incarnation: Annotated[int, Field(ge=0)]
+    incarnation: Count
     """Number of the start of that process (1, 2, ...); 0 for one that keeps no journal."""
-    sequence: Annotated[int, Field(ge=0)]
+    sequence: Count
     """Counts the messages of one source, incarnation and topic, from 0."""
     made_at: MissionTimeNs
-    held_from: Annotated[int, Field(ge=0)] | None = None
+    held_from: Count | None = None
     """Lowest sequence of its stream that the source still keeps; everything below it is acknowledged."""
-    repetition: Annotated[int, Field(ge=0)] = 0
+    repetition: Count = 0
     """How often the message was sent before; 0 the first time."""
     checksum: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     """CRC-32 of header (without this field) and body as sent on the wire; None: no check."""
+
+    @model_validator(mode="after")
+    def _keeps_itself(self) -> Self:
+        if self.held_from is not None and self.held_from > self.sequence:
+            raise ValueError(f"expected held_from up to sequence {self.sequence}, got {self.held_from}")
+        return self
 
 
 Body = TypeVar("Body", bound=Wire)

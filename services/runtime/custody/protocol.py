@@ -14,7 +14,6 @@ from he3.errors import He3Error
 from schemas.link import Direction, DirectionConditions, LinkConditions
 from services.mission.mission_time import SECOND, MissionTime
 
-MAX_GAPS: Final = 64  # runs of missing messages that one acknowledgement may list; the limit of its schema
 MARGIN_S: Final = 2.0  # s beyond the round trip; covers the pause between acknowledgements and the timers' slack
 ACK_BITS: Final = 3_600  # bits of one acknowledgement on the wire, about 450 bytes [calc]
 

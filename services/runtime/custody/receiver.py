@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
-from schemas.link import Acknowledgement
+from schemas.link import MAX_GAPS, Acknowledgement
 from services.mission.mission_time import MissionTime, seconds
-from services.runtime.custody.protocol import MAX_GAPS, CustodyConfig
+from services.runtime.custody.protocol import CustodyConfig
 
 if TYPE_CHECKING:
     from schemas.topics import Topic

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from services.runtime.custody.protocol import MAX_GAPS, MessageState, Signal, next_state
+from schemas.link import MAX_GAPS
+from services.runtime.custody.protocol import MessageState, Signal, next_state
 
 if TYPE_CHECKING:
     from schemas.link import Acknowledgement

@@ -89,8 +89,8 @@ def hosted(**interface: object) -> tuple[Scripted, Host]:
     return node, host
 
 
-def message(topic, body, mission="short", sequence=0) -> bytes:
-    return encode(Header(mission=mission, source="ground", incarnation=1, sequence=sequence, made_at=4), body)
+def message(topic, body, mission="short", sequence=0, source="ground") -> bytes:
+    return encode(Header(mission=mission, source=source, incarnation=1, sequence=sequence, made_at=4), body)
 
 
 PAUSE = Telecommand(command_id="c1", kind=CommandKind.PAUSE)
@@ -157,11 +157,11 @@ def test_a_query_of_the_node_is_sent_and_its_reply_is_checked_and_delivered_once
     assert decode(MEASURE, put.payload, "short")[1] == MEASUREMENT
     assert host.open_queries() == [put]
     reply = MeasurementReply(sample_id="s1", x_m=1.0, y_m=2.0, helium3_ppb=8.0, noise_std_ppb=0.1)
-    host.handle(ReplyArrived("q1", message(MEASURE, reply)), 21)
+    host.handle(ReplyArrived("q1", message(MEASURE, reply, source="field")), 21)
     assert node.seen[-1] == ReplyReceived(MEASURE, "q1", reply)
     assert host.open_queries() == []
     seen = len(node.seen)
-    assert host.handle(ReplyArrived("q1", message(MEASURE, reply)), 22) == []
+    assert host.handle(ReplyArrived("q1", message(MEASURE, reply, source="field")), 22) == []
     assert host.handle(QueryUnanswered("q1", NoReply.TIMEOUT, ""), 23) == []
     assert len(node.seen) == seen, "an answer that comes twice is taken once"
 

@@ -7,8 +7,8 @@ from concurrent.futures import Future
 from random import Random
 
 from schemas.codec import encode
-from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import EVENT, Side
+from schemas.ground import Presence
+from schemas.topics import MOON_PRESENCE, Side
 from schemas.wire import Header
 from services.runtime.host import Host
 from services.runtime.inputs import Input, MessageArrived, ProcessStarted
@@ -29,7 +29,7 @@ from services.runtime.scheduler import InlineExecutor, Kind, NodeScheduler
 
 class Scripted:
     def __init__(self, script: Callable[[Event, int], Iterable[Effect]] = lambda event, now: ()) -> None:
-        self.interface = Interface("rover", (Side.MOON,), subscribes=(EVENT,), custody=False)
+        self.interface = Interface("rover", (Side.MOON,), subscribes=(MOON_PRESENCE,), custody=False)
         self.seen: list[tuple[int, Event]] = []
         self._script = script
 
@@ -52,7 +52,8 @@ class ManualExecutor:
 
 def message(number: int, source: str = "field") -> Input:
     header = Header(mission="m", source=source, incarnation=1, sequence=number, made_at=0)
-    return MessageArrived(EVENT, encode(header, RoverEvent(kind=EventKind.PARKED, at=0, x_m=0, y_m=0, round=number)))
+    beat = Presence(name=source, side="moon", incarnation=1, software="", pid=1, host="", refused=0, events=number)
+    return MessageArrived(MOON_PRESENCE, encode(header, beat))
 
 
 def scheduler_of(node: Scripted, executor: object = None) -> NodeScheduler:
@@ -68,15 +69,15 @@ def test_messages_come_before_queries_replies_results_and_timers_ordered_by_send
     scheduler = scheduler_of(node)
     scheduler.put((Kind.MESSAGE, "", 0), ProcessStarted(1))
     scheduler.run(5)
-    inputs = [((Kind.MESSAGE, who, number), message(number, who)) for who in ("a", "b") for number in (1, 2)]
+    inputs = [((Kind.MESSAGE, who, number), message(number, who)) for who in ("field", "rover") for number in (1, 2)]
     Random(1).shuffle(inputs)
     for order, given in inputs:
         scheduler.put(order, given)
     scheduler.run(7)
     kinds = [type(event).__name__ for _, event in node.seen[1:]]
     assert kinds == ["Received"] * 4 + ["Computed", "TimerFired", "TimerFired"]
-    assert [(e.header.source, e.body.round) for _, e in node.seen if isinstance(e, Received)] == [
-        ("a", 1), ("a", 2), ("b", 1), ("b", 2)
+    assert [(e.header.source, e.body.events) for _, e in node.seen if isinstance(e, Received)] == [
+        ("field", 1), ("field", 2), ("rover", 1), ("rover", 2)
     ]  # fmt: skip
     assert [e.timer for _, e in node.seen if isinstance(e, TimerFired)] == ["a", "b"]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from schemas.codec import encode
+from schemas.ground import Presence
 from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import EVENT, MEASURE, STATE, Side
+from schemas.topics import EVENT, MEASURE, MOON_PRESENCE, STATE, Side
 from schemas.wire import Header
 from services.mission.mission_time import SECOND
 from services.runtime.drivers.simulation import Simulation
@@ -44,6 +45,10 @@ class Scripted:
         return self._script(event, now)
 
 
+def beat(number: int) -> Presence:
+    return Presence(name="n", side="moon", incarnation=1, software="", pid=1, host="", refused=0, events=number)
+
+
 def happened(number: int) -> RoverEvent:
     return RoverEvent(kind=EventKind.PARKED, at=0, x_m=0.0, y_m=0.0, round=number)
 
@@ -71,15 +76,15 @@ def test_messages_of_one_instant_are_handled_by_sender_and_order_of_sending_in_a
     def sender(name: str) -> Scripted:
         return Scripted(
             Interface(name, (Side.MOON,)),
-            lambda event, now: [Send(EVENT, happened(i)) for i in (1, 2)] if isinstance(event, Started) else [],
+            lambda event, now: [Send(MOON_PRESENCE, beat(i)) for i in (1, 2)] if isinstance(event, Started) else [],
         )
 
     orders = []
-    for names in (("a", "b"), ("b", "a")):
-        listener = Scripted(Interface("listener", (Side.MOON,), subscribes=(EVENT,)), lambda event, now: [])
+    for names in (("field", "rover"), ("rover", "field")):
+        listener = Scripted(Interface("link", (Side.MOON,), subscribes=(MOON_PRESENCE,)), lambda event, now: [])
         simulation(*(sender(name) for name in names), listener).run()
-        orders.append([(e.header.source, e.body.round) for _, e in listener.seen if isinstance(e, Received)])
-    assert orders[0] == orders[1] == [("a", 1), ("a", 2), ("b", 1), ("b", 2)]
+        orders.append([(e.header.source, e.body.events) for _, e in listener.seen if isinstance(e, Received)])
+    assert orders[0] == orders[1] == [("field", 1), ("field", 2), ("rover", 1), ("rover", 2)]
 
 
 def test_a_message_reaches_only_the_nodes_on_its_side() -> None:
