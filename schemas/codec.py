@@ -15,10 +15,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from schemas.topics import Topic
 from schemas.validation import one_line
-from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire
+from schemas.wire import SCHEMA_VERSION, Envelope, Header, Wire, printable
 
 _OPENING = b'{"header":'
 _SEAL = re.compile(rb',"checksum":(\d{1,10})},"body":')
+_DECODER = json.JSONDecoder()
 _HEADER_LIMIT_BYTES = 2_000
 """Length of the beginning of a message in which the checksum is searched; a header is much shorter."""
 
@@ -81,6 +82,31 @@ def _check_seal(payload: bytes, where: str) -> bool:
 def decode(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
     """Header and body of a message of that topic; raises Refused with one line for anything else."""
     return _decode(topic.payload, payload, mission, topic.key(mission), topic.max_bytes, topic.sources)
+
+
+def raw_objection(topic: Topic, payload: bytes) -> str | None:
+    """One line on why the topic does not admit the message, as far as its length and its source show; None if it may."""
+    where = topic.name
+    if len(payload) > topic.max_bytes:
+        return f"{where}: expected at most {topic.max_bytes} bytes, got {len(payload)}"
+    source = header_of(payload).get("source")
+    if topic.sources is None or source in topic.sources:
+        return None
+    shown = printable(source)[:64] if isinstance(source, str) else "none"
+    return f"{where}: expected a message of {' or '.join(sorted(topic.sources))}, got one of '{shown}'"
+
+
+def header_of(payload: bytes) -> dict[str, Any]:
+    """The header as it is in the payload, unchecked; empty if it cannot be read."""
+    try:
+        if payload.startswith(_OPENING):
+            text = payload[len(_OPENING) : _HEADER_LIMIT_BYTES].decode("utf-8", "replace")
+            header = _DECODER.raw_decode(text)[0]
+        else:
+            header = json.loads(payload)["header"]
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError):
+        return {}
+    return header if isinstance(header, dict) else {}
 
 
 def decode_reply(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:

@@ -199,7 +199,7 @@ class ClockMode(StrEnum):
 
 
 LATEST_CLOCK_NS = 8_204_803_200 * 10**9
-"""2230-01-01, after the latest start of a scenario. What is scheduled at most `MAX_SCHEDULE_S` later fits into int64."""
+"""2230-01-01: after the latest start of a scenario, and what is scheduled `MAX_SCHEDULE_S` later fits into int64."""
 
 ClockTimeNs = Annotated[int, Field(ge=0, lt=LATEST_CLOCK_NS)]
 """A time that a clock shows [ns]."""

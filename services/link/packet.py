@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from schemas.codec import header_of
 from schemas.topics import Custody, Latest, Topic
+from schemas.wire import MAX_COUNT, printable
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
 
 UNKNOWN_SOURCE = "?"
-
-_HEADER_FIRST = b'{"header":'
-_HEADER_LIMIT_BYTES = 2_000
-_DECODER = json.JSONDecoder()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +50,10 @@ class Packet:
 
 def packet_of(topic: Topic, payload: bytes, offered_at: MissionTime, order: int) -> Packet:
     """The packet of that payload; if its header cannot be read, the source is '?' and the sequence 0."""
-    header = _header(payload)
+    header = header_of(payload)
     source, sequence = header.get("source"), header.get("sequence")
     readable = isinstance(source, str) and isinstance(sequence, int) and not isinstance(sequence, bool)
-    readable = readable and 0 <= sequence < 2**63  # type: ignore[operator]
+    readable = readable and 0 <= sequence < MAX_COUNT  # type: ignore[operator]
     subject: tuple[str, ...] = ()
     if readable and isinstance(topic.service, Latest):
         subject = (topic.name, str(source), *_distinct(topic.service, payload))
@@ -64,25 +62,12 @@ def packet_of(topic: Topic, payload: bytes, offered_at: MissionTime, order: int)
     return Packet(
         topic=topic,
         payload=payload,
-        source=str(source)[:64] if readable else UNKNOWN_SOURCE,
+        source=printable(str(source))[:64] if readable else UNKNOWN_SOURCE,
         sequence=int(sequence) if readable else 0,  # type: ignore[arg-type]
         subject=subject,
         offered_at=offered_at,
         order=order,
     )
-
-
-def _header(payload: bytes) -> dict[str, Any]:
-    """The header as it is in the payload, unchecked; empty if it cannot be read."""
-    try:
-        if payload.startswith(_HEADER_FIRST):
-            text = payload[len(_HEADER_FIRST) : _HEADER_LIMIT_BYTES].decode("utf-8", "replace")
-            header = _DECODER.raw_decode(text)[0]
-        else:
-            header = json.loads(payload)["header"]
-    except (ValueError, TypeError, KeyError, IndexError, RecursionError):
-        return {}
-    return header if isinstance(header, dict) else {}
 
 
 def _distinct(service: Latest, payload: bytes) -> tuple[str, ...]:

@@ -134,4 +134,5 @@ class ProcessContext:
 
     def refused(self, why: str) -> None:
         """Count and log something from outside that never reached the node."""
-        self.log.write(self.scheduler.host.refuse(why))
+        for record in self.scheduler.host.refuse(why):
+            self.perform(record)

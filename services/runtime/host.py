@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
-from schemas.codec import Refused, decode, decode_reply, encode
+from schemas.codec import Refused, decode, decode_reply, encode, raw_objection
 from schemas.topics import Crosses, Query, Side, Topic, under_custody
 from schemas.wire import Header, Wire
-from services.mission.mission_time import MissionTime
+from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.endpoint import STATE_TYPES as CUSTODY_STATE_TYPES
@@ -72,6 +72,15 @@ def origin(topic: Topic) -> Side:
 
 EventSink = Callable[[MissionTime, str, str], None]
 """Called for each event handled with mission time, node and a line that describes it: the event log."""
+
+MAX_AHEAD: Final = 86_400 * SECOND
+"""Messages made further ahead of the present mission time are refused [ns].
+
+The clocks of two processes differ by what a change of the rate, or the wall clocks of two machines, take to agree.
+"""
+
+SHOWN_REFUSALS: Final = 20
+"""Refusals of which each has a line in the log; of those that follow, every one whose number is a power of two."""
 
 STATE_TYPES: Final[tuple[type, ...]] = (Compute, Finish, PublishSnapshot, PutQuery, Side, *CUSTODY_STATE_TYPES)
 """The types in the state of a host and its scheduler, beside plain values and the node's own types."""
@@ -234,14 +243,24 @@ class Host:
         """The actions for an incoming message; one that its topic does not admit is refused and counted."""
         what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}"
         if topic in self._interface.receives_raw:
+            objection = raw_objection(topic, payload)
+            if objection is not None:
+                return self.refuse(objection)
             return self._handle(ReceivedRaw(topic, payload), now, what)
         try:
             header, body = decode(topic, payload, self._mission)
         except Refused as refusal:
-            return [self.refuse(str(refusal))]
+            return self.refuse(str(refusal))
+        if header.made_at > now + MAX_AHEAD:
+            return self.refuse(
+                f"{topic.name}: expected a message of {header.source} made by {now} ns, got one made at {header.made_at}"
+            )
         endpoint = self._custody
         if endpoint is None or topic.direction is None:
             return self._handle(Received(topic, header, body), now, what)
+        objection = endpoint.objection(topic, header, body)
+        if objection is not None:
+            return self.refuse(objection)
         if topic is endpoint.ack_topic:
             return endpoint.acknowledged(body, header, now)
         deliveries, actions = endpoint.received(topic, header, body, len(payload), now)
@@ -254,7 +273,7 @@ class Host:
         try:
             _, body = decode(topic, payload, self._mission)
         except Refused as refusal:
-            return [self.refuse(str(refusal)), ReplyError(token, topic, str(refusal))]
+            return [*self.refuse(str(refusal)), ReplyError(token, topic, str(refusal))]
         return self._checked_query(topic, body, token, now)
 
     def _checked_query(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
@@ -272,7 +291,7 @@ class Host:
             _, reply = decode_reply(topic, payload, self._mission)
         except Refused as refusal:
             unanswered = QueryFailed(topic, query, NoReply.REFUSED, str(refusal))
-            return [self.refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
+            return [*self.refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
         return self._handle(
             ReplyReceived(topic, query, reply), now, f"answered {topic.name} {zlib.crc32(payload):08x} {query}"
         )
@@ -345,7 +364,9 @@ class Host:
             made_at=now,
         )
 
-    def refuse(self, why: str) -> LogRecord:
-        """The log record of something from outside that was refused; it is counted."""
+    def refuse(self, why: str) -> list[Action]:
+        """The log record of something from outside that was refused; it is counted. A flood of them is not all logged."""
         self._refused += 1
-        return LogRecord(Level.WARNING, f"refused: {why}", {"refused": self._refused})
+        if self._refused > SHOWN_REFUSALS and self._refused & (self._refused - 1):
+            return []
+        return [LogRecord(Level.WARNING, f"refused: {why}", {"refused": self._refused})]

@@ -15,9 +15,9 @@ from schemas.topics import ACK_DOWN, ACK_UP, TOPICS, Side, Topic, under_custody
 from schemas.wire import Header, Wire
 from services.runtime.actions import Action, Publish
 from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState
-from services.runtime.custody.receiver import Arrival, CustodyReceiver, Delivery
+from services.runtime.custody.receiver import Arrival, CustodyReceiver, Delivery, Skip
 from services.runtime.custody.sender import CustodySender, Transmit
-from services.runtime.custody.stream import Transmission
+from services.runtime.custody.stream import Transmission, made
 from services.runtime.node import Interface, Level, LogRecord, SetTimer
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     Delivery,
     Header,
     MessageState,
+    Skip,
     Transmission,
     *{topic.payload for topic in TOPICS if under_custody(topic)},
 )
@@ -58,7 +59,7 @@ class CustodyEndpoint:
         self._receiver = CustodyReceiver(config)
         self._acks_sent = 0
         self._timer_at: MissionTime | None = None
-        self._newest: dict[tuple[str, str], tuple[int, int]] = {}
+        self._newest: dict[tuple[str, str], tuple[MissionTime, int, int]] = {}
 
     @property
     def depth(self) -> int:
@@ -85,20 +86,26 @@ class CustodyEndpoint:
         except CustodyQueueFull as error:
             return [LogRecord(Level.ERROR, str(error))]
 
+    def objection(self, topic: Topic, header: Header, body: Any) -> str | None:
+        """One line on a message that its source cannot have sent; None if there is nothing to object."""
+        if isinstance(body, Acknowledgement):
+            return self._sender.objection(body)
+        return self._receiver.objection(topic, header) if under_custody(topic) else None
+
     def received(
         self, topic: Topic, header: Header, body: Any, size_bytes: int, now: MissionTime
     ) -> tuple[list[Delivery], list[Action]]:
         """The messages to deliver after a message that crossed the link, and the actions to carry out."""
         actions = self._publish(self._sender.contact(now))
         if not under_custody(topic):
-            return [Delivery(topic, header, body)] if self._is_newest(topic, header) else [], actions
+            return [Delivery(topic, header, body)] if self._is_newest(topic, header, now) else [], actions
         deliveries, acks = self._receiver.received(topic, header, body, size_bytes, now)
         return deliveries, actions + self._acknowledge(acks, now)
 
-    def _is_newest(self, topic: Topic, header: Header) -> bool:
+    def _is_newest(self, topic: Topic, header: Header, now: MissionTime) -> bool:
         """Whether the message is the newest of a topic that is never repeated; an overtaken one is dropped."""
-        number = (header.incarnation, header.sequence)
-        if number <= self._newest.get((topic.name, header.source), (-1, -1)):
+        number = made(header, now)
+        if number <= self._newest.get((topic.name, header.source), (-1, -1, -1)):
             return False
         self._newest[topic.name, header.source] = number
         return True

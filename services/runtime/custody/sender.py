@@ -21,7 +21,7 @@ from schemas.codec import restamped
 from schemas.topics import Custody, Topic, under_custody
 from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, MessageState, Signal
 from services.runtime.custody.retransmission import RetransmissionTimer
-from services.runtime.custody.stream import KeptMessage, SendStream, Transmission, below, missing
+from services.runtime.custody.stream import KeptMessage, SendStream, Transmission, below, made, missing
 from services.runtime.custody.window import SendWindow
 
 if TYPE_CHECKING:
@@ -100,10 +100,20 @@ class CustodySender:
         self._resume(now)
         return self._send(now)
 
+    def objection(self, ack: Acknowledgement) -> str | None:
+        """One line on an acknowledgement of a message that was never sent; None if there is nothing to object."""
+        stream = self._streams.get((ack.stream, ack.incarnation)) if ack.source == self._source else None
+        if stream is None or ack.next_sequence <= stream.highest_sent + 1:
+            return None
+        return (
+            f"acknowledgement of {ack.stream}: expected at most the {stream.highest_sent + 1} messages that were sent, "
+            f"got {ack.next_sequence}"
+        )
+
     def acknowledged(self, ack: Acknowledgement, header: Header, now: MissionTime) -> list[Transmit]:
         """Handle an acknowledgement. One for another source, or an outdated one, only proves contact."""
         stream = self._streams.get((ack.stream, ack.incarnation)) if ack.source == self._source else None
-        number = (header.incarnation, header.sequence)
+        number = made(header, now)
         if stream is None or number <= stream.newest_ack:
             return self.contact(now)
         stream.newest_ack = number
@@ -190,6 +200,7 @@ class CustodySender:
             stream.waits_since = now
         self._transmissions += 1
         last_bit_at = self._timer.transmit(len(message.payload), now)
+        stream.highest_sent = max(stream.highest_sent, message.sequence)
         message.transmitted(Transmission(self._transmissions, now, last_bit_at))
         self._window.open(stream.sent, message)
         if self.suspended:
@@ -279,6 +290,8 @@ class CustodySender:
         progress = False
         for sequence in list(below(stream.kept, ack.next_sequence)):
             message = stream.kept[sequence]
+            if not message.transmissions:
+                continue  # it cannot have arrived
             if sequence >= complete and (message.state is MessageState.HELD or missing(ack, sequence)):
                 continue
             progress = True

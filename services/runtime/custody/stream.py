@@ -13,6 +13,7 @@ from services.runtime.custody.protocol import MessageState, Signal, next_state
 if TYPE_CHECKING:
     from schemas.link import Acknowledgement
     from schemas.topics import Topic
+    from schemas.wire import Header
     from services.mission.mission_time import MissionTime
     from services.runtime.node import SavedState
 
@@ -94,8 +95,10 @@ class SendStream:
     unanswered: int = 0
     """Repetitions since the last message from the other side."""
     waits_since: MissionTime = 0
-    newest_ack: tuple[int, int] = (-1, -1)
-    """Incarnation and sequence of the newest acknowledgement."""
+    highest_sent: int = -1
+    """Highest sequence that was ever sent: no other can be acknowledged."""
+    newest_ack: tuple[MissionTime, int, int] = (-1, -1, -1)
+    """Time, incarnation and sequence of the newest acknowledgement; see `made`."""
 
     @property
     def oldest_sent(self) -> KeptMessage | None:
@@ -132,6 +135,7 @@ class SendStream:
             "doublings": self.doublings,
             "unanswered": self.unanswered,
             "waits_since": self.waits_since,
+            "highest_sent": self.highest_sent,
             "newest_ack": self.newest_ack,
         }
 
@@ -147,6 +151,7 @@ class SendStream:
             doublings=state["doublings"],
             unanswered=state["unanswered"],
             waits_since=state["waits_since"],
+            highest_sent=state["highest_sent"],
             newest_ack=state["newest_ack"],
         )
 
@@ -164,6 +169,15 @@ def _kept(message: KeptMessage) -> SavedState:
         "transmissions": dict(message.transmissions),
         "queued": message.queued,
     }
+
+
+def made(header: Header, now: MissionTime) -> tuple[MissionTime, int, int]:
+    """The order in which a source made its messages, as far as a message that comes now shows it.
+
+    Time counts first, and no message was made after it came. So a number or a time that its source never reached
+    outdates what follows for no longer than that was under way.
+    """
+    return min(header.made_at, now), header.incarnation, header.sequence
 
 
 def missing(ack: Acknowledgement, sequence: int) -> bool:

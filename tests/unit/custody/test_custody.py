@@ -120,7 +120,11 @@ class Station:
         except Refused:
             return
         if isinstance(body, Acknowledgement):
+            if self.sender.objection(body) is not None:
+                return
             self.transmit(self.sender.acknowledged(body, header, now))
+            return
+        if under_custody(topic) and self.receiver.objection(topic, header) is not None:
             return
         self.transmit(self.sender.contact(now))
         if under_custody(topic):
