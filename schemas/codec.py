@@ -85,7 +85,7 @@ def decode(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
 
 
 def raw_objection(topic: Topic, payload: bytes) -> str | None:
-    """One line on why the topic does not admit the message, as far as its length and its source show; None if it may."""
+    """One line on why the topic does not admit a message, judged by its length and its source; None if it may."""
     where = topic.name
     if len(payload) > topic.max_bytes:
         return f"{where}: expected at most {topic.max_bytes} bytes, got {len(payload)}"

@@ -153,7 +153,8 @@ class Topic:
 
 
 def _process_names(roles: tuple[Role, ...]) -> frozenset[str] | None:
-    return None if any(role in PERSON_ROLES for role in roles) else frozenset(role.value for role in roles)
+    people = not roles or any(role in PERSON_ROLES for role in roles)
+    return None if people else frozenset(role.value for role in roles)
 
 
 def _standing_on(side: Side, roles: tuple[Role, ...]) -> tuple[Role, ...]:

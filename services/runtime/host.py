@@ -253,7 +253,7 @@ class Host:
             return self.refuse(str(refusal))
         if header.made_at > now + MAX_AHEAD:
             return self.refuse(
-                f"{topic.name}: expected a message of {header.source} made by {now} ns, got one made at {header.made_at}"
+                f"{topic.name}: expected a message of {header.source} made by {now} ns, got one of {header.made_at} ns"
             )
         endpoint = self._custody
         if endpoint is None or topic.direction is None:
@@ -365,7 +365,7 @@ class Host:
         )
 
     def refuse(self, why: str) -> list[Action]:
-        """The log record of something from outside that was refused; it is counted. A flood of them is not all logged."""
+        """The log record of something from outside that was refused, and is counted; of a flood few have one."""
         self._refused += 1
         if self._refused > SHOWN_REFUSALS and self._refused & (self._refused - 1):
             return []

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 
 from schemas.codec import encode
+from schemas.ground import Presence
 from schemas.lockstep import Grant, Joined
 from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import EVENT, MEASURE, Side
+from schemas.topics import EVENT, MEASURE, MOON_PRESENCE, Side
 from schemas.wire import Header
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.host import Host
@@ -32,7 +33,7 @@ from services.runtime.scheduler import InlineExecutor, NodeScheduler
 
 class Scripted:
     def __init__(self, script: Callable[[Event, int], Iterable[Effect]] = lambda event, now: ()) -> None:
-        self.interface = Interface("rover", (Side.MOON,), subscribes=(EVENT,), custody=False)
+        self.interface = Interface("rover", (Side.MOON,), subscribes=(MOON_PRESENCE,), custody=False)
         self.seen: list[tuple[int, Event]] = []
         self._script = script
 
@@ -74,7 +75,8 @@ class Carrier:
 
 def message(number: int, source: str = "field") -> Input:
     header = Header(mission="m", source=source, incarnation=1, sequence=number, made_at=0)
-    return MessageArrived(EVENT, encode(header, RoverEvent(kind=EventKind.PARKED, at=0, x_m=0, y_m=0, round=number)))
+    beat = Presence(name=source, side="moon", incarnation=1, software="", pid=1, host="", refused=0, events=number)
+    return MessageArrived(MOON_PRESENCE, encode(header, beat))
 
 
 def scheduler_of(node: Scripted, executor: object = None) -> NodeScheduler:
@@ -103,9 +105,9 @@ def test_what_arrives_during_a_step_waits_for_the_next() -> None:
     part.take_message(message(1), stamp("field", 1, step=4))
     part.take_message(message(2), stamp("field", 2, step=5))
     granted(part, 5, 100, field=1).act(Carrier())
-    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [1]
+    assert [e.body.events for _, e in node.seen if isinstance(e, Received)] == [1]
     granted(part, 6, 100, field=1).act(Carrier())
-    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [1, 2]
+    assert [e.body.events for _, e in node.seen if isinstance(e, Received)] == [1, 2]
 
 
 def test_a_step_waits_for_every_input_that_its_grant_announces() -> None:
@@ -140,7 +142,7 @@ def test_an_input_from_outside_that_arrives_during_a_step_waits_for_the_next() -
     part.act(Carrier())
     assert node.seen == []
     granted(part, 6, 100).act(Carrier())
-    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [1]
+    assert [e.body.events for _, e in node.seen if isinstance(e, Received)] == [1]
 
 
 def test_inputs_from_outside_are_held_while_a_mission_ends_and_all_others_are_handled() -> None:
@@ -150,11 +152,11 @@ def test_inputs_from_outside_are_held_while_a_mission_ends_and_all_others_are_ha
     part.take_message(message(1), None)
     part.take_message(message(2), stamp("field", 1, step=4))
     granted(part, 5, 100, field=1).act(Carrier())
-    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [2]
+    assert [e.body.events for _, e in node.seen if isinstance(e, Received)] == [2]
     assert part.holds_outside
     part.hold_outside = False
     granted(part, 6, 100).act(Carrier())
-    assert [e.body.round for _, e in node.seen if isinstance(e, Received)] == [2, 1]
+    assert [e.body.events for _, e in node.seen if isinstance(e, Received)] == [2, 1]
     assert not part.holds_outside
 
 

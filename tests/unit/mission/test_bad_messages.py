@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import pytest
@@ -118,20 +119,25 @@ def wrong_values(schema: Json, definitions: Json) -> Iterator[tuple[str, Json]]:
 # --- bad messages of one topic ----------------------------------------------------------------------------------
 
 
-def header(**more: Json) -> dict[str, Json]:
-    return {"mission": MISSION, "source": "stranger", "incarnation": 1, "sequence": 0, "made_at": 5, **more}
+def header(source: str = "stranger", **more: Json) -> dict[str, Json]:
+    return {"mission": MISSION, "source": source, "incarnation": 1, "sequence": 0, "made_at": 5, **more}
 
 
 def text(head: Json, body: Json) -> bytes:
     return json.dumps({"header": head, "body": body}).encode()
 
 
+def source_of(topic: Topic) -> str:
+    """A process that makes such messages, or a person."""
+    return min(topic.sources or {"stranger"})
+
+
 def bad_messages(topic: Topic) -> Iterator[tuple[str, bytes]]:
     """A description of the error and the message with it."""
-    body = body_example(topic)
-    good = text(header(), body)
+    body, head = body_example(topic), partial(header, source=source_of(topic))
+    good = text(head(), body)
     decode(topic, good, MISSION)  # else nothing below would mean anything
-    sealed = encode(Header.model_validate(header()), decode(topic, good, MISSION)[1])
+    sealed = encode(Header.model_validate(head()), decode(topic, good, MISSION)[1])
     decode(topic, sealed, MISSION)
     yield "nothing", b""
     yield "other bytes", bytes(range(128, 256))
@@ -146,33 +152,40 @@ def bad_messages(topic: Topic) -> Iterator[tuple[str, bytes]]:
     yield "nothing at all", b"null"
     yield "too long", good + b" " * topic.max_bytes
     yield "no header", json.dumps({"body": body}).encode()
-    yield "no body", json.dumps({"header": header()}).encode()
-    yield "one part too many", json.dumps({"header": header(), "body": body, "tail": 1}).encode()
-    yield "header: an unknown field", text(header(colour="red"), body)
-    yield "header: another version", text(header(version=SCHEMA_VERSION + 1), body)
-    yield "header: a version as text", text(header(version=str(SCHEMA_VERSION)), body)
-    yield "header: another mission", text(header(mission="another"), body)
-    yield "header: no mission's name", text(header(mission="../moon"), body)
-    yield "header: a source that is no name", text(header(source="a b"), body)
-    yield "header: a source without end", text(header(source="a" * 65), body)
-    yield "header: a negative sequence", text(header(sequence=-1), body)
-    yield "header: a sequence that is a fraction", text(header(sequence=0.5), body)
-    yield "header: a time before time", text(header(made_at=-1), body)
-    yield "header: a time beyond time", text(header(made_at=2**63), body)
-    yield "header: a time in seconds", text(header(made_at=1.5), body)
-    yield "header: a checksum that is not where it belongs", text(header(checksum=1), body)
-    for name in header():
-        yield f"header: no {name}", text({key: value for key, value in header().items() if key != name}, body)
-    yield "body: a text", text(header(), "text")
-    yield "body: an unknown field", text(header(), {**body, "colour": "red"})
+    yield "no body", json.dumps({"header": head()}).encode()
+    yield "one part too many", json.dumps({"header": head(), "body": body, "tail": 1}).encode()
+    yield "header: an unknown field", text(head(colour="red"), body)
+    yield "header: another version", text(head(version=SCHEMA_VERSION + 1), body)
+    yield "header: a version as text", text(head(version=str(SCHEMA_VERSION)), body)
+    yield "header: another mission", text(head(mission="another"), body)
+    yield "header: no mission's name", text(head(mission="../moon"), body)
+    yield "header: a source that is no name", text(head(source="a b"), body)
+    if topic.sources is not None:
+        yield "header: a source that does not make them", text(head(source="mallory"), body)
+        yield "header: a source in other letters", text(head(source=source_of(topic).upper()), body)
+    yield "header: a lone surrogate", text(head(source="\ud800"), body)
+    yield "header: a number that none reaches", text(head(sequence=2**53), body)
+    yield "header: an incarnation that none reaches", text(head(incarnation=2**62), body)
+    yield "header: a message that is not kept", text(head(held_from=1), body)
+    yield "header: a source without end", text(head(source="a" * 65), body)
+    yield "header: a negative sequence", text(head(sequence=-1), body)
+    yield "header: a sequence that is a fraction", text(head(sequence=0.5), body)
+    yield "header: a time before time", text(head(made_at=-1), body)
+    yield "header: a time beyond time", text(head(made_at=2**63), body)
+    yield "header: a time in seconds", text(head(made_at=1.5), body)
+    yield "header: a checksum that is not where it belongs", text(head(checksum=1), body)
+    for name in head():
+        yield f"header: no {name}", text({key: value for key, value in head().items() if key != name}, body)
+    yield "body: a text", text(head(), "text")
+    yield "body: an unknown field", text(head(), {**body, "colour": "red"})
     yield "a checksum of another message", sealed.replace(b'"sequence":0', b'"sequence":1')
     yield "a byte of it changed", sealed.replace(b'"body":{', b'"body": {', 1)
     schema, definitions = body_schema(topic)
     for name in schema.get("required", []):
-        yield f"{name}: missing", text(header(), {key: value for key, value in body.items() if key != name})
+        yield f"{name}: missing", text(head(), {key: value for key, value in body.items() if key != name})
     for name, field in schema.get("properties", {}).items():
         for what, value in wrong_values(field, definitions):
-            yield f"{name}: {what}", text(header(), {**body, name: value})
+            yield f"{name}: {what}", text(head(), {**body, name: value})
 
 
 def is_one_clear_line(line: str, topic: Topic) -> bool:
@@ -201,14 +214,15 @@ def test_an_answer_that_is_not_what_its_question_asks_for_is_refused_too(topic):
 
 def test_what_was_damaged_on_the_way_is_told_from_what_was_never_right():
     topic = BY_NAME["tc/command"]
-    sealed = encode(Header.model_validate(header()), decode(topic, text(header(), body_example(topic)), MISSION)[1])
+    head = header(source="ground")
+    sealed = encode(Header.model_validate(head), decode(topic, text(head, body_example(topic)), MISSION)[1])
     for position in range(len(sealed)):
         for change in (0x01, 0x20):
             spoilt = sealed[:position] + bytes([sealed[position] ^ change]) + sealed[position + 1 :]
             with pytest.raises(Refused):
                 decode(topic, spoilt, MISSION)
     with pytest.raises(Damaged, match="damaged"):
-        decode(topic, sealed.replace(b"stranger", b"strangel"), MISSION)
+        decode(topic, sealed.replace(b"ground", b"groumd"), MISSION)
 
 
 def test_a_refusal_names_version_before_everything_else():
@@ -267,7 +281,7 @@ def test_bad_messages_on_a_topic_change_no_node_and_are_counted_by_those_who_hea
     counted = {name: count - refused_before[name] for name, count in refusals(mission).items()}
     assert counted == {name: sent if name in hearing else 0 for name in NODES}
     lines = [note for _, _, note in simulation.log_records[noted:]]
-    assert len(lines) == sent * len(hearing)
+    assert len(lines) <= sent * len(hearing), "a flood of refusals is not all logged"
     assert all(note.level is Level.WARNING and note.text.startswith("refused: ") for note in lines)
 
 

@@ -29,7 +29,7 @@ from schemas.topics import (
 )
 from schemas.wire import Header
 from services.runtime.actions import Publish, PutQuery, Reply, ReplyError
-from services.runtime.host import Host, origin
+from services.runtime.host import MAX_AHEAD, Host, origin
 from services.runtime.inputs import (
     CheckedQueryArrived,
     MessageArrived,
@@ -143,9 +143,49 @@ def test_a_bad_message_is_refused_and_counted_and_does_not_reach_the_node(payloa
 
 def test_a_raw_message_is_delivered_as_it_arrived():
     node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), receives_raw=(COMMAND,))
-    host.handle(MessageArrived(COMMAND, b"\xff sealed"), 20)
-    assert node.seen == [ReceivedRaw(COMMAND, b"\xff sealed")]
+    payload = message(COMMAND, PAUSE)[:-9] + b"damaged"
+    host.handle(MessageArrived(COMMAND, payload), 20)
+    assert node.seen == [ReceivedRaw(COMMAND, payload)]
     assert host.refused == 0
+
+
+@pytest.mark.parametrize(
+    ("payload", "line"),
+    [
+        (b"\xff sealed", "refused: tc/command: expected a message of ground, got one of 'none'"),
+        (
+            message(COMMAND, PAUSE, source="mallory"),
+            "refused: tc/command: expected a message of ground, got one of 'mallory'",
+        ),
+        (b'{"header":{"source":"\\ud800"}}', "refused: tc/command: expected a message of ground, got one of '\\ud800'"),
+        (message(COMMAND, PAUSE) + b" " * 16_384, "refused: tc/command: expected at most 16384 bytes, got "),
+    ],
+)
+def test_a_raw_message_that_is_too_long_or_of_another_source_is_refused(payload, line):
+    node, host = hosted(name="link", sides=(Side.MOON, Side.EARTH), receives_raw=(COMMAND,))
+    (record,) = host.handle(MessageArrived(COMMAND, payload), 20)
+    assert record.text.startswith(line)
+    assert (node.seen, host.refused) == ([], 1)
+
+
+def test_a_message_from_the_future_is_refused():
+    node, host = hosted(subscribes=(COMMAND,))
+    header = Header(mission="short", source="ground", incarnation=1, sequence=0, made_at=20 + MAX_AHEAD)
+    host.handle(MessageArrived(COMMAND, encode(header, PAUSE)), 20)
+    assert len(node.seen) == 1
+    for made_at in (21 + MAX_AHEAD, 2**63 - 1):
+        later = header.model_copy(update={"made_at": made_at})
+        (record,) = host.handle(MessageArrived(COMMAND, encode(later, PAUSE)), 20)
+        assert "expected a message of ground made by 20 ns" in record.text
+    assert len(node.seen) == 1
+
+
+def test_a_flood_of_refusals_is_counted_and_has_few_lines():
+    _, host = hosted(subscribes=(COMMAND,))
+    lines = [record for _ in range(1_000) for record in host.handle(MessageArrived(COMMAND, b"x"), 20)]
+    assert host.refused == 1_000
+    assert len(lines) == 25
+    assert lines[-1].fields == {"refused": 512}
 
 
 def test_a_query_of_the_node_is_sent_and_its_reply_is_checked_and_delivered_once():
