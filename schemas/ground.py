@@ -107,5 +107,7 @@ class Presence(Wire):
     refused: Count
     """Messages refused since the process started."""
     events: Count
+    defects: Count = 0
+    """Messages set aside since the process started, because the program failed upon them."""
     insecure: bool = False
     """Whether it uses an endpoint off loopback without TLS."""

@@ -51,4 +51,19 @@ class ReplyError:
     code: RefusalCode = RefusalCode.INVALID_INPUT
 
 
-Action = Publish | PutQuery | Reply | ReplyError | SetTimer | Compute | PublishSnapshot | LogRecord | Finish
+@dataclass(frozen=True, slots=True)
+class SetAside:
+    """Report an input that the node could not handle because of a defect, and keep it for diagnosis."""
+
+    what: str
+    """The input: topic, length and checksum."""
+    payload: bytes
+    """Its bytes; empty if it had none."""
+    error: str
+    """Type and text of the exception, and the place where it was raised."""
+    traceback: tuple[str, ...]
+    number: int
+    """Counts the inputs that were set aside since the start."""
+
+
+Action = Publish | PutQuery | Reply | ReplyError | SetAside | SetTimer | Compute | PublishSnapshot | LogRecord | Finish

@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 from schemas.codec import body_of
+from services.runtime.actions import SetAside
 from services.runtime.node import Finish, LogRecord, PublishSnapshot
 from services.runtime.service_manager import ServiceManager
+from services.runtime.set_aside import SetAsideFile
 
 if TYPE_CHECKING:
     from schemas.refusal import Refusal
@@ -103,6 +105,7 @@ class ProcessContext:
     resume: list[Action] = field(default_factory=list)
     """Actions that the replay of the journal left to do."""
     open_queries: OpenQueries = field(default_factory=OpenQueries)
+    set_aside: SetAsideFile = field(default_factory=lambda: SetAsideFile(None))
     manager: ServiceManager = field(default_factory=ServiceManager)
     """The service manager that started this process, if one did."""
 
@@ -129,8 +132,17 @@ class ProcessContext:
                         self.query_process.settle()
             case LogRecord():
                 self.log.write(action, self.clock.latest)
+            case SetAside():
+                self._report_defect(action)
             case Finish(ok, why):
                 self.log.info(f"finished: {why}", ok=ok)
+
+    def _report_defect(self, action: SetAside) -> None:
+        kept = self.set_aside.keep(action, self.clock.latest)
+        fields = {"defects": action.number, "traceback": " | ".join(action.traceback)}
+        if kept:
+            fields["kept_in"] = str(self.set_aside.path)
+        self.log.error(f"set aside, a defect: {action.what}: {action.error}", **fields)
 
     def refused(self, why: str) -> None:
         """Count and log something from outside that never reached the node."""

@@ -58,6 +58,7 @@ class Heartbeat:
                 host=platform.node()[:100],
                 refused=self._host.refused,
                 events=self._host.events,
+                defects=self._host.defects,
                 insecure=self._insecure,
             )
             header = Header(

@@ -6,16 +6,18 @@ do alike is done here, so a mission is the same in one process, in many, and aft
 
 from __future__ import annotations
 
+import traceback
 import zlib
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, decode_reply, encode, raw_objection
+from schemas.refusal import RefusalCode
 from schemas.topics import Crosses, Query, Side, Topic, under_custody
-from schemas.wire import Header, Wire
+from schemas.wire import MAX_TEXT, Header, Wire, printable
 from services.mission.mission_time import SECOND, MissionTime
-from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
+from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError, SetAside
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.endpoint import STATE_TYPES as CUSTODY_STATE_TYPES
 from services.runtime.inputs import (
@@ -70,6 +72,23 @@ def origin(topic: Topic) -> Side:
     return Side.EARTH if topic.crosses is Crosses.UP else Side.MOON
 
 
+def _from_outside(given: Input) -> bool:
+    return isinstance(given, MessageArrived | QueryArrived | CheckedQueryArrived | ReplyArrived)
+
+
+def _described(given: Input | None) -> tuple[str, bytes]:
+    """The input in one line, and its bytes."""
+    match given:
+        case MessageArrived(topic, payload) | QueryArrived(topic, payload):
+            return f"{topic.name} {len(payload)} {zlib.crc32(payload):08x}", payload
+        case ReplyArrived(query, payload):
+            return f"reply to {query} {len(payload)} {zlib.crc32(payload):08x}", payload
+        case CheckedQueryArrived(topic, request):
+            payload = request.model_dump_json().encode()
+            return f"{topic.name} {len(payload)} {zlib.crc32(payload):08x}", payload
+    return type(given).__name__, b""
+
+
 EventSink = Callable[[MissionTime, str, str], None]
 """Called for each event handled with mission time, node and a line that describes it: the event log."""
 
@@ -78,6 +97,11 @@ MAX_AHEAD: Final = 86_400 * SECOND
 
 The clocks of two processes differ by what a change of the rate, or the wall clocks of two machines, take to agree.
 """
+
+FROM_OUTSIDE: Final = (Received, ReceivedRaw, QueryReceived, ReplyReceived)
+"""Events that follow from what others send. An exception upon any other event ends the process."""
+
+DEFECT: Final = "a defect in the program: the input is set aside, see the log"
 
 SHOWN_REFUSALS: Final = 20
 """Refusals of which each has a line in the log; of those that follow, every one whose number is a power of two."""
@@ -90,9 +114,20 @@ class Host:
     """One node with its headers, queries and custody. `handle` is all that a driver calls while it runs."""
 
     def __init__(
-        self, node: Node, mission: str, event_sink: EventSink | None = None, custody: CustodyConfig | None = None
+        self,
+        node: Node,
+        mission: str,
+        event_sink: EventSink | None = None,
+        custody: CustodyConfig | None = None,
+        contains_defects: bool = False,
     ) -> None:
+        """contains_defects: whether an exception upon an input from outside sets that input aside. False: it is raised,
+        so that simulations and tests show it.
+        """
         self._node = node
+        self._contains_defects = contains_defects
+        self._given: Input | None = None
+        self._defects = 0
         self._interface = node.interface
         self._mission = mission
         self._event_sink = event_sink
@@ -124,6 +159,11 @@ class Host:
     def refused(self) -> int:
         """Messages from outside that were refused since the start."""
         return self._refused
+
+    @property
+    def defects(self) -> int:
+        """Inputs from outside that were set aside since the start, because of a defect in the program."""
+        return self._defects
 
     @property
     def retransmitted(self) -> int:
@@ -183,6 +223,7 @@ class Host:
             "asked": dict(self._asked),
             "queries": dict(self._queries),
             "refused": self._refused,
+            "defects": self._defects,
             "events": self._events,
             "reported_depth": self._reported_depth,
         }
@@ -194,7 +235,7 @@ class Host:
             self._custody.restore(state["custody"])
         self._incarnation, self._sequences = state["incarnation"], state["sequences"]
         self._asked, self._queries = state["asked"], state["queries"]
-        self._refused, self._events = state["refused"], state["events"]
+        self._refused, self._events, self._defects = state["refused"], state["events"], state["defects"]
         self._reported_depth = state["reported_depth"]
 
     def _durable(self) -> DurableNode:
@@ -206,30 +247,44 @@ class Host:
 
     def handle(self, given: Input, now: MissionTime) -> list[Action]:
         """Actions that follow from the input, in order. `ProcessStarted` is the first input of each start."""
-        match given:
-            case ProcessStarted(incarnation):
-                actions = self._start(incarnation, now)
-            case MessageArrived(topic, payload):
-                actions = self._message(topic, payload, now)
-            case QueryArrived(topic, payload, token):
-                actions = self._query(topic, payload, token, now)
-            case CheckedQueryArrived(topic, request, token):
-                actions = self._checked_query(topic, request, token, now)
-            case ReplyArrived(query, payload):
-                actions = self._reply(query, payload, now)
-            case QueryUnanswered(query, why, detail):
-                actions = self._unanswered(query, why, detail, now)
-            case TimerElapsed(timer):
-                actions = self._timer(timer, now)
-            case ComputationEnded(job, result, error):
-                what = f"computed {job}{' failed' if error else ''}"
-                actions = self._handle(Computed(job, result, error), now, what)
+        self._given = given
+        try:
+            actions = self._dispatch(given, now)
+        except Exception as error:
+            if not (self._contains_defects and _from_outside(given)):
+                raise
+            actions = self._set_aside(error)
+            if isinstance(given, QueryArrived | CheckedQueryArrived):
+                self._asked.pop(given.token, None)
+                actions.append(ReplyError(given.token, given.topic, DEFECT, RefusalCode.INTERNAL))
+        finally:
+            self._given = None
         if self._custody is not None:
             actions += self._report_queue_depth(self._custody.depth, now)
             actions += self._custody.move_timer()
         return actions
 
     # --- inside -------------------------------------------------------------------------------------------------
+
+    def _dispatch(self, given: Input, now: MissionTime) -> list[Action]:
+        match given:
+            case ProcessStarted(incarnation):
+                return self._start(incarnation, now)
+            case MessageArrived(topic, payload):
+                return self._message(topic, payload, now)
+            case QueryArrived(topic, payload, token):
+                return self._query(topic, payload, token, now)
+            case CheckedQueryArrived(topic, request, token):
+                return self._checked_query(topic, request, token, now)
+            case ReplyArrived(query, payload):
+                return self._reply(query, payload, now)
+            case QueryUnanswered(query, why, detail):
+                return self._unanswered(query, why, detail, now)
+            case TimerElapsed(timer):
+                return self._timer(timer, now)
+            case ComputationEnded(job, result, error):
+                what = f"computed {job}{' failed' if error else ''}"
+                return self._handle(Computed(job, result, error), now, what)
 
     def _start(self, incarnation: int, now: MissionTime) -> list[Action]:
         self._incarnation = incarnation
@@ -313,7 +368,32 @@ class Host:
         self._events += 1
         if self._event_sink is not None and what is not None:
             self._event_sink(now, self._interface.name, what)
-        return list(self._actions(self._node.handle(event, now), now))
+        actions: list[Action] = []
+        try:
+            for action in self._actions(self._node.handle(event, now), now):
+                actions.append(action)  # noqa: PERF402 - what was done before an exception is kept
+        except Exception as error:
+            if not (self._contains_defects and isinstance(event, FROM_OUTSIDE)):
+                raise
+            actions += self._set_aside(error)
+            match event:
+                case QueryReceived(topic, _, token) if self._asked.pop(token, None) is not None:
+                    actions.append(ReplyError(token, topic, DEFECT, RefusalCode.INTERNAL))
+                case ReplyReceived(topic, query):
+                    actions += self._handle(QueryFailed(topic, query, NoReply.REFUSED, DEFECT), now, None)
+        return actions
+
+    def _set_aside(self, error: Exception) -> list[Action]:
+        """Set the present input aside. What the node did up to the exception stands."""
+        self._defects += 1
+        if self._defects > SHOWN_REFUSALS and self._defects & (self._defects - 1):
+            return []
+        what, payload = _described(self._given)
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({frames[-1].filename}:{frames[-1].lineno})" if frames else ""
+        text = printable(f"{type(error).__name__}: {error}")[:MAX_TEXT]
+        lines = tuple(line.rstrip() for line in traceback.format_exception(error))
+        return [SetAside(what, payload, f"{text}{place}", lines, self._defects)]
 
     def _report_queue_depth(self, depth: int, now: MissionTime) -> list[Action]:
         """Report a changed queue depth, at most once per input. A replay repeats it, so it is not journalled."""

@@ -37,6 +37,7 @@ from services.runtime.options import Options, parse_options
 from services.runtime.process_clock import ProcessClock
 from services.runtime.queries.process import QueryProcess
 from services.runtime.scheduler import Executor, InlineExecutor, NodeScheduler
+from services.runtime.set_aside import SetAsideFile
 from services.runtime.transport.opening import connect_client
 from services.runtime.transport.session import Session, close_all
 
@@ -117,7 +118,8 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
         stack.callback(query_process.close)
     node = service.build(options)
     events = stack.enter_context(closing(EventLog(options.events))) if options.events else None
-    host = Host(node, options.scenario.name, events, custody_config(options.scenario.link, node.interface))
+    custody = custody_config(options.scenario.link, node.interface)
+    host = Host(node, options.scenario.name, events, custody, contains_defects=True)
     folder = history = None
     if options.journal is not None:
         expected = f"--journal {options.journal}: expected a folder that no other {service.name} uses"
@@ -132,6 +134,8 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
 
     heartbeat = Heartbeat(host, publish, bool(options.insecure))
     context = ProcessContext(options, inbox, sessions, clock, log, scheduler, heartbeat, events, query_process)
+    if options.journal is not None:
+        context.set_aside = SetAsideFile(options.journal / f"{service.name}.set-aside.jsonl")
     if history is not None:
         _go_on(context, history)
     elif not options.lockstep:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from schemas.link import ClockMode
 from schemas.topics import EARTH_CLOCK, MOON_CLOCK, Side
 from services.runtime.clock import FollowedClock
 from services.runtime.machine_time import this_machine
@@ -27,6 +28,12 @@ class ProcessClock:
     def known(self) -> bool:
         """Whether a clock state has been received."""
         return self.followed.state is not None
+
+    @property
+    def in_lockstep(self) -> bool:
+        """Whether mission time is virtual, and this process only looks on."""
+        state = self.followed.state
+        return state is not None and state.mode is ClockMode.LOCKSTEP
 
     def follow(self, state: ClockState) -> None:
         """Follow a state of the mission's clock, received just now."""

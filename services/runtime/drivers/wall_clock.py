@@ -119,9 +119,8 @@ class WallClockDriver:
         self._scheduler.put((kind, "", self._inputs), given)
 
     def _take_message(self, given: Input, attachment: bytes) -> None:
-        stamp = read_stamp(attachment)
-        if stamp is not None:  # lockstep, seen by an onlooker: its time is that of what it receives
-            self._clock.advance(stamp.at)
+        if self._clock.in_lockstep and (stamp := read_stamp(attachment)) is not None:
+            self._clock.advance(stamp.at)  # an onlooker's time is that of what it receives
         self._put(Kind.MESSAGE, given)
 
     def _take_query(self, topic: Topic, query: IncomingQuery) -> None:

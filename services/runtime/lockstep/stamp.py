@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from schemas.link import LATEST_CLOCK_NS
+
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
 
@@ -37,9 +39,13 @@ def read_stamp(attachment: bytes) -> Stamp | None:
 
 
 _MAX_BYTES = 250
+_LIMIT = LATEST_CLOCK_NS
 
 
 def _natural(digits: str) -> int:
     if not digits.isdigit():
         raise ValueError(f"expected digits, got {digits!r}")
-    return int(digits)
+    number = int(digits)
+    if number >= _LIMIT:
+        raise ValueError(f"expected a number below {_LIMIT}, got {digits}")
+    return number
