@@ -7,6 +7,12 @@ MissionTime = int
 
 SECOND: MissionTime = 1_000_000_000
 
+MAX_AHEAD: MissionTime = 86_400 * SECOND
+"""Messages made further ahead of the present mission time are not believed [ns].
+
+The clocks of two processes differ while a change of the rate is under way, and by the wall clocks of two machines.
+"""
+
 
 def seconds(value: float) -> MissionTime:
     """A duration [ns] from seconds, to the nearest nanosecond."""

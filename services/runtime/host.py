@@ -16,7 +16,7 @@ from schemas.codec import Refused, decode, decode_reply, encode, raw_objection
 from schemas.refusal import RefusalCode
 from schemas.topics import Crosses, Query, Side, Topic, under_custody
 from schemas.wire import MAX_TEXT, Header, Wire, printable
-from services.mission.mission_time import SECOND, MissionTime
+from services.mission.mission_time import MAX_AHEAD, MissionTime
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError, SetAside
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.endpoint import STATE_TYPES as CUSTODY_STATE_TYPES
@@ -91,12 +91,6 @@ def _described(given: Input | None) -> tuple[str, bytes]:
 
 EventSink = Callable[[MissionTime, str, str], None]
 """Called for each event handled with mission time, node and a line that describes it: the event log."""
-
-MAX_AHEAD: Final = 86_400 * SECOND
-"""Messages made further ahead of the present mission time are refused [ns].
-
-The clocks of two processes differ by what a change of the rate, or the wall clocks of two machines, take to agree.
-"""
 
 FROM_OUTSIDE: Final = (Received, ReceivedRaw, QueryReceived, ReplyReceived)
 """Events that follow from what others send. An exception upon any other event ends the process."""

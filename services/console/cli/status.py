@@ -51,6 +51,7 @@ def _document(name: str, endpoint: str, alive: tuple[str, ...], state: MissionSt
         "earth": endpoint,
         "mission_time_s": state.time.elapsed_s(),
         "alive_on_earth": list(alive),
+        "defects": state.defects,
         "clock": None if state.clock is None else state.clock.model_dump(mode="json"),
         "ground": None if state.status is None else state.status.model_dump(mode="json"),
         "link": None if state.link is None else state.link.model_dump(mode="json"),
@@ -65,6 +66,8 @@ def _lines(document: dict[str, Any], state: MissionState) -> list[str]:
     if clock is not None:
         pace = "lockstep" if clock.mode.value == "lockstep" else speed(clock.rate)
     rows = [] if document["insecure"] is None else [("INSECURE", document["insecure"].removeprefix("INSECURE: "))]
+    if state.defects:
+        rows.append(("DEFECT", state.defect_report))
     rows += [
         ("mission", f"{document['mission']} at {document['earth']}"),
         ("time", f"{duration(document['mission_time_s'] or 0.0)} since the beginning"),

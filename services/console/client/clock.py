@@ -13,7 +13,7 @@ from schemas.link import ClockChange, ClockMode, ClockState
 from schemas.lockstep import TimeControl, TimeStatus
 from schemas.topics import CLOCK_SET, EARTH_CLOCK, TIME_CONTROL, TIME_SHOW
 from schemas.validation import one_line
-from services.mission.mission_time import SECOND, MissionTime
+from services.mission.mission_time import MAX_AHEAD, SECOND, MissionTime
 from services.runtime.clock import FollowedClock, mission_time
 from services.runtime.machine_time import this_machine
 
@@ -62,7 +62,10 @@ class MissionClock:
         return 0.0 if self.state.mode is ClockMode.LOCKSTEP else self.state.rate
 
     def hear(self, at: MissionTime) -> None:
-        """Note a message that was made on Earth at that mission time."""
+        """Note a message that was made on Earth at that mission time; one that lies far ahead is not believed."""
+        on_wall_clock = self.state is not None and self.state.mode is ClockMode.WALL
+        if on_wall_clock and at > self._clock.now() + MAX_AHEAD:
+            return
         self._heard = max(self._heard, at)
 
     def now(self) -> MissionTime:

@@ -212,6 +212,17 @@ class MissionState:
         return tuple(sorted(name for name, (_, presence) in self._presence.items() if presence.insecure))
 
     @property
+    def defects(self) -> dict[str, int]:
+        """How many messages each process has set aside because it failed upon them; without those that have none."""
+        return {name: presence.defects for name, (_, presence) in self._presence.items() if presence.defects}
+
+    @property
+    def defect_report(self) -> str:
+        """One line on the messages that processes have set aside; empty if there are none."""
+        counts = ", ".join(f"{name} {count}" for name, count in sorted(self.defects.items()))
+        return f"messages set aside upon which a process failed (see its log): {counts}" if counts else ""
+
+    @property
     def is_silent(self) -> bool:
         """Whether no message has arrived for longer than the heartbeat period allows."""
         return self.silent_s > SILENT_S
@@ -256,6 +267,8 @@ class MissionState:
             return True
         assert header is not None, "only the list of commands comes without headers"
         if topic is EARTH_PRESENCE:
+            if body.name != header.source:
+                return False
             self._presence[body.name] = (time.monotonic(), body)
             if body.name == TIMEKEEPER:
                 process = (body.host, body.pid, body.incarnation)

@@ -27,6 +27,7 @@ class AlarmKind(StrEnum):
     SAFE_MODE = "safe_mode"
     NO_CONTACT = "no_contact"
     MISSION_FAILED = "mission_failed"
+    DEFECT = "defect"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +69,23 @@ class Alarms:
         """Oldest first."""
         return tuple(self._alarms.values())
 
-    def look(self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float = 1.0) -> bool:
+    def look(
+        self,
+        status: GroundStatus | None,
+        link: LinkStatus | None,
+        now: MissionTime,
+        rate: float = 1.0,
+        defects: str = "",
+    ) -> bool:
         """Check all conditions against the mission's state; returns whether an alarm has changed.
 
-        rate: mission seconds per wall second, see `stale_after_s`.
+        rate: mission seconds per wall second, see `stale_after_s`. defects: one line on processes that have failed upon
+        messages; empty if there are none.
         """
-        changes = [self._set(kind, text, now) for kind, text in self._conditions(status, link, now, rate).items()]
+        found = self._conditions(status, link, now, rate)
+        if defects:  # it stays true for as long as the process runs
+            found[AlarmKind.DEFECT] = defects
+        changes = [self._set(kind, text, now) for kind, text in found.items()]
         return any(changes)
 
     def happened(self, event: RoverEvent) -> bool:

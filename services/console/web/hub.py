@@ -206,7 +206,7 @@ class Hub:
                     self._told[name] = wall
                     self._send(self._pending.pop(name))
                 clock, state = self._state.time, self._state
-                if self._alarms.look(state.status, state.link, clock.now(), clock.rate):
+                if self._alarms.look(state.status, state.link, clock.now(), clock.rate, state.defect_report):
                     self._tell("alarms", documents(self._alarms.current))
                 if wall - self._told.get("beat", 0.0) >= BEAT_EVERY_S:
                     self._told["beat"] = wall

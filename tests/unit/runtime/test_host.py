@@ -28,8 +28,9 @@ from schemas.topics import (
     Side,
 )
 from schemas.wire import Header
+from services.mission.mission_time import MAX_AHEAD
 from services.runtime.actions import Publish, PutQuery, Reply, ReplyError
-from services.runtime.host import MAX_AHEAD, Host, origin
+from services.runtime.host import Host, origin
 from services.runtime.inputs import (
     CheckedQueryArrived,
     MessageArrived,

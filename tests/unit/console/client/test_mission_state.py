@@ -123,7 +123,7 @@ def test_a_mission_that_is_started_anew_replaces_everything_that_was_known(sessi
     state = MissionState(session.client, told.append)
     session.kept = {EARTH_CLOCK: (header(START + 900 * SECOND, source="link"), lockstep(START + 900 * SECOND))}
     state.follow()
-    session.send(EARTH_PRESENCE, header(START + 900 * SECOND), timekeeper(7))
+    session.send(EARTH_PRESENCE, header(START + 900 * SECOND).model_copy(update={"source": "link"}), timekeeper(7))
     session.send(GROUND_STATUS, header(START + 900 * SECOND), ground(5))
     session.send(EVENT, header(START, source="rover"), event())
 
@@ -131,7 +131,7 @@ def test_a_mission_that_is_started_anew_replaces_everything_that_was_known(sessi
         EARTH_CLOCK: (header(START + 1, source="link"), lockstep(START + 1)),
         GROUND_STATUS: (header(START + 1), ground(0)),
     }
-    session.send(EARTH_PRESENCE, header(START + 1), timekeeper(8))
+    session.send(EARTH_PRESENCE, header(START + 1).model_copy(update={"source": "link"}), timekeeper(8))
     told.clear()
     state.refresh()
     assert told[0] is None
@@ -143,9 +143,9 @@ def test_a_timekeeper_that_continues_the_mission_replaces_nothing(session: Any) 
     state = MissionState(session.client, told.append)
     session.kept = {EARTH_CLOCK: (header(START + 900 * SECOND, source="link"), lockstep(START + 900 * SECOND))}
     state.follow()
-    session.send(EARTH_PRESENCE, header(START + 900 * SECOND), timekeeper(7))
+    session.send(EARTH_PRESENCE, header(START + 900 * SECOND).model_copy(update={"source": "link"}), timekeeper(7))
     session.send(EVENT, header(START, source="rover"), event())
-    session.send(EARTH_PRESENCE, header(START + 900 * SECOND), timekeeper(8))
+    session.send(EARTH_PRESENCE, header(START + 900 * SECOND).model_copy(update={"source": "link"}), timekeeper(8))
     state.refresh()
     assert None not in told
     assert len(state.events) == 1

@@ -93,3 +93,12 @@ def test_safe_mode_is_seen_in_the_state_even_when_its_event_is_still_on_the_way(
     alarms = Alarms()
     alarms.look(status(rover(RoverMode.SAFE)), link(), START)
     assert kinds(alarms) == [AlarmKind.SAFE_MODE]
+
+
+def test_a_process_that_failed_upon_a_message_raises_an_alarm_that_stays():
+    alarms = Alarms()
+    line = "messages set aside upon which a process failed (see its log): ground 1"
+    assert alarms.look(None, None, START, defects=line)
+    assert not alarms.look(None, None, START + SECOND, defects=line)
+    (alarm,) = alarms.current
+    assert (alarm.kind.value, alarm.text, alarm.active) == ("defect", line, True)
