@@ -16,9 +16,10 @@ Where a choice had to be made, the rules are:
 from __future__ import annotations
 
 import heapq
+from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from schemas.link import AtEdge, DirectionConditions, DirectionCounts
 from schemas.topics import Custody
@@ -30,6 +31,10 @@ from services.mission.mission_time import SECOND, MissionTime
 if TYPE_CHECKING:
     from services.link.contact import Contact, Span
     from services.link.packet import Packet
+
+
+MAX_STREAMS: Final = 1_024
+"""Streams under custody whose highest sequence is known, for the count of repetitions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +65,8 @@ class Limits:
     waiting_bytes: int = 64 * 1024 * 1024
     flying: int = 100_000
     """Packets in flight."""
+    flying_bytes: int = 64 * 1024 * 1024
+    """Their payloads together. A flow (one topic and source) may have a quarter of both."""
 
 
 class Channel:
@@ -79,6 +86,9 @@ class Channel:
         self._at_edge = at_edge
         self._generator = generator
         self._max_flying = limits.flying
+        self._max_flying_bytes = limits.flying_bytes
+        self._flying_of: Counter[tuple[str, str]] = Counter()  # packets, by flow
+        self._flying_bytes_of: Counter[tuple[str, str]] = Counter()
         self._queue = TransmitQueue(limits.waiting, limits.waiting_bytes)
         self._flying: list[tuple[MissionTime, int, Flight]] = []  # heap by (arrival, number)
         self._flights = 0
@@ -86,7 +96,7 @@ class Channel:
         self._free_at: MissionTime = 0  # when the transmitter ends what it is sending
         self._last_arrival: MissionTime = 0
         self._counts = Counts()
-        self._highest: dict[tuple[str, ...], int] = {}  # highest sequence offered, of each stream under custody
+        self._highest: OrderedDict[tuple[str, ...], int] = OrderedDict()  # sequence, of each stream under custody
         self._drops: list[Drop] = []
 
     def offer(self, packet: Packet, now: MissionTime) -> None:
@@ -122,6 +132,7 @@ class Channel:
         flights = []
         while self._flying and self._flying[0][0] <= now:
             flight = heapq.heappop(self._flying)[2]
+            self._count_flight(flight, -1)
             self._counts.delivered += 1
             self._counts.bytes_delivered += len(flight.payload)
             flights.append(flight)
@@ -168,8 +179,10 @@ class Channel:
         if not isinstance(packet.topic.service, Custody) or not packet.subject:
             return False
         stream = packet.subject[:-1]
-        highest = self._highest.get(stream, -1)
+        highest = self._highest.pop(stream, -1)
         self._highest[stream] = max(highest, packet.sequence)
+        if len(self._highest) > MAX_STREAMS:
+            self._highest.popitem(last=False)
         return packet.sequence <= highest
 
     def _enqueue(self, packet: Packet, now: MissionTime) -> None:
@@ -177,9 +190,27 @@ class Channel:
         if older is not None:
             self._drop(older, DropReason.SUPERSEDED, now)
             return
-        dropped = [packet] if len(self._flying) >= self._max_flying else self._queue.add(packet)
+        dropped = [packet] if self._has_no_room_in_flight(packet) else self._queue.add(packet)
         for each in dropped:
             self._drop(each, DropReason.QUEUE_FULL, now)
+
+    def _has_no_room_in_flight(self, packet: Packet) -> bool:
+        if packet.urgent:
+            return False
+        flow = packet.flow
+        return (
+            len(self._flying) >= self._max_flying
+            or self._flying_bytes_of.total() >= self._max_flying_bytes
+            or 4 * self._flying_of[flow] >= self._max_flying
+            or 4 * self._flying_bytes_of[flow] >= self._max_flying_bytes
+        )
+
+    def _count_flight(self, flight: Flight, sign: int) -> None:
+        flow = flight.packet.flow
+        self._flying_of[flow] += sign
+        self._flying_bytes_of[flow] += sign * len(flight.payload)
+        if not self._flying_of[flow]:
+            del self._flying_of[flow], self._flying_bytes_of[flow]
 
     def _drop(self, packet: Packet, reason: DropReason, at: MissionTime) -> None:
         self._counts.add_drop(reason)
@@ -250,6 +281,7 @@ class Channel:
         for delay in passage.delays:
             self._flights += 1
             flight = Flight(packet, passage.payload, begins, ends + delay)
+            self._count_flight(flight, 1)
             heapq.heappush(self._flying, (flight.arrives_at, self._flights, flight))
 
 

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from schemas.codec import header_of
-from schemas.topics import Custody, Latest, Topic
+from schemas.commands import CommandKind
+from schemas.topics import COMMAND, Custody, Latest, Topic
 from schemas.wire import MAX_COUNT, printable
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
 
 UNKNOWN_SOURCE = "?"
+URGENT = -1
+"""Priority before that of all topics."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +39,19 @@ class Packet:
     offered_at: MissionTime
     order: int
     """Counts the packets offered to the link."""
+    urgent: bool = False
+    """Whether it is a telecommand that makes the rover safe: it is sent first, and a place is kept for it."""
+
+    @property
+    def flow(self) -> tuple[str, str]:
+        """Topic and source: the packets among which the capacity of a queue is shared."""
+        return self.topic.name, self.source
 
     @property
     def priority(self) -> int:
         """Lower values are sent first."""
+        if self.urgent:
+            return URGENT
         service = self.topic.service
         return service.priority if isinstance(service, Custody | Latest) else 9
 
@@ -67,15 +79,18 @@ def packet_of(topic: Topic, payload: bytes, offered_at: MissionTime, order: int)
         subject=subject,
         offered_at=offered_at,
         order=order,
+        urgent=topic is COMMAND and _body_value(payload, "kind") == CommandKind.SAFE.value,
     )
 
 
 def _distinct(service: Latest, payload: bytes) -> tuple[str, ...]:
     """The values of the body's fields that distinguish the topic's subjects."""
-    if not service.distinct:
-        return ()
+    return tuple(str(_body_value(payload, name)) for name in service.distinct)
+
+
+def _body_value(payload: bytes, name: str) -> Any:
+    """That field of the body as it is in the payload, unchecked; '?' if it cannot be read."""
     try:
-        body = json.loads(payload)["body"]
-        return tuple(str(body[name]) for name in service.distinct)
+        return json.loads(payload)["body"][name]
     except (ValueError, TypeError, KeyError, IndexError, RecursionError):
-        return ("?",)
+        return "?"

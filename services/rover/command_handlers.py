@@ -75,7 +75,7 @@ class CommandHandlers:
         if is_past(command, now):
             self._advance(command, CommandStage.EXPIRED, now, "it came after its time")
             return
-        why = registry.overtaken(command, header) or self._refusal(command)
+        why = registry.overtaken(command, header, now) or self._refusal(command)
         if why is not None:
             self._advance(command, CommandStage.REJECTED, now, why)
             return

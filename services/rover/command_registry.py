@@ -61,16 +61,17 @@ class CommandRegistry:
             self._known.pop(next(ended, command.command_id))
         return report
 
-    def overtaken(self, command: Telecommand, header: Header) -> str | None:
+    def overtaken(self, command: Telecommand, header: Header, now: MissionTime) -> str | None:
         """One line on the command that was made later but came earlier; None if there is none.
 
         The newest command counts: a pause that arrives after the resume that should end it would hold the rover for
         ever. Commands on motion are ordered among themselves, and those on each keep-out; `safe` is never outdated.
+        No command was made after it came, so a time from the future rejects later commands for one light time at most.
         """
         if command.kind is CommandKind.SAFE:
             return None
         subject = f"area {command.area_id}" if command.kind is CommandKind.SET_KEEP_OUT else "motion"
-        made = (header.made_at, header.incarnation, header.sequence)
+        made = (min(header.made_at, now), header.incarnation, header.sequence)
         newest = self._newest.get(subject)
         if newest is not None and newest[0] > made:
             return f"{newest[1]} was made later and came first"

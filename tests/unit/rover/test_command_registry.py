@@ -54,9 +54,16 @@ def test_a_stage_out_of_order_is_refused_naming_both_stages():
 
 def test_a_command_made_before_one_on_the_same_subject_is_overtaken():
     registry = CommandRegistry()
-    assert registry.overtaken(command("c2", CommandKind.RESUME), made(20)) is None
-    assert "resume c2 was made later" in str(registry.overtaken(command("c1"), made(10)))
-    assert registry.overtaken(command("c3"), made(20, sequence=1)) is None
+    assert registry.overtaken(command("c2", CommandKind.RESUME), made(20), 30) is None
+    assert "resume c2 was made later" in str(registry.overtaken(command("c1"), made(10), 31))
+    assert registry.overtaken(command("c3"), made(20, sequence=1), 32) is None
+
+
+@pytest.mark.parametrize("from_the_future", [2**63 - 1, 10**9])
+def test_a_command_from_the_future_outdates_no_command_that_is_made_after_it_came(from_the_future):
+    registry = CommandRegistry()
+    assert registry.overtaken(command("forged"), made(from_the_future), 30) is None
+    assert registry.overtaken(command("c1"), made(31), 40) is None
 
 
 def test_the_registry_is_bounded_and_keeps_the_commands_that_have_not_ended(monkeypatch):
