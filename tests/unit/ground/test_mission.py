@@ -260,10 +260,11 @@ class Mission:
         return [note.text for _, _, note in self.simulation.log_records if note.level is Level.WARNING]
 
     def tell_ground(self, topic: Topic, body: Wire, made_at: int | None = None) -> None:
-        """Send the ground a message without a sender; it is handled at once."""
+        """Send the ground a message as from another start of the rover; it is handled at once."""
         made = self.simulation.now if made_at is None else made_at
         self._tellers += 1
-        header = Header(mission="test", source=f"teller-{self._tellers}", incarnation=1, sequence=0, made_at=made)
+        incarnation = 1 + self._tellers
+        header = Header(mission="test", source="rover", incarnation=incarnation, sequence=0, made_at=made)
         self.simulation.inject(topic, Side.EARTH, encode(header, body))
         self.simulation.step()
 
