@@ -40,8 +40,8 @@ QUESTIONS = {
     )
     for side in Side
 }
-NAMES = ("link", "anna", "ben", "cleo", "dora")
-"""The link is the only one on both sides, and in separate processes it keeps the time."""
+NAMES = {"link": tuple(Side), "ground": (Side.EARTH,), "rover": (Side.MOON,), "field": (Side.MOON,)}
+"""The processes that may join, each with its sides. In separate processes the link keeps the time."""
 
 
 def said(number: int) -> RoverEvent:
@@ -112,18 +112,16 @@ class Chatter:
 def interfaces(seed: int) -> list[Interface]:
     """Which nodes there are, and what each receives and serves, at random: a query is served by one node or by none."""
     dice = Random(f"interfaces/{seed}")
-    sides = {name: (dice.choice(tuple(Side)),) for name in NAMES}
-    sides["link"] = tuple(Side)
     server = {topic: dice.choice((*NAMES, "nobody")) for topics in QUESTIONS.values() for topic in topics}
     return [
         Interface(
             name,
-            sides[name],
-            subscribes=tuple(t for side in sides[name] for t in NEWS[side] if dice.random() < 0.6),
+            NAMES[name],
+            subscribes=tuple(t for side in NAMES[name] for t in NEWS[side] if dice.random() < 0.6),
             serves=tuple(topic for topic, who in server.items() if who == name),
             custody=False,
         )
-        for name in NAMES[: dice.randint(2, len(NAMES))]
+        for name in tuple(NAMES)[: dice.randint(2, len(NAMES))]
     ]
 
 
