@@ -90,7 +90,7 @@ def raw_objection(topic: Topic, payload: bytes) -> str | None:
     if len(payload) > topic.max_bytes:
         return f"{where}: expected at most {topic.max_bytes} bytes, got {len(payload)}"
     source = header_of(payload).get("source")
-    if topic.sources is None or source in topic.sources:
+    if topic.sources is None or (isinstance(source, str) and source in topic.sources):
         return None
     shown = printable(source)[:64] if isinstance(source, str) else "none"
     return f"{where}: expected a message of {' or '.join(sorted(topic.sources))}, got one of '{shown}'"

@@ -8,7 +8,7 @@ from random import Random
 import pytest
 from pydantic import TypeAdapter
 
-from schemas.codec import Damaged, Refused, decode, encode, restamped
+from schemas.codec import Damaged, Refused, decode, encode, raw_objection, restamped
 from schemas.plans import MissionPlan
 from schemas.refusal import decode_refusal
 from schemas.telemetry import EventKind, RoverEvent
@@ -74,3 +74,10 @@ def test_a_text_of_a_message_is_shown_escaped_wherever_it_came_from(text: str) -
     assert len(TypeAdapter(Text).validate_python(text * 20)) <= MAX_TEXT
     assert decode_refusal(json.dumps({"error": text}).encode()).error.isprintable()
     assert decode_refusal(text.encode()).error.isprintable()
+
+
+@pytest.mark.parametrize("source", ["[]", "{}", "7", "null", '"mallory"'])
+def test_the_link_passes_on_no_message_of_a_source_that_does_not_make_it(source: str) -> None:
+    why = raw_objection(PLAN, f'{{"header":{{"source":{source}}},"body":{{}}}}'.encode())
+    assert why is not None
+    assert why.startswith("tc/plan: expected a message of ground, got one of")
