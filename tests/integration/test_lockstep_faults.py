@@ -302,7 +302,7 @@ def test_clients_that_subscribe_to_everything_and_hang_hold_nothing_up(lockstep:
 
 def test_a_query_without_a_stamp_is_answered_and_a_message_without_one_is_not_counted(standing: Lockstep) -> None:
     mission = standing
-    moon = mission.mission.client(Side.MOON)
+    moon = mission.mission.client(Side.MOON, "rover")
     request = MeasurementRequest(sample_id="mine", x_m=30.0, y_m=30.0, depth_m=0.1)
     assert moon.query(MEASURE, request).sample_id == "mine"
     mission.control(paused=False)
