@@ -64,14 +64,23 @@ class GroundStatus(Wire):
         return self.phase in (MissionPhase.COMPLETED, MissionPhase.FAILED)
 
 
+class KeepOutArea(Wire):
+    """A part of the site that the rover may not enter. An area that is being changed has several outlines."""
+
+    area_id: Identifier
+    polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)]
+
+
 class MissionTrack(Wire):
-    """Samples, driven path, planned path and scores, for pictures of the mission."""
+    """Samples, driven path, planned path, keep-out areas and scores, for pictures of the mission."""
 
     samples: tuple[SampleReport, ...]
     driven_path_m: tuple[Waypoint, ...]
     planned_path_m: tuple[Waypoint, ...]
     score_history: tuple[MapScore, ...]
     plan_ends: MissionTimeNs | None = None
+    keep_outs: tuple[KeepOutArea, ...] = ()
+    """The areas in force for planning."""
 
 
 class InterestArea(Wire):

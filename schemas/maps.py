@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from schemas.wire import Count, MissionTimeNs, PositionM, Text, Wire
+from schemas.wire import Count, MissionTimeNs, PositionM, Provenance, Text, Wire
 
 MAX_CELLS: Final = 4_000_000
 """Most cells of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
@@ -194,8 +194,46 @@ class MapSite(Wire):
     origin_lon_deg: float | None
     noise_std_ppb: float
     """Standard deviation of a measurement in the belief."""
-    provenance: Text = ""
+    provenance: Provenance = ""
     """Of the region's data."""
+
+
+class RegionLayer(Wire):
+    """Where one layer of the region comes from. Texts are empty where nothing is known."""
+
+    layer: Text
+    kind: Text
+    """real, derived, assumed or synthetic."""
+    source: Provenance
+    file: Provenance = ""
+    sha256: Text = ""
+    window: Provenance = ""
+    product_id: Provenance = ""
+    citation: Provenance = ""
+
+
+class MapRegion(Wire):
+    """The region under the map: its name, its place on the Moon, and where its layers come from."""
+
+    name: Text
+    title: Text
+    location: Annotated[str, Field(max_length=4096)]
+    """Name of an embedded region, or the path of a region's folder or file on the ground's machine."""
+    field_seed: Count | None
+    """Seed of the variation of a region that has several; None: the region's own."""
+    provenance: Provenance
+    rows: Count
+    columns: Count
+    resolution_m: float
+    origin_lat_deg: float | None
+    """Latitude and longitude of the south-west corner; None if the region has no coordinates on the Moon."""
+    origin_lon_deg: float | None
+    crs: Annotated[str, Field(max_length=4096)]
+    """Projection of the site's plane as a PROJ string; empty if the region does not give one."""
+    origin_x_m: float | None
+    """Of the south-west corner in that projection [m]."""
+    origin_y_m: float | None
+    layers: tuple[RegionLayer, ...]
 
 
 class MapHistory(Wire):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from schemas.link import DirectionCounts
-from schemas.maps import MapScore
-from schemas.wire import Count, Text, Wire
+from schemas.maps import MapScore, RegionLayer
+from schemas.wire import Count, Provenance, Text, Wire
 
 
 class MessageCounts(Wire):
@@ -30,26 +30,12 @@ class ReportSample(Wire):
     """Mission time since the start [s]."""
 
 
-class RegionLayer(Wire):
-    """Where one layer of the region comes from. Texts are empty where nothing is known."""
-
-    layer: Text
-    kind: Text
-    """real, derived, assumed or synthetic."""
-    source: Text
-    file: Text = ""
-    sha256: Text = ""
-    window: Text = ""
-    product_id: Text = ""
-    citation: Text = ""
-
-
 class MissionReport(Wire):
     """The course of a mission and the quality of its map. Equal runs differ in `wall_time_s` and `host` only."""
 
     scenario: Text
     region: Text
-    region_note: Text
+    region_note: Provenance
     """Provenance of the region's data; the embedded regions are synthetic stand-ins."""
     region_layers: tuple[RegionLayer, ...] = ()
     """Provenance of each layer of the region; empty if the region does not give it."""

@@ -17,6 +17,7 @@ from schemas.maps import (
     MapPoint,
     MapPointQuery,
     MapRaster,
+    MapRegion,
     MapScore,
     MapTrackQuery,
     ResourceEstimate,
@@ -305,6 +306,7 @@ MAP_BOX = Topic(
 )
 MAP_RESOURCE = Topic("earth/map/resource", ResourceQuery, _MAP, service=Query(observes=True), reply=ResourceEstimate)
 MAP_HISTORY = Topic("earth/map/history", NoParameters, _MAP, service=Query(observes=True), reply=MapHistory)
+MAP_REGION = Topic("earth/map/region", NoParameters, _MAP, service=Query(observes=True), reply=MapRegion)
 MAP_FEED = Topic("earth/map/feed", MapFrame, _kept(Role.GROUND, _READERS, _READERS), max_bytes=67_108_864)
 """Not an envelope: head and numbers, see services/ground/map/feed.py. A query on the same key returns a key frame."""
 
@@ -361,6 +363,7 @@ TOPICS: tuple[Topic, ...] = (
     MAP_BOX,
     MAP_RESOURCE,
     MAP_HISTORY,
+    MAP_REGION,
     MAP_FEED,
     MOON_JOIN,
     MOON_GRANT,

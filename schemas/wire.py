@@ -34,6 +34,8 @@ PositionM = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
 """A site coordinate [m]."""
 
 MAX_TEXT = 500
+MAX_PROVENANCE = 1000
+"""Characters of a text about the origin of data, as a region's document may have them."""
 
 
 def printable(text: str) -> str:
@@ -49,6 +51,9 @@ def _harmless(text: str) -> str:
 
 Text = Annotated[str, Field(max_length=MAX_TEXT), AfterValidator(_harmless)]
 """A text for people. Characters that control a terminal or the writing direction are escaped in all input."""
+
+Provenance = Annotated[str, Field(max_length=MAX_PROVENANCE), AfterValidator(_harmless)]
+"""A text for people on the origin of data, such as a product or a citation."""
 
 
 class Wire(BaseModel):

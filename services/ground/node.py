@@ -32,6 +32,7 @@ from services.ground.director import REPLAN_TIMER, Director
 from services.ground.execution import ExecutionMonitor
 from services.ground.interests import InterestAreas
 from services.ground.map.publisher import MapPublisher
+from services.ground.map.region_account import region_account
 from services.ground.map.service import MAP_TOPICS, answer
 from services.ground.planning import RoundPlanning
 from services.ground.refits import RefitSchedule
@@ -286,7 +287,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
     publisher = MapPublisher(
-        belief, terrain, samples, round_log, refits, scorer, origin, scenario.start_ns, region.provenance
+        belief, terrain, samples, round_log, refits, scorer, origin, scenario.start_ns, region_account(scenario, region)
     )
     silence = SilenceWatch(ground.rover_timeout_s)
     round_trip_s = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s

@@ -13,9 +13,9 @@ from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredEx
 from he3.posterior.grid import PosteriorMap
 from he3.trend import OrbitalTrend
 from schemas.commands import CommandStatus, Telecommand
-from schemas.ground import GroundStatus
+from schemas.ground import GroundStatus, KeepOutArea
 from schemas.link import LinkConditions
-from schemas.maps import MapScore
+from schemas.maps import MapRegion, MapScore
 from schemas.plans import RoundPlan
 from schemas.telemetry import RoverState, SampleReport
 from services.ground.fitting import FitRequest
@@ -30,7 +30,9 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     GaussianProcess,
     GroundStatus,
     Hyperparameters,
+    KeepOutArea,
     LinkConditions,
+    MapRegion,
     MapScore,
     MapSnapshot,
     Matern12,

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from he3.frames import BoolArray, FloatArray, Place, SiteGrid
     from services.runtime.node import SavedState
 
+Outline = tuple["Place", ...]
+"""Corners of a polygon [m]."""
+
 _BOUNDARY_STEP_CELLS = 0.25  # step along a polygon's edge; it can miss only the corner of a cell
 BESIDE_TRACK_M = 2.5  # distance from the end of its known track within which the rover is taken to stand on it
 _FLAT_M = 1e-6  # distance from a line within which corners count as lying on it
@@ -41,6 +44,9 @@ class GroundTerrain:
         self._areas: dict[str, BoolArray] = {
             area_id: cells_touched(grid, polygon) for area_id, polygon in (keep_outs or {}).items()
         }
+        self._outlines: dict[str, tuple[Outline, ...]] = {
+            area_id: (tuple(polygon),) for area_id, polygon in (keep_outs or {}).items()
+        }
         self._obstacles: dict[tuple[float, float, float], BoolArray] = {}
         self._met = np.zeros_like(self._orbital)
         self._bare: BoolArray = self._orbital
@@ -57,6 +63,11 @@ class GroundTerrain:
         """The cells of each keep-out area in force, by its id."""
         return self._areas
 
+    @property
+    def outlines(self) -> Mapping[str, tuple[Outline, ...]]:
+        """The polygons [m] of each keep-out area in force, by its id."""
+        return self._outlines
+
     def set_keep_out(self, area_id: str, polygons_m: Iterable[Sequence[Place]]) -> bool:
         """Close the cells that any of the polygons covers, in place of those that the id closed before.
 
@@ -64,10 +75,12 @@ class GroundTerrain:
         """
         before = self._areas.pop(area_id, np.zeros_like(self._orbital))
         area = np.zeros_like(self._orbital)
-        for polygon in polygons_m:
+        self._outlines.pop(area_id, None)
+        outlines: tuple[Outline, ...] = tuple(tuple(polygon) for polygon in polygons_m)
+        for polygon in outlines:
             area |= cells_touched(self.grid, polygon)
         if area.any():
-            self._areas[area_id] = area
+            self._areas[area_id], self._outlines[area_id] = area, outlines
         if not np.array_equal(area, before):
             self._recompute()
         return bool((area & ~before).any())
@@ -153,6 +166,7 @@ class GroundTerrain:
         """All closures that are not part of the region, as named parts."""
         return {
             "areas": dict(self._areas),
+            "outlines": dict(self._outlines),
             "obstacles": dict(self._obstacles),
             "met": self._met,
             "bare": self._bare,
@@ -161,7 +175,8 @@ class GroundTerrain:
 
     def restore(self, state: SavedState) -> None:
         """Restore the terrain from this state."""
-        self._areas, self._obstacles, self._met = state["areas"], state["obstacles"], state["met"]
+        self._areas, self._outlines = state["areas"], state["outlines"]
+        self._obstacles, self._met = state["obstacles"], state["met"]
         self._bare, self._open = state["bare"], state["open"]
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
-from schemas.maps import MapLayer, MapRaster, MapScore
-from schemas.report import MessageCounts, MissionReport, RegionLayer, ReportSample
+from schemas.maps import MapLayer, MapRaster, MapScore, RegionLayer
+from schemas.report import MessageCounts, MissionReport, ReportSample
 from services.mission.mission_time import SECOND
 from services.runtime.files.output import write_output
 from services.runtime.heartbeat import software_version

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
+from schemas.ground import KeepOutArea
 from services.ground.map.snapshot import MapSnapshot
 from services.runtime.node import PublishSnapshot
 
 if TYPE_CHECKING:
     from he3.posterior.grid import PosteriorMap
-    from schemas.maps import MapScore
+    from schemas.maps import MapRegion, MapScore
     from services.ground.belief import Belief
     from services.ground.refits import RefitSchedule
     from services.ground.round_log import RoundLog
@@ -34,7 +35,7 @@ class MapPublisher:
         scorer: Scorer | None,
         origin_deg: tuple[float, float] | None,
         start: MissionTime,
-        provenance: str = "",
+        region: MapRegion | None = None,
     ) -> None:
         """scorer: None where there is no reference; origin_deg: latitude and longitude of the site's south-west corner
         where they are known; start: when the mission begins."""
@@ -45,7 +46,7 @@ class MapPublisher:
         self._refits = refits
         self._scorer = scorer
         self._origin_deg = origin_deg
-        self._provenance = provenance
+        self._region = region
         self._map: PosteriorMap | None = None
         self._traversable: object = None
         self._map_time = start
@@ -95,7 +96,13 @@ class MapPublisher:
             score_history=self._history,
             process=self._belief.process,
             origin_deg=self._origin_deg,
-            provenance=self._provenance,
+            provenance="" if self._region is None else self._region.provenance,
+            region=self._region,
+            keep_outs=tuple(
+                KeepOutArea(area_id=area_id, polygon_m=outline)
+                for area_id, outlines in self._terrain.outlines.items()
+                for outline in outlines
+            ),
         )
         # Reports are made from queries that come as soon as the status says that the mission is over.
         self._shown_at_the_end = ended

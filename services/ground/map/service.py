@@ -18,13 +18,14 @@ from schemas.maps import (
     MapPoint,
     MapPointQuery,
     MapRaster,
+    MapRegion,
     MapRevision,
     MapScore,
     MapSite,
     ResourceEstimate,
     ResourceQuery,
 )
-from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
+from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_REGION, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
 from services.ground.map.history import as_of, revisions
 from services.ground.map.layers import EDGE_CELLS, Cells, box, whole_layer
 from services.ground.map.resources import estimate
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from schemas.wire import Wire
     from services.ground.map.snapshot import MapSnapshot
 
-MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX, MAP_RESOURCE, MAP_HISTORY)
+MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX, MAP_RESOURCE, MAP_HISTORY, MAP_REGION)
 """The topics that are answered from a snapshot alone, in any thread."""
 
 
@@ -121,13 +122,14 @@ def score(snapshot: MapSnapshot) -> MapScore:
 
 
 def track(snapshot: MapSnapshot) -> MissionTrack:
-    """Samples, driven and planned path, and the score after each round."""
+    """Samples, driven and planned path, keep-out areas, and the score after each round."""
     return MissionTrack(
         samples=snapshot.samples,
         driven_path_m=snapshot.driven_path_m,
         planned_path_m=snapshot.planned_path_m,
         score_history=snapshot.score_history,
         plan_ends=snapshot.plan_ends,
+        keep_outs=snapshot.keep_outs,
     )
 
 
@@ -162,6 +164,13 @@ def history(snapshot: MapSnapshot) -> MapHistory:
     )
 
 
+def region(snapshot: MapSnapshot) -> MapRegion:
+    """The region under the map."""
+    if snapshot.region is None:
+        raise NotFound("map: there is no account of the region")
+    return snapshot.region
+
+
 _ANSWERS: Final[Mapping[Topic, Callable[[Any, MapSnapshot], Wire]]] = {
     MAP_POINT: point,
     MAP_LAYER: layer,
@@ -170,4 +179,5 @@ _ANSWERS: Final[Mapping[Topic, Callable[[Any, MapSnapshot], Wire]]] = {
     MAP_SCORE: lambda _, snapshot: score(snapshot),
     TRACK: lambda _, snapshot: track(snapshot),
     MAP_HISTORY: lambda _, snapshot: history(snapshot),
+    MAP_REGION: lambda _, snapshot: region(snapshot),
 }

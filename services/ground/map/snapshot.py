@@ -14,7 +14,8 @@ from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 if TYPE_CHECKING:
     from he3.frames import SiteGrid
     from he3.gp import GaussianProcess
-    from schemas.maps import MapScore
+    from schemas.ground import KeepOutArea
+    from schemas.maps import MapRegion, MapScore
     from schemas.plans import Waypoint
     from schemas.telemetry import SampleReport
     from services.mission.mission_time import MissionTime
@@ -50,6 +51,10 @@ class MapSnapshot:
     """Latitude and longitude of the site's south-west corner; None if the region does not give them."""
     provenance: str = ""
     """Of the region's data, in one line."""
+    region: MapRegion | None = None
+    """The region under the map; None where there is none, as in tests of the map alone."""
+    keep_outs: tuple[KeepOutArea, ...] = ()
+    """The keep-out areas in force."""
     earlier: tuple[MapSnapshot, ...] = ()
     """Revisions before this one that are still held, oldest first; they hold none themselves."""
 

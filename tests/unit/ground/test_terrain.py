@@ -79,12 +79,14 @@ def test_a_keep_out_is_replaced_under_its_id_and_removed_without_a_polygon() -> 
     assert terrain.set_keep_out("a", [TRIANGLE, corner])
     assert not terrain.traversable[15, 20]
     assert not terrain.traversable[3, 44]
+    assert terrain.outlines == {"a": (TRIANGLE, corner)}
     assert not terrain.set_keep_out("a", [corner])
     assert terrain.traversable[15, 20]
     assert not terrain.traversable[3, 44]
     assert not terrain.set_keep_out("a", [])
     assert terrain.traversable.all()
     assert not terrain.areas
+    assert not terrain.outlines
 
 
 def test_a_keep_out_set_again_leaves_the_same_map_object() -> None:
@@ -92,6 +94,7 @@ def test_a_keep_out_set_again_leaves_the_same_map_object() -> None:
     before = terrain.traversable
     assert not terrain.set_keep_out("scenario-1", [TRIANGLE])
     assert terrain.traversable is before
+    assert terrain.outlines == {"scenario-1": (TRIANGLE,)}
 
 
 def test_keep_outs_of_the_scenario_are_closed_from_the_beginning() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from time import process_time
 
 import numpy as np
@@ -13,13 +14,16 @@ from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import kernel_from
 from schemas.commands import NoParameters
+from schemas.ground import KeepOutArea
 from schemas.maps import (
     MapBoxQuery,
     MapLayer,
     MapLayerQuery,
     MapPointQuery,
+    MapRegion,
     MapScore,
     MapTrackQuery,
+    RegionLayer,
     ResourceQuery,
 )
 from schemas.topics import (
@@ -28,6 +32,7 @@ from schemas.topics import (
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
+    MAP_REGION,
     MAP_RESOURCE,
     MAP_SCORE,
     TRACK,
@@ -38,6 +43,12 @@ from services.ground.scoring import Scorer
 from tests.waiting import expect_within
 
 GRID = SiteGrid(40, 50, 2.0)
+REGION = MapRegion(
+    name="place", title="A place", location="t1", field_seed=None, provenance="p" * 900, rows=40, columns=50,
+    resolution_m=2.0, origin_lat_deg=None, origin_lon_deg=None, crs="", origin_x_m=None, origin_y_m=None,
+    layers=(RegionLayer(layer="elevation_m", kind="real", source="s" * 900, citation="c" * 900),),
+)  # fmt: skip
+KEEP_OUT = KeepOutArea(area_id="scenario-1", polygon_m=((1.0, 1.0), (9.0, 1.0), (5.0, 8.0)))
 
 
 def snapshot(scored: MapScore | None = None) -> MapSnapshot:
@@ -49,6 +60,7 @@ def snapshot(scored: MapScore | None = None) -> MapSnapshot:
         grid=GRID, mean_ppb=mean, std_ppb=std, traversable=traversable, samples=(), driven_path_m=((1.0, 2.0),),
         planned_path_m=(), plan_ends=None, revision=7, mission_time_ns=123, score=scored, score_history=(),
         process=GaussianProcess(Hyperparameters(kernel_from("matern52"), 0.1, 8.0, 1.0)),
+        provenance=REGION.provenance, region=REGION, keep_outs=(KEEP_OUT,),
     )  # fmt: skip
 
 
@@ -97,10 +109,20 @@ def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() ->
         MAP_BOX: MapBoxQuery(layer=MapLayer.MEAN, x_min=0.0, y_min=0.0, x_max=10.0, y_max=10.0),
         MAP_RESOURCE: ResourceQuery(),
         MAP_HISTORY: NoParameters(),
+        MAP_REGION: NoParameters(),
     }
     assert set(requests) == set(MAP_TOPICS)
     for topic, request in requests.items():
         assert type(answer(topic, request, shown)) is topic.reply
+
+
+def test_the_track_has_the_keep_outs_and_the_region_its_whole_provenance() -> None:
+    shown = snapshot()
+    assert answer(TRACK, MapTrackQuery(), shown).keep_outs == (KEEP_OUT,)
+    assert answer(MAP_REGION, NoParameters(), shown) == REGION
+    assert answer(MAP_HISTORY, NoParameters(), shown).site.provenance == REGION.provenance
+    with pytest.raises(NotFound, match="no account of the region"):
+        answer(MAP_REGION, NoParameters(), replace(shown, region=None))
 
 
 def test_what_cannot_be_answered_is_refused_in_one_line() -> None:
