@@ -190,6 +190,26 @@ def test_every_map_command_prints_text_and_json(running: tuple[Launcher, Endpoin
     assert "expected edges within" in refused.stderr
 
 
+def test_the_map_is_exported_for_other_tools_as_one_revision(
+    running: tuple[Launcher, Endpoints], client: MissionClient, tmp_path: Path
+) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    pystac = pytest.importorskip("pystac")
+    done = he3(running[1], "map", "export", str(tmp_path / "maps"), "--threshold", "9", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    document = json.loads(done.stdout)
+    assert document["notes"] == []
+    item = pystac.Item.from_file(str(tmp_path / "maps" / document["files"][-1]))
+    assert item.properties["he3:revision"] == document["revision"]
+    assert {layer["kind"] for layer in item.properties["he3:region_layers"]} == {"synthetic", "derived"}
+    for name, threshold in (("mean", None), ("std", None), ("exceedance", 9.0)):
+        shown = client.layer(name, threshold=threshold, as_of=document["revision"])
+        with rasterio.open(tmp_path / "maps" / f"{name}.tif") as raster:
+            assert np.array_equal(raster.read(1)[::-1], shown.values), name
+    with rasterio.open(tmp_path / "maps" / "simulation_reference.tif") as raster:
+        assert raster.tags()["LABEL"] == "simulation only"
+
+
 def test_the_notebook_runs_top_to_bottom(running: tuple[Launcher, Endpoints], monkeypatch: pytest.MonkeyPatch) -> None:
     import matplotlib as mpl
 

@@ -31,7 +31,7 @@ from services.console.client.credentials import credentials_for
 from services.console.client.feed import MapFeed
 from services.console.client.link import LinkControl
 from services.console.client.live import LiveNews
-from services.console.client.map_queries import MapQueries
+from services.console.client.map_files import MapFiles
 from services.console.client.mission_state import MissionState
 from services.console.client.run_file import find
 from services.runtime.transport.client import Client
@@ -45,7 +45,7 @@ REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 
-class MissionClient(MapQueries, Commanding, LinkControl, LiveNews, MapFeed):
+class MissionClient(MapFiles, Commanding, LinkControl, LiveNews, MapFeed):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
     def __init__(

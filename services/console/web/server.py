@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import re
+import threading
+import zipfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from starlette.applications import Starlette
@@ -31,6 +35,7 @@ from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.roles import Role
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, TRACK, Topic
 from services.console.client.link import link_change
+from services.console.client.map_files import CUTOFF_PPB
 from services.console.web.access import ACT, COMMAND, CONTROL, READ, Access, Caller
 from services.console.web.connections import PEER
 from services.console.web.guard import Guard
@@ -84,6 +89,7 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         get("/api/session", partial(_session, hub, warning)),
         get("/api/colours", _colours),
         get("/api/interest", partial(_interests, hub)),
+        get("/api/map/export", partial(_export, hub, threading.Lock())),
         *(get(f"/api/map/{name}", partial(_ask, hub, topic)) for name, topic in ASKED.items()),
         post("/api/command", partial(_command, hub), COMMAND),
         post("/api/interest", partial(_interest, hub), COMMAND),
@@ -215,6 +221,32 @@ def _ask(hub: Hub, topic: Topic, asked: Asked) -> Response:
         headers["x-map-about"] = about.decode()
     media_type = "application/octet-stream" if binary else "application/json"
     return Response(payload, media_type=media_type, headers=headers)
+
+
+def _export(hub: Hub, at_work: threading.Lock, asked: Asked) -> Response:
+    """The whole map as a zip file; one at a time, because it takes seconds."""
+    wanted = asked.parameters
+    if not wanted.keys() <= {"as_of", "threshold"}:
+        raise InvalidInput("map export: expected as_of and threshold; got another parameter")
+    try:
+        threshold = float(wanted.get("threshold", CUTOFF_PPB))
+    except ValueError:
+        raise InvalidInput(f"map export: expected a threshold [ppb], got {wanted['threshold'][:40]!r}") from None
+    if not at_work.acquire(blocking=False):
+        return _error("an export is being made: try again when it is done", 503)
+    try:
+        with TemporaryDirectory(prefix="he3-maps-") as scratch:
+            folder = Path(scratch) / "maps"
+            done = hub.mission.export_maps(folder, threshold_ppb=threshold, as_of=wanted.get("as_of"))
+            content = io.BytesIO()
+            with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+                for name in done.files:
+                    archive.write(folder / name, name)
+    finally:
+        at_work.release()
+    file = f"{hub.mission.mission}-maps-{done.revision}.zip"
+    headers = {**FRESH, "content-disposition": f'attachment; filename="{file}"'}
+    return Response(content.getvalue(), media_type="application/zip", headers=headers)
 
 
 def _command(hub: Hub, asked: Asked) -> Response:

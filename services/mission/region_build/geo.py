@@ -10,12 +10,24 @@ from he3.errors import He3Error
 
 def rasterio() -> Any:
     """GDAL's Python interface; raises He3Error that names the extra where it is missing."""
-    return _imported("rasterio")
+    library = _imported("rasterio")
+    _imported("rasterio.shutil")
+    return library
 
 
 def pyproj() -> Any:
     """PROJ's Python interface; raises He3Error that names the extra where it is missing."""
     return _imported("pyproj")
+
+
+def pyogrio() -> Any:
+    """OGR's Python interface; raises He3Error that names the extra where it is missing."""
+    return _imported("pyogrio")
+
+
+def pystac() -> Any:
+    """The library for STAC; raises He3Error that names the extra where it is missing."""
+    return _imported("pystac")
 
 
 def _imported(name: str) -> Any:

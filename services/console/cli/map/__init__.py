@@ -19,6 +19,7 @@ Examples:
   he3 map show mean --as-of 12
   he3 map box mean 100 100 200 200 --resolution 5
   he3 map save exceedance rich.tif --threshold 9
+  he3 map export maps
   he3 map export belief.npz
   he3 map resource 100,100 200,100 150,200 --cutoff 9
   he3 map samples --csv
@@ -31,7 +32,7 @@ app.command("at", short_help="The belief at one place.", epilog=EXAMPLES, contex
 app.command("show", short_help="A whole layer in the terminal.", epilog=EXAMPLES)(layer.show)
 app.command("box", short_help="A part of a layer.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)(layer.box)
 app.command("save", short_help="A layer as a file.", epilog=EXAMPLES)(files.save)
-app.command("export", short_help="The whole map and the samples as a file.", epilog=EXAMPLES)(files.export)
+app.command("export", short_help="The whole map for QGIS and other tools, in a folder.", epilog=EXAMPLES)(files.export)
 app.command(
     "resource", short_help="Helium-3 in an area, with intervals.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS
 )(area.resource)

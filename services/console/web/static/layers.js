@@ -1,7 +1,7 @@
 // The map's panel: the chosen layer, its scale, and the timeline back through the mission's maps.
 
 import { SiteMap } from "./map.js";
-import { askJson, askLayer } from "./net.js";
+import { askJson, askLayer, download } from "./net.js";
 import { $, sinceStart, state, toast } from "./state.js";
 import { elapsed, element } from "./words.js";
 
@@ -134,5 +134,12 @@ for (const input of document.querySelectorAll("input[name=layer]")) input.addEve
   wantMap();
 });
 $("threshold").addEventListener("change", wantMap);
+$("download").addEventListener("click", async () => {
+  $("download").disabled = true;
+  try {
+    await download("map/export", { as_of: state.past?.revision ?? null, threshold: $("threshold").value });
+  } catch (error) { toast(error.message, true); }
+  $("download").disabled = false;
+});
 $("show-paths").addEventListener("change", (event) => { map.show.paths = event.target.checked; map.draw(); });
 $("show-samples").addEventListener("change", (event) => { map.show.samples = event.target.checked; map.draw(); });

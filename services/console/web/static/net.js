@@ -19,6 +19,16 @@ export async function askLayer(parameters) {
   return { about, values: numbersOf(await response.arrayBuffer()) };
 }
 
+// The reply as a file of the browser's user, under the name that the server gives it.
+export async function download(path, parameters) {
+  const response = await ask(path, parameters);
+  const link = document.createElement("a");
+  link.download = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "")?.[1] ?? "download";
+  link.href = URL.createObjectURL(await response.blob());
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}
+
 export async function send(path, document) {
   const response = await fetch(`/api/${path}`, {
     method: "POST",

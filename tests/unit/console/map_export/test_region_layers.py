@@ -1,0 +1,30 @@
+"""What the region adds to an exported map: only of the mission's own region."""
+
+from __future__ import annotations
+
+import pytest
+
+from he3.errors import InvalidInput
+from services.console.map_export.region_layers import is_region, loaded_region
+from services.ground.map.region_account import region_account
+from services.mission.regions import load_region
+from services.mission.scenario import Scenario
+
+
+def test_only_the_missions_own_region_is_taken() -> None:
+    own, other = load_region("t1"), load_region("t2")
+    account = region_account(Scenario(name="t1", region="t1"), own)
+    assert is_region(own, account)
+    assert not is_region(other, account)
+    assert not isinstance(loaded_region(account), str)
+    with pytest.raises(InvalidInput, match="t2: expected the mission's region 't1', got another region"):
+        loaded_region(account, "t2")
+
+
+def test_a_region_that_is_on_another_machine_is_left_out_with_a_line() -> None:
+    account = region_account(Scenario(name="t1", region="/elsewhere/place"), load_region("t1"))
+    line = loaded_region(account)
+    assert isinstance(line, str)
+    assert line.startswith("elevation, slope, orbital map and reference are left out: ")
+    with pytest.raises(InvalidInput):
+        loaded_region(account, "/not/there.npz")
