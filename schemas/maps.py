@@ -219,7 +219,7 @@ class MapRegion(Wire):
     title: Text
     location: Annotated[str, Field(max_length=4096)]
     """Name of an embedded region, or the path of a region's folder or file on the ground's machine."""
-    field_seed: Count | None
+    field_seed: Annotated[int, Field(ge=0, lt=2**63)] | None
     """Seed of the variation of a region that has several; None: the region's own."""
     provenance: Provenance
     rows: Count
