@@ -12,6 +12,7 @@ from schemas.maps import RASTERS, MapLayer, MapRegion
 from schemas.topics import MAP_REGION
 from services.console.client.map_queries import AsOf, MapQueries
 from services.console.map_export.contents import MapContents, RasterLayer, belief_layer
+from services.runtime.heartbeat import software_version
 
 if TYPE_CHECKING:
     from services.console.map_export.folder import Exported
@@ -63,7 +64,8 @@ class MapFiles(MapQueries):
             layers += region_layers(loaded, account, mean.values, simulated)
         return MapContents(
             mission=self.mission, region=account, revision=revision, mission_time_ns=mean.about.mission_time_ns,
-            layers=tuple(layers), track=self.track(revision), interests=self.set_interest(), simulated=simulated,
+            layers=tuple(layers), track=self.track(revision), interests=self.set_interest(),
+            simulated=simulated, software=software_version(),
             notes=(loaded,) if isinstance(loaded, str) else (),
         )  # fmt: skip
 

@@ -17,7 +17,6 @@ from services.console.map_export.contents import SIMULATION_ONLY
 from services.console.map_export.rasters import NO_DATA, statistics
 from services.mission.region_build.geo import pystac
 from services.mission.region_build.projection import POLAR_DEG, transformer
-from services.runtime.heartbeat import software_version
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -111,7 +110,7 @@ def _properties(contents: MapContents, placement: Placement) -> dict[str, Any]:
                            placement.y_m + grid.height_m],
         "proj:bbox": [placement.x_m, placement.y_m, placement.x_m + grid.width_m, placement.y_m + grid.height_m],
         "he3:mission": contents.mission, "he3:revision": contents.revision, "he3:samples": len(contents.track.samples),
-        "he3:mission_time_ns": contents.mission_time_ns, "he3:software": software_version(),
+        "he3:mission_time_ns": contents.mission_time_ns, "he3:software": contents.software,
         "he3:simulated": contents.simulated, "he3:region": region.name, "he3:region_provenance": region.provenance,
         "he3:region_layers": [layer.model_dump(exclude_defaults=True) for layer in region.layers],
         "he3:frame": placement.name, "he3:notes": list(contents.notes),
@@ -165,7 +164,7 @@ def tags_of(contents: MapContents, layer: RasterLayer) -> Mapping[str, str]:
     found = {
         "TIFFTAG_IMAGEDESCRIPTION": f"{layer.title} [{layer.unit}], mission '{contents.mission}', "
         f"revision {contents.revision}, {len(contents.track.samples)} samples",
-        "TIFFTAG_SOFTWARE": f"he3-seeker {software_version()}",
+        "TIFFTAG_SOFTWARE": f"he3-seeker {contents.software}",
         "MISSION": contents.mission, "REVISION": str(contents.revision), "SAMPLES": str(len(contents.track.samples)),
         "MISSION_TIME": datetime.fromtimestamp(contents.mission_time_ns // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "MEASUREMENTS": _measurements(contents), "REGION": region.title, "REGION_PROVENANCE": region.provenance,

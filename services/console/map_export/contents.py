@@ -53,6 +53,8 @@ class MapContents:
     layers: tuple[RasterLayer, ...]
     track: MissionTrack
     interests: tuple[InterestArea, ...] = ()
+    software: str = ""
+    """Version of this software."""
     simulated: bool = False
     """Whether the measurements are of a simulated Moon with a reference field."""
     notes: tuple[str, ...] = ()
