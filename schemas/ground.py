@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field
 
@@ -69,6 +69,50 @@ class KeepOutArea(Wire):
 
     area_id: Identifier
     polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)]
+
+
+MAX_OVERVIEW_CELLS: Final = 4096
+"""Most cells of the values in an overview of the map: 64 x 64."""
+MAX_OVERVIEW_CORNERS: Final = 4096
+"""Most corners of the keep-outs in an overview; areas beyond are shown by its `traversable` alone."""
+
+
+class MapValues(Wire):
+    """Layers of the map as base64, row 0 in the south: mean and std as little-endian float32, traversable as bytes."""
+
+    rows: Annotated[int, Field(ge=1, le=MAX_OVERVIEW_CELLS)]
+    columns: Annotated[int, Field(ge=1, le=MAX_OVERVIEW_CELLS)]
+    mean_base64: Annotated[str, Field(max_length=24_000)]
+    std_base64: Annotated[str, Field(max_length=24_000)]
+    traversable_base64: Annotated[str, Field(max_length=6_000)]
+
+
+class MapOverview(Wire):
+    """A new revision of the map: what led to it, a checksum of all its values, and some of them."""
+
+    revision: Count
+    samples: Count
+    """Measurements in the map."""
+    added: tuple[Identifier, ...]
+    """The samples that were added since the revision before, in that order."""
+    fits: Count
+    """Changes of the hyperparameters so far; each rebuilds the map, from the samples in the order of their planning."""
+    mission_time_ns: MissionTimeNs
+    """Mission time of that revision."""
+    kernel: KernelParameters
+    rows: Count
+    columns: Count
+    resolution_m: Annotated[float, Field(gt=0)]
+    origin_lat_deg: float | None
+    """Latitude and longitude of the south-west corner; None if the region has no coordinates on the Moon."""
+    origin_lon_deg: float | None
+    checksum: Annotated[int, Field(ge=0, lt=2**32)]
+    """CRC-32 of mean, then std, on all cells: little-endian float32, row 0 in the south."""
+    step: Annotated[int, Field(ge=1)]
+    """`values` are of every step-th cell: of the one in the middle of each block of step x step cells."""
+    values: MapValues | None
+    """None in a recording, which holds them as a picture of the map."""
+    keep_outs: tuple[KeepOutArea, ...] = ()
 
 
 class MissionTrack(Wire):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 
 from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
-from schemas.ground import GroundStatus, InterestChange, InterestList, MissionTrack, Presence
+from schemas.ground import GroundStatus, InterestChange, InterestList, MapOverview, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
 from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.maps import (
@@ -309,6 +309,14 @@ MAP_HISTORY = Topic("earth/map/history", NoParameters, _MAP, service=Query(obser
 MAP_REGION = Topic("earth/map/region", NoParameters, _MAP, service=Query(observes=True), reply=MapRegion)
 MAP_FEED = Topic("earth/map/feed", MapFrame, _kept(Role.GROUND, _READERS, _READERS), max_bytes=67_108_864)
 """Not an envelope: head and numbers, see services/ground/map/feed.py. A query on the same key returns a key frame."""
+MAP_OVERVIEW = Topic(
+    "earth/map/overview",
+    MapOverview,
+    _kept(Role.GROUND, _RECORDED_AND_READ, _READERS),
+    recorded=True,
+    kept=True,
+    max_bytes=524_288,
+)
 
 MOON_JOIN = Topic(
     "moon/time/join", Join, _queried(_ON_MOON, Role.LINK), service=Query(), reply=Joined, max_bytes=65_536
@@ -365,6 +373,7 @@ TOPICS: tuple[Topic, ...] = (
     MAP_HISTORY,
     MAP_REGION,
     MAP_FEED,
+    MAP_OVERVIEW,
     MOON_JOIN,
     MOON_GRANT,
     MOON_DONE,

@@ -55,6 +55,7 @@ class Belief:
         self._observations: dict[str, Observation] = {}
         self._posterior: GridPosterior | None = GridPosterior(grid, prior, threads=MAP_THREADS)
         self._map, self._process = self._posterior.snapshot(), self._posterior.process
+        self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
 
     def __len__(self) -> int:
@@ -67,6 +68,11 @@ class Belief:
     @property
     def hyperparameters(self) -> Hyperparameters:
         return self._process.hyperparameters
+
+    @property
+    def fits(self) -> int:
+        """How often the map was rebuilt with new hyperparameters."""
+        return self._fits
 
     @property
     def process(self) -> GaussianProcess:
@@ -119,6 +125,7 @@ class Belief:
 
     def adopt(self, fitted: Hyperparameters) -> None:
         """Rebuild the map with new hyperparameters, from all samples in the order in which they were planned."""
+        self._fits += 1
         planned = {name: observed.planned for name, observed in self._observations.items()}
         self._built = tuple(sorted(planned, key=planned.__getitem__))
         posterior = self._posterior = self._rebuilt(replace(fitted, trend=self._trend))
@@ -153,10 +160,11 @@ class Belief:
             "map": self._map,
             "process": self._process,
             "built": self._built,
+            "fits": self._fits,
         }
 
     def restore(self, state: SavedState) -> None:
         """Restore the belief from this state."""
-        self._observations, self._built = state["observations"], state["built"]
+        self._observations, self._built, self._fits = state["observations"], state["built"], state["fits"]
         self._map, self._process = state["map"], state["process"]
         self._posterior = None

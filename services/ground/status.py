@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from schemas.ground import GroundStatus, KernelParameters, MissionPhase
+from schemas.ground import GroundStatus, MissionPhase
 from schemas.topics import GROUND_STATUS
+from services.ground.map.overview import kernel_parameters
 from services.runtime.node import Send
 
 if TYPE_CHECKING:
@@ -49,7 +50,6 @@ class StatusReporter:
 
     def _status(self) -> GroundStatus:
         progress = self._director.progress()
-        hyperparameters = self._belief.hyperparameters
         return GroundStatus(
             phase=self._phase(progress),
             planner=self._scenario.ground.planner,
@@ -63,13 +63,7 @@ class StatusReporter:
             plans_in_work=int(progress.planning),
             map_revision=self._publisher.revision,
             mean_std_ppb=self._publisher.mean_std_ppb,
-            kernel=KernelParameters(
-                name=hyperparameters.kernel.name,
-                parameters=hyperparameters.kernel.parameters(),
-                noise_std_ppb=hyperparameters.noise_std_ppb,
-                mean_ppb=hyperparameters.mean_ppb,
-                scale_ppb=hyperparameters.scale_ppb,
-            ),
+            kernel=kernel_parameters(self._belief.hyperparameters),
             score=self._publisher.score,
             rover=self._rover,
             rover_made_at=self._rover_made_at,

@@ -13,7 +13,7 @@ def main() -> int:
     from contextlib import ExitStack
     from pathlib import Path
 
-    from services.mission.region_folder import provenance_of
+    from services.recorder.about import about
     from services.recorder.files import open_recording
     from services.recorder.node import build_node
     from services.recorder.sink import RecordingSink
@@ -27,8 +27,7 @@ def main() -> int:
 
         def build(options: Options) -> Node:
             file = open_recording(options.out or Path(DEFAULT_FILE))
-            region = provenance_of(options.scenario.region)
-            sink = RecordingSink(file, options.scenario.name, MIN_FLUSH_S, region=region)
+            sink = RecordingSink(file, options.scenario.name, MIN_FLUSH_S, about=about(options.scenario))
             sinks.append(stack.enter_context(sink))
             return build_node(options.scenario, sinks[-1])
 

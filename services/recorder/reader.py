@@ -83,6 +83,8 @@ class Recording:
         """One line on each place where the recorder left messages out because the disk was full."""
         self.messages_by_topic: Counter[str] = Counter()
         """The messages that were returned."""
+        self.about: dict[str, dict[str, str]] = {}
+        """The metadata records on the mission, by name; see `services.recorder.about`."""
         self._topics: dict[int, str] = {}
         self._named_mission = ""
         self._recorded: Counter[int] | None = None
@@ -140,6 +142,8 @@ class Recording:
                         self._topics.setdefault(int(fields["id"]), fields.get("topic", ""))
                 case Metadata(name=name, metadata=fields) if name == GAP_RECORD:
                     self.omissions.append(_omission(fields))
+                case Metadata(name=name, metadata=fields):
+                    self.about.setdefault(name, fields)
                 case Channel():
                     self._introduce(record)
                 case Statistics():

@@ -32,11 +32,11 @@ class RecordingSink:
         *,
         clock: Callable[[], float] = time.monotonic,
         max_pending_bytes: int = MAX_PENDING_BYTES,
-        region: Mapping[str, str] | None = None,
+        about: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
-        """least_flush_s: shortest wall time between two flushes [s]. region: provenance of its layers, by name."""
+        """least_flush_s: shortest wall time between two flushes [s]. about: metadata records, as `RecordingWriter`."""
         self._file = file
-        self._writer = RecordingWriter(file, mission, least_flush_s, clock, region)
+        self._writer = RecordingWriter(file, mission, least_flush_s, clock, about)
         self._max_pending_bytes = max_pending_bytes
         self._omitted = 0  # messages that were not taken, for want of room
         self._gap: tuple[int, MissionTime, MissionTime] | None = None  # those that the file does not mention yet

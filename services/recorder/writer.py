@@ -28,8 +28,6 @@ CHUNK_BYTES = 65_536
 PROFILE = "he3-seeker"
 
 MISSION_RECORD = "mission"
-REGION_RECORD = "region"
-"""Metadata record: layer of the region -> where it comes from, in one line."""
 """Metadata record: the mission and the version of the message schemas."""
 CHANNEL_RECORD = "channel"
 """Metadata record: id and topic of a channel, in case the chunk that introduces it is lost."""
@@ -56,11 +54,11 @@ class RecordingWriter:
         mission: str,
         least_flush_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
-        region: Mapping[str, str] | None = None,
+        about: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
         """least_flush_s: shortest wall time between two flushes [s]; a fast mission would flush after each message.
 
-        region: provenance of the region's layers, by name: a metadata record of the file.
+        about: further metadata records of the file, by name; see `services.recorder.about`.
         """
         self._stream = stream
         self._least_flush_s = least_flush_s
@@ -72,8 +70,8 @@ class RecordingWriter:
         self._writer = Writer(output, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile=PROFILE, library=PROFILE)
         self._writer.add_metadata(MISSION_RECORD, {"mission": mission, "schema_version": str(SCHEMA_VERSION)})
-        if region:
-            self._writer.add_metadata(REGION_RECORD, dict(region))
+        for name, fields in (about or {}).items():
+            self._writer.add_metadata(name, dict(fields))
         self._stream.flush()
         self.messages = 0
         """Messages written so far."""

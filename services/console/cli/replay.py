@@ -19,12 +19,20 @@ EXAMPLES = """\b
 Examples:
   he3 replay runs/t1/mission.mcap
   he3 replay runs/t1/mission.mcap --topic tm/sample | head -3
+  he3 replay --verify runs/t1/mission.mcap             compute the map again, compare it with the recorded one
 """
 
 FileName = Annotated[Path, typer.Argument(metavar="FILE", help="A recording: mission.mcap.")]
 TopicName = Annotated[
     str | None,
     typer.Option("--topic", metavar="NAME", help="Print the messages of that topic, one JSON document a line."),
+]
+Verify = Annotated[
+    bool,
+    typer.Option(
+        "--verify",
+        help="Rebuild the belief from the recorded samples; compare it with the recorded map, to 1e-6 ppb.",
+    ),
 ]
 
 
@@ -49,7 +57,7 @@ class _Seen:
             self.status = message.body
 
 
-def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> None:
+def replay(file: FileName, topic: TopicName = None, verify: Verify = False, json: AsJson = False) -> None:
     """Summarise a recording. Intact parts of a damaged file are read; missing ones are reported, with exit code 1."""
     import json as json_format
 
@@ -61,6 +69,11 @@ def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> Non
     names = [each.name for each in TOPICS if each.recorded]
     if topic is not None and topic not in names:
         raise InvalidInput(f"--topic: expected one of {', '.join(names)}; got '{topic}'")
+    if verify:
+        if topic is not None:
+            raise InvalidInput("--verify and --topic: expected one of them, got both")
+        _verify(file, json)
+        return
     recording, seen = Recording(file), _Seen()
     for message in recording.messages():
         seen.take(message)
@@ -73,6 +86,37 @@ def replay(file: FileName, topic: TopicName = None, json: AsJson = False) -> Non
     for problem in problems:
         typer.echo(f"he3: {printable(f'{file}: {problem}')}", err=True)
     if problems:
+        raise typer.Exit(1)
+
+
+def _verify(file: Path, json: bool) -> None:
+    """Print how the recorded map compares with the rebuilt one; exit code 1 if they differ."""
+    import json as json_format
+    from dataclasses import asdict
+
+    from services.console.report.verification import TOLERANCE_PPB, verify
+
+    result = verify(file)
+    if json:
+        document = {"file": str(file), "equal": result.equal, "tolerance_ppb": TOLERANCE_PPB, **asdict(result)}
+        typer.echo(json_format.dumps(document, indent=2))
+    else:
+        verdict = (
+            "equal"
+            if result.equal
+            else "DIFFERENT" + (f", most at revision {result.at_revision}" if result.at_revision else "")
+        )
+        mean, std = f"{result.largest_mean_ppb:.2g}", f"{result.largest_std_ppb:.2g}"
+        lines = (
+            f"belief     {verdict}: {result.revisions} revisions, rebuilt from {result.samples} recorded samples",
+            f"difference at most {mean} ppb of the mean, {std} ppb of its std, over {result.values:,} values of each",
+            f"checksum   {result.identical} of {result.revisions} revisions are identical on all cells",
+        )
+        typer.echo("\n".join(lines))
+        if result.after_loss:
+            largest = f"{result.largest_after_loss_ppb:.2g}"
+            typer.echo(f"after loss {result.after_loss} revisions follow others that were not recorded: {largest} ppb")
+    if not result.equal:
         raise typer.Exit(1)
 
 

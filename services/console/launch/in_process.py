@@ -43,7 +43,7 @@ def _run_in_process(
 ) -> tuple[Outcome, list[str]]:
     """The outcome of the mission, and one line on each output that could not be written while it ran."""
     from services.ground.planner_process import PlannerProcess
-    from services.mission.region_folder import provenance_of
+    from services.recorder.about import about
     from services.recorder.files import open_recording
     from services.recorder.node import build_node as build_recorder
     from services.recorder.sink import RecordingSink
@@ -53,7 +53,7 @@ def _run_in_process(
     with ExitStack() as stack:
         if where.recording is not None:
             recording = open_recording(where.recording)
-            sink = stack.enter_context(RecordingSink(recording, scenario.name, region=provenance_of(scenario.region)))
+            sink = stack.enter_context(RecordingSink(recording, scenario.name, about=about(scenario)))
             nodes = (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
         planners = stack.enter_context(PlannerProcess())
         log = None if events is None else stack.enter_context(closing(EventLog(events)))

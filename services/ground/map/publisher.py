@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from schemas.ground import KeepOutArea
+from schemas.topics import MAP_OVERVIEW
+from services.ground.map.overview import overview
 from services.ground.map.snapshot import MapSnapshot
-from services.runtime.node import PublishSnapshot
+from services.runtime.node import PublishSnapshot, Send
 
 if TYPE_CHECKING:
     from he3.posterior.grid import PosteriorMap
@@ -62,8 +64,8 @@ class MapPublisher:
 
     def publish(
         self, now: MissionTime, ended: bool, plan_ends: Callable[[MissionTime], MissionTime | None]
-    ) -> Iterable[PublishSnapshot]:
-        """A new snapshot if there is something new; ended: whether the mission is over.
+    ) -> Iterable[PublishSnapshot | Send]:
+        """A new snapshot if there is something new, with an overview if the map is; ended: whether the mission is over.
 
         plan_ends: the expected end of all planned rounds; called for new snapshots only.
         """
@@ -107,6 +109,9 @@ class MapPublisher:
         # Reports are made from queries that come as soon as the status says that the mission is over.
         self._shown_at_the_end = ended
         yield PublishSnapshot(self.snapshot, awaited=self._shown_at_the_end)
+        if before is None or before.revision != self.revision:
+            known = 0 if before is None else len(before.samples)
+            yield Send(MAP_OVERVIEW, overview(self.snapshot, known, self._belief.fits))
 
     def _note_changes(self, now: MissionTime) -> None:
         """A new revision, with its score, if map or terrain are other objects than before."""

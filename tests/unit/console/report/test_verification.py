@@ -1,0 +1,120 @@
+"""`he3 replay --verify`: the belief rebuilt from a recording's samples is the map that the ground had."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.fault_schedules import Fault, FaultKind
+from benchmarks.faults import World
+from he3.errors import He3Error, InvalidInput
+from schemas.codec import decode, encode
+from schemas.topics import MAP_OVERVIEW, SAMPLE, Side, Topic
+from services.console.__main__ import main
+from services.console.report.verification import TOLERANCE_PPB, verify
+from services.recorder.about import about
+from services.recorder.reader import Recording
+from services.recorder.writer import RecordingWriter
+from services.runtime.scheduler import InlineExecutor
+
+HOUR_S = 3600.0
+FAULTS = (
+    Fault(FaultKind.LOSS, 0.2 * HOUR_S, 3 * HOUR_S),
+    Fault(FaultKind.REORDERING, 0.3 * HOUR_S, 5 * HOUR_S),
+    Fault(FaultKind.DUPLICATION, 0.4 * HOUR_S, 5 * HOUR_S),
+    Fault(FaultKind.KILL, 1.0 * HOUR_S, 300.0, "ground"),
+    Fault(FaultKind.KILL, 2.0 * HOUR_S, 600.0, "rover"),
+    Fault(FaultKind.CRASH, 2.5 * HOUR_S, 900.0, "ground", torn=True),
+    Fault(FaultKind.CORRUPTION, 3.0 * HOUR_S, HOUR_S),
+    Fault(FaultKind.BLACKOUT, 4.0 * HOUR_S, HOUR_S),
+)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording of a mission that was flown with killed processes and a link that lost, doubled and damaged."""
+    path = tmp_path_factory.mktemp("flown") / "mission.mcap"
+    world = World(5, InlineExecutor(), planner="informative")
+    with path.open("wb") as stream, RecordingWriter(stream, "faults", about=about(world.scenario)) as writer:
+
+        def record(topic: Topic, side: Side, payload: bytes, now: int) -> None:
+            if side is Side.EARTH and topic.recorded:
+                try:
+                    header, body = decode(topic, payload, "faults")
+                except ValueError:
+                    return  # damaged on the link, as the fault schedule asks
+                writer.write(topic, encode(header, body), now, header.made_at, header.sequence)
+
+        world.simulation.tap(record)
+        world.suffer(FAULTS)
+        world.mission.run(world.revive)
+    return path
+
+
+def test_the_rebuilt_belief_of_a_mission_flown_with_faults_is_the_recorded_map_at_every_revision(flown: Path) -> None:
+    result = verify(flown)
+    assert result.samples == World(5, InlineExecutor()).scenario.samples
+    assert result.revisions > result.samples
+    assert result.values == result.revisions * 60 * 60
+    assert result.largest_ppb <= TOLERANCE_PPB
+    assert result.identical == result.revisions
+    assert result.after_loss == 0
+
+
+def test_lost_overviews_do_not_hinder_it(flown: Path, tmp_path: Path) -> None:
+    thinned = tmp_path / "thinned.mcap"
+    seen = 0
+    with thinned.open("wb") as stream, RecordingWriter(stream, "faults") as writer:
+        for message in Recording(flown).messages():
+            if message.topic is MAP_OVERVIEW:
+                seen += 1
+                if seen in (3, 4):
+                    continue
+            writer.write(message.topic, message.payload, message.received_at, message.header.made_at, 0)
+    result = verify(thinned)
+    assert result.revisions == seen - 2
+    assert result.equal
+    assert 0 < result.after_loss < result.revisions
+
+
+@pytest.mark.parametrize("change_ppb", [1e-4, 0.5])
+def test_a_sample_whose_value_was_changed_shows_as_a_difference(
+    flown: Path, tmp_path: Path, change_ppb: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed = tmp_path / "changed.mcap"
+    victim = next(message.body.sample_id for message in Recording(flown).messages() if message.topic is SAMPLE)
+    with changed.open("wb") as stream, RecordingWriter(stream, "faults") as writer:
+        for message in Recording(flown).messages():
+            body = message.body
+            if message.topic is SAMPLE and body.sample_id == victim:
+                body = body.model_copy(update={"helium3_ppb": body.helium3_ppb + change_ppb})
+            payload = encode(message.header, body)
+            writer.write(message.topic, payload, message.received_at, message.header.made_at, 0)
+    assert main(["replay", "--verify", str(changed), "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert not document["equal"]
+    assert document["largest_mean_ppb"] > TOLERANCE_PPB
+    assert document["identical"] < document["revisions"]
+
+
+def test_a_sample_that_was_not_recorded_is_named(flown: Path, tmp_path: Path) -> None:
+    lacking = tmp_path / "lacking.mcap"
+    victim = next(message.body.sample_id for message in Recording(flown).messages() if message.topic is SAMPLE)
+    with lacking.open("wb") as stream, RecordingWriter(stream, "faults") as writer:
+        for message in Recording(flown).messages():
+            if message.topic is not SAMPLE or message.body.sample_id != victim:
+                writer.write(message.topic, message.payload, message.received_at, message.header.made_at, 0)
+    with pytest.raises(
+        He3Error, match=rf"revision \d+ of the map cannot be rebuilt: sample {victim}: expected its report"
+    ):
+        verify(lacking)
+
+
+def test_a_recording_without_a_map_is_refused_in_one_line(tmp_path: Path) -> None:
+    empty = tmp_path / "empty.mcap"
+    with empty.open("wb") as stream:
+        RecordingWriter(stream, "m").close()
+    with pytest.raises(InvalidInput, match="expected a recording with overviews of the map"):
+        verify(empty)
