@@ -111,7 +111,7 @@ class MapOverview(Wire):
     step: Annotated[int, Field(ge=1)]
     """`values` are of every step-th cell: of the one in the middle of each block of step x step cells."""
     values: MapValues | None
-    """None in a recording, which holds them as a picture of the map."""
+    """None if only the checksum tells of the values."""
     keep_outs: tuple[KeepOutArea, ...] = ()
 
 
