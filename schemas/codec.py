@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -24,6 +25,9 @@ _HEADER_LIMIT_BYTES = 2_000
 """Length of the beginning of a message in which the checksum is searched; a header is much shorter."""
 
 
+Sign = Callable[[Header, bytes], Header]
+
+
 class Refused(ValueError):
     """A payload that its topic does not admit; the text is one line."""
 
@@ -32,9 +36,13 @@ class Damaged(Refused):
     """A payload whose checksum is wrong: it was changed on the way."""
 
 
-def encode(header: Header, body: Wire) -> bytes:
-    """The message as JSON in UTF-8, sealed with its checksum."""
-    return _sealed(header, body.model_dump_json().encode())
+def encode(header: Header, body: Wire, sign: Sign | None = None) -> bytes:
+    """The message as JSON in UTF-8, sealed with its checksum.
+
+    sign: returns the header with signer and signature, given the header and the body as it is sent; None: not signed.
+    """
+    content = body.model_dump_json().encode()
+    return _sealed(header if sign is None else sign(header, content), content)
 
 
 def restamped(payload: bytes, held_from: int | None, repetition: int) -> bytes:

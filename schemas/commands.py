@@ -7,7 +7,7 @@ from typing import Annotated, Final
 
 from pydantic import Field, model_validator
 
-from schemas.wire import Identifier, MissionTimeNs, PositionM, Text, Wire
+from schemas.wire import CommonName, Identifier, MissionTimeNs, PositionM, Signature, Text, Wire
 
 
 class CommandKind(StrEnum):
@@ -44,6 +44,22 @@ ENDS: Final = frozenset(
 _ORDER: Final = {stage: number for number, stage in enumerate(CommandStage)}
 
 
+class Authorization(Wire):
+    """The consent of a person to one command, signed: whoever passes the command on cannot make, alter or renew it."""
+
+    signer: CommonName
+    instance: Identifier
+    """The run of the mission for which it counts."""
+    made_at: MissionTimeNs
+    expires_at: MissionTimeNs
+    """The command is refused when it arrives later."""
+    signature: Signature
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class Telecommand(Wire):
     """A command to the rover, executed at most once and not after it expires."""
 
@@ -56,6 +72,10 @@ class Telecommand(Wire):
     """Corners of the area that the rover may not enter (`set_keep_out` only); None removes the area."""
     area_id: Identifier | None = None
     """The keep-out area that is set or removed (`set_keep_out` only)."""
+    issued_by: Text | None = Field(default=None, exclude_if=_is_none)
+    """The name that the sender gives, which nothing proves: a user and a machine. None where there is an identity."""
+    authorization: Authorization | None = Field(default=None, exclude_if=_is_none)
+    """The signed consent of the person who issued it; None in a mission without keys."""
 
     @model_validator(mode="after")
     def _has_what_its_kind_needs(self) -> Telecommand:
@@ -67,6 +87,18 @@ class Telecommand(Wire):
         if self.polygon_m is not None and len(self.polygon_m) < 3:
             raise ValueError(f"expected a polygon of at least 3 corners, got {len(self.polygon_m)}")
         return self
+
+    @property
+    def order(self) -> Telecommand:
+        """The command without who issued it: what is to be done. Equal orders of the same id are one command."""
+        return self.model_copy(update={"issued_by": None, "authorization": None})
+
+    @property
+    def by(self) -> str:
+        """Who issued it, for people to read: a verified name, or one that is marked as unverified; empty if unnamed."""
+        if self.authorization is not None:
+            return self.authorization.signer
+        return "" if self.issued_by is None else f"{self.issued_by} (unverified)"
 
 
 class CommandReport(Wire):

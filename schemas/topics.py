@@ -104,6 +104,8 @@ class Topic:
     kept: bool = False
     """Whether the last message can be queried on the same key, for late subscribers."""
     reply: type[Wire] | None = None
+    signed: bool = False
+    """Whether, in a mission with keys, its messages (of a query: request and reply) count only if they are signed."""
     per_process: bool = False
     """Whether each subscriber has a key of its own, which ends with its name; see `addressed`."""
     max_bytes: int = 16_384
@@ -186,14 +188,18 @@ _TO_TIME_MANAGER = {Side.MOON: _published(_ON_MOON, (Role.LINK,)), Side.EARTH: _
 
 _OF_A_STREAM = Latest(priority=0, distinct=("stream", "source", "incarnation"))
 
-PLAN = Topic("tc/plan", MissionPlan, _UPLINK, Crosses.UP, Custody(priority=1), recorded=True, max_bytes=1_048_576)
-COMMAND = Topic("tc/command", Telecommand, _UPLINK, Crosses.UP, Custody(priority=0), recorded=True)
-ACK_UP = Topic("tc/ack", Acknowledgement, _UPLINK, Crosses.UP, _OF_A_STREAM, recorded=True)
+PLAN = Topic(
+    "tc/plan", MissionPlan, _UPLINK, Crosses.UP, Custody(priority=1), recorded=True, max_bytes=1_048_576, signed=True
+)
+COMMAND = Topic("tc/command", Telecommand, _UPLINK, Crosses.UP, Custody(priority=0), recorded=True, signed=True)
+ACK_UP = Topic("tc/ack", Acknowledgement, _UPLINK, Crosses.UP, _OF_A_STREAM, recorded=True, signed=True)
 
-SAMPLE = Topic("tm/sample", SampleReport, _DOWNLINK, Crosses.DOWN, Custody(priority=2), recorded=True)
-EVENT = Topic("tm/event", RoverEvent, _DOWNLINK, Crosses.DOWN, Custody(priority=1), recorded=True)
-COMMAND_REPORT = Topic("tm/command", CommandReport, _DOWNLINK, Crosses.DOWN, Custody(priority=0), recorded=True)
-STATE = Topic("tm/state", RoverState, _DOWNLINK, Crosses.DOWN, Latest(), recorded=True)
+SAMPLE = Topic("tm/sample", SampleReport, _DOWNLINK, Crosses.DOWN, Custody(priority=2), recorded=True, signed=True)
+EVENT = Topic("tm/event", RoverEvent, _DOWNLINK, Crosses.DOWN, Custody(priority=1), recorded=True, signed=True)
+COMMAND_REPORT = Topic(
+    "tm/command", CommandReport, _DOWNLINK, Crosses.DOWN, Custody(priority=0), recorded=True, signed=True
+)
+STATE = Topic("tm/state", RoverState, _DOWNLINK, Crosses.DOWN, Latest(), recorded=True, signed=True)
 ACK_DOWN = Topic(
     "tm/ack",
     Acknowledgement,
@@ -201,6 +207,7 @@ ACK_DOWN = Topic(
     Crosses.DOWN,
     _OF_A_STREAM,
     recorded=True,
+    signed=True,
 )
 
 MEASURE = Topic(
@@ -209,6 +216,7 @@ MEASURE = Topic(
     _queried((Role.ROVER,), Role.FIELD),
     service=Query(),
     reply=MeasurementReply,
+    signed=True,
 )
 TERRAIN = Topic(
     "moon/field/terrain",
@@ -217,6 +225,7 @@ TERRAIN = Topic(
     service=Query(),
     reply=TerrainReply,
     max_bytes=65_536,
+    signed=True,
 )
 MOON_CLOCK = Topic("moon/clock", ClockState, _kept(Role.LINK, _ON_MOON, _ON_MOON))
 MOON_PRESENCE = Topic("moon/presence", Presence, _published((Role.LINK, *_ON_MOON), (Role.LINK,)))
@@ -231,7 +240,12 @@ EARTH_PRESENCE = Topic(
     "earth/presence", Presence, _published((Role.LINK, Role.GROUND, Role.RECORDER), (Role.LINK, *_READERS))
 )
 CLOCK_SET = Topic(
-    "earth/clock/set", ClockChange, _queried((Role.CONTROLLER,), Role.LINK), service=Query(), reply=ClockState
+    "earth/clock/set",
+    ClockChange,
+    _queried((Role.CONTROLLER,), Role.LINK),
+    service=Query(),
+    reply=ClockState,
+    signed=True,
 )
 LINK_STATUS = Topic(
     "earth/link/status",
@@ -242,7 +256,12 @@ LINK_STATUS = Topic(
     max_bytes=262_144,
 )
 LINK_SET = Topic(
-    "earth/link/set", LinkChange, _queried((Role.CONTROLLER,), Role.LINK), service=Query(), reply=LinkStatus
+    "earth/link/set",
+    LinkChange,
+    _queried((Role.CONTROLLER,), Role.LINK),
+    service=Query(),
+    reply=LinkStatus,
+    signed=True,
 )
 LINK_SHOW = Topic(
     "earth/link/show",
@@ -258,9 +277,15 @@ GROUND_STATUS = Topic(
     recorded=True,
     kept=True,
     max_bytes=65_536,
+    signed=True,
 )
 ISSUE_COMMAND = Topic(
-    "earth/ground/command", Telecommand, _queried((Role.OPERATOR,), Role.GROUND), service=Query(), reply=CommandStatus
+    "earth/ground/command",
+    Telecommand,
+    _queried((Role.OPERATOR,), Role.GROUND),
+    service=Query(),
+    reply=CommandStatus,
+    signed=True,
 )
 LIST_COMMANDS = Topic(
     "earth/ground/commands",
@@ -277,6 +302,7 @@ SET_INTEREST = Topic(
     service=Query(),
     reply=InterestList,
     max_reply_bytes=4_194_304,
+    signed=True,
 )
 LIST_INTERESTS = Topic(
     "earth/ground/interests",
@@ -333,7 +359,12 @@ EARTH_DONE = Topic("earth/time/done", StepDone, _TO_TIME_MANAGER[Side.EARTH])
 EARTH_BUSY = Topic("earth/time/busy", StepBusy, _TO_TIME_MANAGER[Side.EARTH])
 EARTH_POKE = Topic("earth/time/poke", Poke, _TO_TIME_MANAGER[Side.EARTH])
 TIME_CONTROL = Topic(
-    "earth/time/control", TimeControl, _queried((Role.CONTROLLER,), Role.LINK), service=Query(), reply=TimeStatus
+    "earth/time/control",
+    TimeControl,
+    _queried((Role.CONTROLLER,), Role.LINK),
+    service=Query(),
+    reply=TimeStatus,
+    signed=True,
 )
 TIME_SHOW = Topic(
     "earth/time/show", NoParameters, _queried(_READERS, Role.LINK), service=Query(observes=True), reply=TimeStatus

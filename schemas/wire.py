@@ -33,6 +33,12 @@ MAX_POSITION_M = 1e5
 PositionM = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
 """A site coordinate [m]."""
 
+CommonName = Annotated[str, Field(pattern=r"^[a-z]+\.[a-z0-9][a-z0-9_-]{0,31}(\.[0-9]{1,9})?$")]
+"""Name of an identity: ROLE.NAME, as its certificate has it."""
+
+Signature = Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
+"""An Ed25519 signature in hexadecimal: each signature has one text only, which base64 does not promise."""
+
 MAX_TEXT = 500
 MAX_PROVENANCE = 1000
 """Characters of a text about the origin of data, as a region's document may have them."""
@@ -62,6 +68,10 @@ class Wire(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True, ser_json_inf_nan="null")
 
 
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class Header(Wire):
     """Who made a message, and when. Topic, source, incarnation and sequence together are unique in a mission."""
 
@@ -78,6 +88,14 @@ class Header(Wire):
     """Lowest sequence of its stream that the source still keeps; everything below it is acknowledged."""
     repetition: Count = 0
     """How often the message was sent before; 0 the first time."""
+    instance: Identifier | None = Field(default=None, exclude_if=_is_none)
+    """The run of the mission, in signed messages: one of an earlier run does not count in this one."""
+    expires_at: MissionTimeNs | None = Field(default=None, exclude_if=_is_none)
+    """When a signed request ends to count; None: never."""
+    signer: CommonName | None = Field(default=None, exclude_if=_is_none)
+    """The identity that signed the message; None for one that is not signed."""
+    signature: Signature | None = Field(default=None, exclude_if=_is_none)
+    """The signature of `schemas.signing.signed_bytes`."""
     checksum: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     """CRC-32 of header (without this field) and body as sent on the wire; None: no check."""
 
