@@ -76,6 +76,8 @@ class Telecommand(Wire):
     """The name that the sender gives, which nothing proves: a user and a machine. None where there is an identity."""
     authorization: Authorization | None = Field(default=None, exclude_if=_is_none)
     """The signed consent of the person who issued it; None in a mission without keys."""
+    objection: Text | None = Field(default=None, exclude_if=_is_none)
+    """Why the receiver must not carry it out, as its own check of signatures found; a sender has no use for it."""
 
     @model_validator(mode="after")
     def _has_what_its_kind_needs(self) -> Telecommand:
@@ -91,7 +93,7 @@ class Telecommand(Wire):
     @property
     def order(self) -> Telecommand:
         """The command without who issued it: what is to be done. Equal orders of the same id are one command."""
-        return self.model_copy(update={"issued_by": None, "authorization": None})
+        return self.model_copy(update={"issued_by": None, "authorization": None, "objection": None})
 
     @property
     def by(self) -> str:

@@ -53,7 +53,7 @@ class CommandHistory:
         """
         known = self._statuses.get(command.command_id)
         if known is not None:
-            if known.command != command:
+            if known.command.order != command.order:
                 raise InvalidInput(f"command {command.command_id}: expected a new id, got that of another command")
             return known, False
         if command.expires_at is not None and command.expires_at <= now:

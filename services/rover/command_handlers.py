@@ -73,7 +73,10 @@ class CommandHandlers:
             return
         self._advance(command, CommandStage.RECEIVED, now)
         if is_past(command, now):
-            self._advance(command, CommandStage.EXPIRED, now, "it came after its time")
+            self._advance(command, CommandStage.EXPIRED, now, command.objection or "it came after its time")
+            return
+        if command.objection is not None:
+            self._advance(command, CommandStage.REJECTED, now, command.objection)
             return
         why = registry.overtaken(command, header, now) or self._refusal(command)
         if why is not None:

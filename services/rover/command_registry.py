@@ -46,7 +46,7 @@ class CommandRegistry:
     def differs(self, command: Telecommand) -> bool:
         """Whether another command is known under the same id."""
         known = self._known.get(command.command_id)
-        return known is not None and known[0] != command
+        return known is not None and known[0].order != command.order
 
     def advance(self, command: Telecommand, stage: CommandStage, now: MissionTime, why: str = "") -> CommandReport:
         """The report that the command has reached that stage; raises IllegalStage, naming both, if it cannot follow."""
@@ -90,5 +90,8 @@ class CommandRegistry:
 
 
 def is_past(command: Telecommand, now: MissionTime) -> bool:
-    """Whether the command has expired; at the very instant of its expiry it may still start."""
-    return command.expires_at is not None and now > command.expires_at
+    """Whether the command, or the consent to it, has expired; at the very instant of its expiry it may still start."""
+    consent = command.authorization
+    return (command.expires_at is not None and now > command.expires_at) or (
+        consent is not None and now > consent.expires_at
+    )

@@ -9,15 +9,19 @@ from __future__ import annotations
 import traceback
 import zlib
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
-from schemas.codec import Refused, decode, decode_reply, encode, raw_objection
+from schemas.codec import Refused, decode, decode_reply, encode, header_of, raw_objection
+from schemas.commands import Telecommand
 from schemas.refusal import RefusalCode
-from schemas.topics import Crosses, Query, Side, Topic, under_custody
+from schemas.signing import Part
+from schemas.topics import COMMAND, Crosses, Query, Side, Topic, under_custody
 from schemas.wire import MAX_TEXT, Header, Wire, printable
-from services.mission.mission_time import MAX_AHEAD, MissionTime
+from services.mission.mission_time import MAX_AHEAD, SECOND, MissionTime
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError, SetAside
+from services.runtime.audit_trail import RefusalCounter
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.endpoint import STATE_TYPES as CUSTODY_STATE_TYPES
 from services.runtime.inputs import (
@@ -61,8 +65,10 @@ from services.runtime.node import (
 from services.runtime.state_codec import StateCodec
 
 if TYPE_CHECKING:
+    from services.runtime.audit_trail import AuditTrail
     from services.runtime.custody.protocol import CustodyConfig
     from services.runtime.node import SavedState
+    from services.runtime.trust.gate import Gate
 
 
 def origin(topic: Topic) -> Side:
@@ -89,6 +95,23 @@ def _described(given: Input | None) -> tuple[str, bytes]:
     return type(given).__name__, b""
 
 
+def _sender(given: Input) -> str:
+    """Whom a message names as its sender, which is not proven; empty for one that names nobody."""
+    match given:
+        case MessageArrived(_, payload) | QueryArrived(_, payload, _) | ReplyArrived(_, payload):
+            header = header_of(payload)
+            return printable(str(header.get("signer") or header.get("source") or ""))[:80]
+    return ""
+
+
+def _named(header: Header, body: Wire) -> str:
+    consent = body.authorization if isinstance(body, Telecommand) else None
+    return consent.signer if consent is not None else header.source
+
+
+QUERY_VALID_NS: Final = 3600 * SECOND
+"""Mission time for which a signed query of a node counts."""
+
 EventSink = Callable[[MissionTime, str, str], None]
 """Called for each event handled with mission time, node and a line that describes it: the event log."""
 
@@ -114,9 +137,12 @@ class Host:
         event_sink: EventSink | None = None,
         custody: CustodyConfig | None = None,
         contains_defects: bool = False,
+        gate: Gate | None = None,
+        audit: AuditTrail | None = None,
     ) -> None:
         """contains_defects: whether an exception upon an input from outside sets that input aside. False: it is raised,
-        so that simulations and tests show it.
+        so that simulations and tests show it. gate: signs and verifies messages; None in a mission without keys. audit:
+        where changes are written down.
         """
         self._node = node
         self._contains_defects = contains_defects
@@ -130,11 +156,14 @@ class Host:
         self._asked: dict[int, Topic] = {}
         self._queries: dict[str, PutQuery] = {}
         self._refused = 0
+        self._refusals = RefusalCounter()
+        self._gate = gate
+        self._audit = audit
         self._events = 0
         interface = self._interface
         self._custody: CustodyEndpoint | None = None
         if interface.custody and any(under_custody(topic) for topic in interface.subscribes):
-            self._custody = CustodyEndpoint(interface.name, interface.sides[0], custody)
+            self._custody = CustodyEndpoint(interface.name, interface.sides[0], custody, self._encoded)
         self._reported_depth = 0
 
     @property
@@ -239,6 +268,106 @@ class Host:
 
     # --- what a driver reports ----------------------------------------------------------------------------------
 
+    def admit(self, given: Input, now: MissionTime) -> tuple[Input | None, list[Action]]:
+        """The input as it is to be kept and handled, and the actions that follow if it is refused (then it is None).
+
+        It is asked once about each input, before a journal keeps it, as its answer depends on wall time and on the
+        present roster. What it refuses changes nothing.
+        """
+        if self._gate is None and self._audit is None:
+            return given, []
+        try:
+            match given:
+                case MessageArrived(topic, payload) if topic.signed and topic not in self._interface.receives_raw:
+                    return self._admit_message(given, topic, payload, now), []
+                case QueryArrived(topic, payload) if topic.signed:
+                    self._admit_query(topic, payload, now)
+                case CheckedQueryArrived(topic, request) if topic.signed:
+                    if self._gate is not None:
+                        raise Refused(f"{topic.name}: expected a signed message, got selector parameters")
+                    self._write_down(topic, None, request, now)
+                case ReplyArrived(query, payload) if query in self._queries:
+                    topic = self._queries[query].topic
+                    if topic.signed and self._gate is not None:
+                        header, _ = decode_reply(topic, payload, self._mission)
+                        self._gate.admit(Part.REPLY, topic, header, payload, now)
+        except Refused as refusal:
+            return self._not_admitted(given, str(refusal), now)
+        except Exception as error:
+            if not self._contains_defects:
+                raise
+            return self._defect_at_the_gate(given, error)
+        return given, []
+
+    def _admit_message(self, given: MessageArrived, topic: Topic, payload: bytes, now: MissionTime) -> Input:
+        if self._gate is None and topic is not COMMAND:
+            return given
+        header, body = decode(topic, payload, self._mission)
+        if self._gate is None:
+            self._write_down(topic, header, body, now)
+            return given
+        self._gate.admit(Part.MESSAGE, topic, header, payload, now)
+        if topic is not COMMAND:
+            return given
+        # The ground's message is genuine, so custody takes it: the rover answers for the command, and says why not.
+        try:
+            self._gate.admit_command(topic, header, body, now)
+        except Refused as refusal:
+            self._refused += 1
+            if self._audit is not None:
+                self._audit.refused(topic, _named(header, body), str(refusal), 1, now)
+            return replace(given, objection=str(refusal))
+        self._write_down(topic, header, body, now)
+        return given
+
+    def _admit_query(self, topic: Topic, payload: bytes, now: MissionTime) -> None:
+        header, body = decode(topic, payload, self._mission)
+        if self._gate is not None:
+            self._gate.admit(Part.QUERY, topic, header, payload, now)
+            self._gate.admit_command(topic, header, body, now)
+        self._write_down(topic, header, body, now)
+
+    def _write_down(self, topic: Topic, header: Header | None, body: Wire, now: MissionTime) -> None:
+        if self._audit is not None and (isinstance(topic.service, Query) or topic is COMMAND):
+            self._audit.changed(topic, header, body, self._gate is not None, now)
+
+    def _not_admitted(self, given: Input, why: str, now: MissionTime) -> tuple[Input | None, list[Action]]:
+        """What becomes of an input that is refused: nothing, apart from an answer to who asks, and a log line."""
+        sender, topic = _sender(given), self._topic_of(given)
+        number, report = self._refusals.count(sender)
+        self._refused += 1
+        actions: list[Action] = []
+        if report:
+            actions.append(self._refusal(f"{why} ({number} of '{sender}' so far)" if number > 1 else why))
+            if self._audit is not None and topic is not None:
+                self._audit.refused(topic, sender, why, number, now)
+        match given:
+            case QueryArrived(asked, _, token) | CheckedQueryArrived(asked, _, token):
+                actions.append(ReplyError(token, asked, why))
+            case ReplyArrived(query):
+                return QueryUnanswered(query, NoReply.REFUSED, why), actions
+        return None, actions
+
+    def _defect_at_the_gate(self, given: Input, error: Exception) -> tuple[Input | None, list[Action]]:
+        """Set aside an input whose check has failed: it does not count as admitted."""
+        self._given = given
+        actions = self._set_aside(error)
+        self._given = None
+        match given:
+            case QueryArrived(asked, _, token) | CheckedQueryArrived(asked, _, token):
+                actions.append(ReplyError(token, asked, DEFECT, RefusalCode.INTERNAL))
+            case ReplyArrived(query):
+                return QueryUnanswered(query, NoReply.REFUSED, DEFECT), actions
+        return None, actions
+
+    def _topic_of(self, given: Input) -> Topic | None:
+        match given:
+            case MessageArrived(topic) | QueryArrived(topic) | CheckedQueryArrived(topic):
+                return topic
+            case ReplyArrived(query):
+                return self._queries[query].topic
+        return None
+
     def handle(self, given: Input, now: MissionTime) -> list[Action]:
         """Actions that follow from the input, in order. `ProcessStarted` is the first input of each start."""
         self._given = given
@@ -264,8 +393,8 @@ class Host:
         match given:
             case ProcessStarted(incarnation):
                 return self._start(incarnation, now)
-            case MessageArrived(topic, payload):
-                return self._message(topic, payload, now)
+            case MessageArrived(topic, payload, objection):
+                return self._message(topic, payload, objection, now)
             case QueryArrived(topic, payload, token):
                 return self._query(topic, payload, token, now)
             case CheckedQueryArrived(topic, request, token):
@@ -288,13 +417,13 @@ class Host:
             self._custody.start(self._mission, incarnation)
         return self._handle(Started(incarnation), now, f"started {incarnation}")
 
-    def _message(self, topic: Topic, payload: bytes, now: MissionTime) -> list[Action]:
+    def _message(self, topic: Topic, payload: bytes, objection: str | None, now: MissionTime) -> list[Action]:
         """The actions for an incoming message; one that its topic does not admit is refused and counted."""
         what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}"
         if topic in self._interface.receives_raw:
-            objection = raw_objection(topic, payload)
-            if objection is not None:
-                return self.refuse(objection)
+            why = raw_objection(topic, payload)
+            if why is not None:
+                return self.refuse(why)
             return self._handle(ReceivedRaw(topic, payload), now, what)
         try:
             header, body = decode(topic, payload, self._mission)
@@ -304,12 +433,14 @@ class Host:
             return self.refuse(
                 f"{topic.name}: expected a message of {header.source} made by {now} ns, got one of {header.made_at} ns"
             )
+        if topic is COMMAND and body.objection != objection:
+            body = body.model_copy(update={"objection": objection})  # what a sender writes there does not count
         endpoint = self._custody
         if endpoint is None or topic.direction is None:
             return self._handle(Received(topic, header, body), now, what)
-        objection = endpoint.objection(topic, header, body)
-        if objection is not None:
-            return self.refuse(objection)
+        why = endpoint.objection(topic, header, body)
+        if why is not None:
+            return self.refuse(why)
         if topic is endpoint.ack_topic:
             return endpoint.acknowledged(body, header, now)
         deliveries, actions = endpoint.received(topic, header, body, len(payload), now)
@@ -404,18 +535,19 @@ class Host:
                     if self._custody is not None and under_custody(topic):
                         yield from self._custody.offer(topic, header, body, now)
                     else:
-                        yield Publish(topic, self._side_of(topic), encode(header, body))
+                        yield Publish(topic, self._side_of(topic), self._encoded(topic, header, body))
                 case Forward(topic, payload, side):
                     yield Publish(topic, side, payload)
                 case SendQuery(topic, request, query, timeout_s):
-                    payload = encode(self._header(topic, now), request)
+                    payload = self._encoded(topic, self._header(topic, now), request, Part.QUERY)
                     put = PutQuery(topic, self._side_of(topic), payload, query, timeout_s)
                     self._queries[query] = put
                     yield put
                 case SendReply(token, reply):
                     asked = self._asked.pop(token, None)
                     if asked is not None:
-                        yield Reply(token, asked, encode(self._header(asked, now), reply))
+                        payload = self._encoded(asked, self._header(asked, now), reply, Part.REPLY)
+                        yield Reply(token, asked, payload)
                 case RefuseQuery(token, why, code):
                     asked = self._asked.pop(token, None)
                     if asked is not None:
@@ -426,6 +558,13 @@ class Host:
     def _side_of(self, topic: Topic) -> Side:
         sides = self._interface.sides
         return sides[0] if len(sides) == 1 else topic.sides[0]
+
+    def _encoded(self, topic: Topic, header: Header, body: Wire, part: Part = Part.MESSAGE) -> bytes:
+        if self._gate is None:
+            return encode(header, body)
+        if part is Part.QUERY and topic.signed:
+            header = header.model_copy(update={"expires_at": header.made_at + QUERY_VALID_NS})
+        return self._gate.encode(part, topic, header, body)
 
     def _header(self, topic: Topic, now: MissionTime) -> Header:
         sequence = self._sequences.get(topic.name, 0)
@@ -443,4 +582,7 @@ class Host:
         self._refused += 1
         if self._refused > SHOWN_REFUSALS and self._refused & (self._refused - 1):
             return []
-        return [LogRecord(Level.WARNING, f"refused: {why}", {"refused": self._refused})]
+        return [self._refusal(why)]
+
+    def _refusal(self, why: str) -> LogRecord:
+        return LogRecord(Level.WARNING, f"refused: {why}", {"refused": self._refused})

@@ -35,8 +35,10 @@ def encode_input(given: Input, codec: StateCodec) -> tuple[str, bytes]:
     match given:
         case ProcessStarted(incarnation):
             return "start", b"%d" % incarnation
-        case MessageArrived(topic, payload):
+        case MessageArrived(topic, payload, None):
             return f"message/{topic.name}", payload
+        case MessageArrived(topic, payload, objection):
+            return f"objected/{topic.name}", json.dumps(objection).encode() + b"\n" + payload
         case QueryArrived(topic, payload, token):
             return f"query/{topic.name}", b"%d\n" % token + payload
         case CheckedQueryArrived(topic, request, token):
@@ -62,6 +64,8 @@ def decode_input(channel: str, data: bytes, codec: StateCodec) -> Input:
                 return ProcessStarted(int(data))
             case "message":
                 return MessageArrived(BY_NAME[name], data)
+            case "objected":
+                return MessageArrived(BY_NAME[name], rest, str(json.loads(head)))
             case "query":
                 return QueryArrived(BY_NAME[name], rest, int(head))
             case "checked_query":

@@ -28,6 +28,8 @@ class MessageArrived:
 
     topic: Topic
     payload: bytes
+    objection: str | None = None
+    """Why the command in it must not be carried out, though its sender is the right one; None for all else."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,15 +141,26 @@ class NodeScheduler:
         self._collect_timers(now)
         batch = [given for _, given in sorted(self._inbox, key=lambda entry: entry[0])]
         self._inbox = []
+        outward: list[Action] = []
+        batch = self._admitted(batch, now, outward)
         if self._journal is not None and batch:
             self._journal.append(now, batch)
         self.last = now
-        outward: list[Action] = []
         for given in batch:
             outward.extend(action for action in self.host.handle(given, now) if not self._performed(action, now))
         if self._journal is not None and batch:
             self._keep_state(batch)
         return outward
+
+    def _admitted(self, batch: Iterable[Input], now: MissionTime, outward: list[Action]) -> list[Input]:
+        """The inputs that the host admits; the actions that follow from refusals are added to `outward`."""
+        admitted = []
+        for given in batch:
+            kept, actions = self.host.admit(given, now)
+            outward += actions
+            if kept is not None:
+                admitted.append(kept)
+        return admitted
 
     def _keep_state(self, batch: Sequence[Input]) -> None:
         """Make a checkpoint every `CHECKPOINT_EVERY` inputs, and after each result: that takes longest to recompute."""

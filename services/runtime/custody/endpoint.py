@@ -6,7 +6,7 @@ acknowledged. Each side receives the acknowledgements that the other one sends.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 from schemas.codec import encode
@@ -44,13 +44,25 @@ def custody_config(link: LinkConditions, interface: Interface) -> CustodyConfig:
     return CustodyConfig.over(link, Direction.UP if Side.EARTH in interface.sides else Direction.DOWN)
 
 
+def _unsigned(_topic: Topic, header: Header, body: Wire) -> bytes:
+    return encode(header, body)
+
+
 class CustodyEndpoint:
     """The custody of one node on its side of the link."""
 
-    def __init__(self, name: str, side: Side, config: CustodyConfig | None) -> None:
+    def __init__(
+        self,
+        name: str,
+        side: Side,
+        config: CustodyConfig | None,
+        encode: Callable[[Topic, Header, Wire], bytes] = _unsigned,
+    ) -> None:
+        """encode: the bytes of a message of that topic."""
         up_and_down = ACK_UP, ACK_DOWN
         self.ack_topic, self._own_ack_topic = up_and_down if side is Side.MOON else reversed(up_and_down)
         """Topic of the acknowledgements that come to this side; those that it sends go the other way."""
+        self._encode = encode
         self._name = name
         self._side = side
         self._mission = ""
@@ -82,7 +94,7 @@ class CustodyEndpoint:
         held_from = self._sender.held_from(topic, header.incarnation, header.sequence)
         header = header.model_copy(update={"held_from": held_from})
         try:
-            return self._publish(self._sender.offer(topic, header, encode(header, body), now))
+            return self._publish(self._sender.offer(topic, header, self._encode(topic, header, body), now))
         except CustodyQueueFull as error:
             return [LogRecord(Level.ERROR, str(error))]
 
@@ -148,7 +160,7 @@ class CustodyEndpoint:
                 made_at=now,
             )
             self._acks_sent += 1
-            actions.append(Publish(self._own_ack_topic, self._side, encode(header, ack)))
+            actions.append(Publish(self._own_ack_topic, self._side, self._encode(self._own_ack_topic, header, ack)))
         return actions
 
     # --- checkpoints --------------------------------------------------------------------------------------------

@@ -250,7 +250,7 @@ def test_a_command_that_was_altered_anywhere_is_refused(keys, field):
 
 
 def test_every_field_of_a_command_is_signed_or_says_who_signed():
-    assert set(Telecommand.model_fields) == {*CHANGES, "authorization", "issued_by"}
+    assert set(Telecommand.model_fields) == {*CHANGES, "authorization", "issued_by", "objection"}
 
 
 @given(st.sampled_from(["made_at", "expires_at"]), st.integers(0, 62))

@@ -1,0 +1,84 @@
+"""What a process writes into its audit log: who commanded and changed what, and what was refused."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
+
+from he3.errors import He3Error
+from schemas.commands import Telecommand
+from services.runtime.trust.audit import AuditKind
+
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from schemas.wire import Header
+    from services.mission.mission_time import MissionTime
+    from services.runtime.trust.audit import AuditLog
+
+MAX_SENDERS: Final = 256
+"""Senders whose refusals are counted apart; a flood of invented names shares the rest."""
+MAX_COMMANDS: Final = 10_000
+OTHERS: Final = "others"
+
+
+class RefusalCounter:
+    """Counts refusals by sender, and says which to report: the first, the tenth, the hundredth, and so on."""
+
+    def __init__(self) -> None:
+        self._counts: dict[str, int] = {}
+
+    def count(self, sender: str) -> tuple[int, bool]:
+        """How many there were of that sender with this one, and whether to report it."""
+        known = sender if sender in self._counts or len(self._counts) < MAX_SENDERS else OTHERS
+        number = self._counts[known] = self._counts.get(known, 0) + 1
+        return number, number == 10 ** (len(str(number)) - 1)
+
+
+class AuditTrail:
+    """Writes into an audit log. A log that cannot be written is reported once, and the mission goes on."""
+
+    def __init__(self, log: AuditLog, report: Callable[[str], None]) -> None:
+        self._log = log
+        self._report = report
+        self._failed = False
+        self._commands: OrderedDict[str, None] = OrderedDict()
+
+    def changed(self, topic: Topic, header: Header | None, body: Any, verified: bool, now: MissionTime) -> None:
+        """Write down a command, or a change of the link, the clock or an area of interest; a repetition is left out."""
+        fields: dict[str, Any] = {"at": now, "topic": topic.name, "by": _by(header, body), "verified": verified}
+        if isinstance(body, Telecommand):
+            if body.command_id in self._commands:
+                return
+            self._commands[body.command_id] = None
+            if len(self._commands) > MAX_COMMANDS:
+                self._commands.popitem(last=False)
+            what = f"{body.kind.value} {body.command_id}"
+            self._add(AuditKind.COMMAND, what=what, order=_short(body.order.model_dump_json()), **fields)
+        else:
+            self._add(AuditKind.CHANGE, what=_short(body.model_dump_json(exclude_defaults=True)), **fields)
+
+    def refused(self, topic: Topic, by: str, why: str, number: int, now: MissionTime) -> None:
+        """Write down a refusal. by: whom the message names, which is not proven. number: how many of that sender."""
+        self._add(AuditKind.REFUSAL, at=now, topic=topic.name, by=by, verified=False, why=why, number_of_sender=number)
+
+    def _add(self, kind: AuditKind, **fields: Any) -> None:
+        if self._failed:
+            return
+        try:
+            self._log.add(kind, **fields)
+        except He3Error as error:
+            self._failed = True
+            self._report(f"{error}; the mission goes on without its audit log")
+
+
+def _by(header: Header | None, body: Any) -> str:
+    if isinstance(body, Telecommand) and body.by:
+        return body.authorization.signer if body.authorization is not None else str(body.issued_by)
+    if header is None:
+        return ""
+    return header.signer or header.source
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 400 else f"{text[:400]}..."
