@@ -254,6 +254,7 @@ LINK_STATUS = Topic(
     recorded=True,
     kept=True,
     max_bytes=262_144,
+    signed=True,
 )
 LINK_SET = Topic(
     "earth/link/set",

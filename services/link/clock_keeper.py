@@ -19,7 +19,6 @@ from services.runtime.clock import at_rate, started
 from services.runtime.machine_time import this_machine
 from services.runtime.process_clock import CLOCKS
 from services.runtime.refusals import refusal_of
-from services.runtime.transport.request import encode_reply, read_request
 
 if TYPE_CHECKING:
     from schemas.link import ClockState
@@ -87,14 +86,14 @@ class ClockKeeper:
 
     def _set_rate(self, query: IncomingQuery) -> None:
         try:
-            change = read_request(CLOCK_SET, query, self._context.mission)
+            change = self._context.read_change(CLOCK_SET, query)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
             self._context.refused(str(error))
             return
         self._missing.clear()
         self._change_rate(change.rate)
-        query.reply(encode_reply(query, *self._message()))
+        query.reply(self._context.encode_reply(CLOCK_SET, query, *self._message()))
 
     def _change_rate(self, rate: float) -> None:
         now = self._clock.anchored_now()

@@ -272,7 +272,7 @@ class TimeManagerDriver:
 
     def _control(self, query: IncomingQuery) -> None:
         try:
-            control = read_request(TIME_CONTROL, query, self._context.mission)
+            control = self._context.read_change(TIME_CONTROL, query)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
             return
@@ -280,7 +280,7 @@ class TimeManagerDriver:
             self._change_pace(control)
             self._record_events(True)
             self._publish_time()
-        query.reply(encode_reply(query, self._io.header(), self._status()))
+        query.reply(self._context.encode_reply(TIME_CONTROL, query, self._io.header(), self._status()))
 
     def _show(self, query: IncomingQuery) -> None:
         try:

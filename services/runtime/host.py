@@ -19,7 +19,7 @@ from schemas.refusal import RefusalCode
 from schemas.signing import Part
 from schemas.topics import COMMAND, Crosses, Query, Side, Topic, under_custody
 from schemas.wire import MAX_TEXT, Header, Wire, printable
-from services.mission.mission_time import MAX_AHEAD, SECOND, MissionTime
+from services.mission.mission_time import MAX_AHEAD, MissionTime
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError, SetAside
 from services.runtime.audit_trail import RefusalCounter
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
@@ -63,6 +63,7 @@ from services.runtime.node import (
     TimerFired,
 )
 from services.runtime.state_codec import StateCodec
+from services.runtime.trust.signing import REQUEST_VALID_NS
 
 if TYPE_CHECKING:
     from services.runtime.audit_trail import AuditTrail
@@ -108,9 +109,6 @@ def _named(header: Header, body: Wire) -> str:
     consent = body.authorization if isinstance(body, Telecommand) else None
     return consent.signer if consent is not None else header.source
 
-
-QUERY_VALID_NS: Final = 3600 * SECOND
-"""Mission time for which a signed query of a node counts."""
 
 EventSink = Callable[[MissionTime, str, str], None]
 """Called for each event handled with mission time, node and a line that describes it: the event log."""
@@ -559,11 +557,15 @@ class Host:
         sides = self._interface.sides
         return sides[0] if len(sides) == 1 else topic.sides[0]
 
+    def encode_reply(self, topic: Topic, header: Header, reply: Wire) -> bytes:
+        """The reply to a query that a driver answers itself, signed like those of the node."""
+        return self._encoded(topic, header, reply, Part.REPLY)
+
     def _encoded(self, topic: Topic, header: Header, body: Wire, part: Part = Part.MESSAGE) -> bytes:
         if self._gate is None:
             return encode(header, body)
         if part is Part.QUERY and topic.signed:
-            header = header.model_copy(update={"expires_at": header.made_at + QUERY_VALID_NS})
+            header = header.model_copy(update={"expires_at": header.made_at + REQUEST_VALID_NS})
         return self._gate.encode(part, topic, header, body)
 
     def _header(self, topic: Topic, now: MissionTime) -> Header:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +49,10 @@ class Options:
     """File that gets a line for each event handled."""
     identity: Identity | None = None
     """The identity of this process; None on loopback without keys."""
+    instance: str | None = None
+    """The run of the mission, for signatures; None: as the identity's authority has it."""
+    audit: Path | None = None
+    """File of the audit log."""
     insecure: tuple[str, ...] = ()
     """A warning for each endpoint that others can reach without TLS, which the user has asked for."""
 
@@ -97,11 +102,19 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     parser.add_argument("--events", type=Path, metavar="FILE", help="write a line for each event handled")
     parser.add_argument("--identity", type=Path, metavar="DIR", help="folder of this process's identity (he3 keys)")
     parser.add_argument(
+        "--instance",
+        metavar="ID",
+        help="with --identity: the run of the mission; others do not count",
+    )
+    parser.add_argument("--audit", type=Path, metavar="FILE", help="append commands, changes and refusals to this file")
+    parser.add_argument(
         "--insecure", action="store_true", help="allow endpoints off loopback without TLS: anyone may command"
     )
     given = parser.parse_args(arguments)
     if given.pace is not None and not 0 < given.pace <= 1e9:
         parser.error(f"--pace: expected a number over 0 and up to 1e9, got {given.pace:g}")
+    if given.instance is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.:-]{0,63}", given.instance):
+        parser.error(f"--instance: expected at most 64 letters, digits and '_.:-', got '{given.instance[:80]}'")
     path = find_scenario(given.scenario)
     changes = [parse_setting(text) for text in given.set]
     for key, value in (("seed", given.seed), ("rate", given.rate)):
@@ -125,6 +138,8 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         pace=given.pace,
         events=given.events,
         identity=identity,
+        instance=given.instance,
+        audit=given.audit,
         insecure=_warnings(name, scenario, identity is not None, given.insecure),
     )
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
 from schemas.topics import ONLOOKERS, Side, Topic
+from services.runtime.audit_trail import AuditTrail
 from services.runtime.context import Driver, ProcessContext
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.drivers.wall_clock import WallClockDriver
@@ -40,6 +41,10 @@ from services.runtime.scheduler import Executor, InlineExecutor, NodeScheduler
 from services.runtime.set_aside import SetAsideFile
 from services.runtime.transport.opening import connect_client
 from services.runtime.transport.session import Session, close_all
+from services.runtime.trust.audit import AuditLog
+from services.runtime.trust.certificates import utc_now
+from services.runtime.trust.gate import Gate, RosterFile, default_instance
+from services.runtime.trust.signing import Signer, Verifier
 
 if TYPE_CHECKING:
     from services.runtime.service import Service
@@ -118,8 +123,15 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
         stack.callback(query_process.close)
     node = service.build(options)
     events = stack.enter_context(closing(EventLog(options.events))) if options.events else None
-    custody = custody_config(options.scenario.link, node.interface)
-    host = Host(node, options.scenario.name, events, custody, contains_defects=True)
+    host = Host(
+        node,
+        options.scenario.name,
+        events,
+        custody_config(options.scenario.link, node.interface),
+        contains_defects=True,
+        gate=_gate(options, log),
+        audit=_audit_trail(options, log, stack),
+    )
     folder = history = None
     if options.journal is not None:
         expected = f"--journal {options.journal}: expected a folder that no other {service.name} uses"
@@ -150,6 +162,26 @@ def _report_identity(identity: Identity, log: Log) -> None:
     log.info("identity", name=identity.common_name, expires=until)
     if identity.expires - datetime.now(UTC) < EXPIRES_SOON:
         log.warning(f"the certificate of {identity.common_name} expires at {until}, and its connections end then")
+
+
+def _gate(options: Options, log: Log) -> Gate | None:
+    """The gate of a process with an identity."""
+    identity = options.identity
+    if identity is None:
+        return None
+    instance = options.instance or default_instance(identity)
+    log.info("signs its messages", run=instance)
+    roster = RosterFile(identity, time.monotonic, log.warning)
+    verifier = Verifier(roster, options.scenario.name, instance, utc_now)
+    return Gate(Signer(identity.common_name, identity.key, instance), verifier)
+
+
+def _audit_trail(options: Options, log: Log, stack: ExitStack) -> AuditTrail | None:
+    if options.audit is None:
+        return None
+    identity = options.identity
+    signer = None if identity is None else (identity.common_name, identity.key)
+    return AuditTrail(stack.enter_context(closing(AuditLog(options.audit, utc_now, signer))), log.error)
 
 
 def _query_process(service: Service, options: Options, log: Log) -> QueryProcess | None:

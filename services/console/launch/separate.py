@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import secrets
 import sys
 import tempfile
 import time
@@ -11,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from he3.errors import He3Error, InvalidInput
 from services.console.client.mission_client import MissionClient
 from services.console.client.run_file import RunningMission, announced
 from services.console.launch.endpoints import Endpoints, endpoints_near, endpoints_of
@@ -19,9 +22,10 @@ from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
-from services.mission.processes import GROUND, LINK, PROCESSES, VITAL
+from services.mission.processes import GROUND, LINK, PROCESSES, ROVER, VITAL
 from services.mission.regions import load_region
 from services.runtime.event_log import merge_event_logs
+from services.runtime.files.output import replace_output
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -129,7 +133,8 @@ def services_of(
             *(("--lockstep",) if lockstep else ()),
             *(("--insecure",) if chosen.insecure else ()),
         )
-        service_flags = _service_flags(chosen, lockstep, pace, events, journal)
+        audit = None if where.folder is None else make_folder(where.folder / "audit")
+        service_flags = _service_flags(chosen, lockstep, pace, events, journal, audit)
         launcher = stack.enter_context(
             Launcher(chosen.path, endpoints, flags, recording=where.recording, logs=logs, service_flags=service_flags)
         )
@@ -148,13 +153,19 @@ def services_of(
 
 
 def _service_flags(
-    chosen: Chosen, lockstep: bool, pace: float | None, events: Path | None, journal: Path | None
+    chosen: Chosen,
+    lockstep: bool,
+    pace: float | None,
+    events: Path | None,
+    journal: Path | None,
+    audit: Path | None,
 ) -> dict[str, Sequence[str]]:
     """Flags that differ from service to service: identity, end of the mission in lockstep, event log, journal."""
     flags: dict[str, list[str]] = {each.name: [] for each in PROCESSES}
     if chosen.keys is not None:
+        instance = _instance(journal)
         for name, identity in chosen.keys.processes.items():
-            flags[name] += ["--identity", str(identity)]
+            flags[name] += ["--identity", str(identity), "--instance", instance]
     if lockstep:
         flags[LINK.name] += ["--stop-when", GROUND.name]
     if lockstep and pace is not None:
@@ -165,7 +176,27 @@ def _service_flags(
     if journal is not None:
         for name in VITAL:
             flags[name] += ["--journal", str(journal)]
+    if audit is not None:
+        for name in (LINK.name, ROVER.name, GROUND.name):
+            flags[name] += ["--audit", str(audit / f"{name}.jsonl")]
     return dict(flags)
+
+
+def _instance(journal: Path | None) -> str:
+    """A name for this run of the mission, for signatures: a new one, or that of the run which the journals continue."""
+    new = f"run-{secrets.token_hex(8)}"
+    if journal is None:
+        return new
+    path = make_folder(journal) / "instance"
+    try:
+        if not path.exists():
+            replace_output(path, new.encode())
+        kept = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise He3Error(f"{path}: cannot read or write the name of the run: {error}") from None
+    if not re.fullmatch(r"run-[0-9a-f]{16}", kept):
+        raise InvalidInput(f"{path}: expected the name of a run, got something else")
+    return kept
 
 
 def _watched_to_its_end(state: MissionState, launcher: Launcher, progress: Progress) -> GroundStatus:

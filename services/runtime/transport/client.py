@@ -5,27 +5,43 @@ It declares nothing that a service waits for, so it cannot delay a mission.
 
 from __future__ import annotations
 
+import secrets
 import threading
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from he3.errors import He3Error, InvalidInput, NotAllowed, PeerUnreachable
-from schemas.codec import Refused, decode, decode_reply, encode
+from schemas.codec import Refused, body_of, decode, decode_reply, encode
+from schemas.commands import Telecommand
+from schemas.link import ClockMode
 from schemas.refusal import Refusal
-from schemas.topics import Side, Topic
+from schemas.roles import Role
+from schemas.signing import Part
+from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_STATUS, Side, Topic
 from schemas.wire import Header, Wire
+from services.mission.mission_time import seconds
+from services.runtime.clock import mission_time
 from services.runtime.node import NoReply
 from services.runtime.refusals import error_of
 from services.runtime.transport.opening import WhileWaiting, open_client
 from services.runtime.transport.session import NotReplied, Outcome, Replied, Session
+from services.runtime.trust.certificates import utc_now
+from services.runtime.trust.signing import REQUEST_VALID_NS, Signer, Verifier
 
 if TYPE_CHECKING:
-    from schemas.roles import Role
     from services.runtime.trust.identity import Identity
 
 QUERY_TIMEOUT_S = 30.0
 """Longest wait for a reply. Queries to an ended process end at once; only a slow or hanging one is waited for."""
+
+
+CONSENT_VALID_S = 3600.0
+"""Mission time for which a signed command without an expiry counts: later it is taken for a replayed one."""
+CONSENT_VALID_WALL_S = 300.0
+"""But at least this wall time, on the wall clock; in lockstep, where a day may pass in a second, `REQUEST_VALID_NS`."""
 
 
 class Client:
@@ -71,11 +87,56 @@ class Client:
         of the refusal's code.
         """
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=0)
-        payload, _ = self._reply(topic, encode(header, request), timeout_s)
+        if self._identity is None or not topic.signed:
+            payload, _ = self._reply(topic, encode(header, request), timeout_s)
+        else:
+            self._require_right(topic, topic.access_on(self._side).query)
+            payload, _ = self._reply(topic, self._signed(topic, header, request, self._identity), timeout_s)
         try:
-            return decode_reply(topic, payload, self._mission)[1]
+            answer, body = decode_reply(topic, payload, self._mission)
+            if self._identity is not None and topic.signed:
+                self._verifier(self._identity, answer.instance).verify(
+                    Part.REPLY, topic.name, answer, body_of(payload), topic.access.answer, answer.made_at
+                )
         except Refused as refusal:
             raise He3Error(str(refusal)) from None
+        return body
+
+    def _signed(self, topic: Topic, header: Header, request: Wire, identity: Identity) -> bytes:
+        """The request, signed for the present run of the mission, with the consent to it if it is a command."""
+        instance, (now, valid_ns) = self._run_of(topic, identity), self._now()
+        signer = Signer(identity.common_name, identity.key, instance)
+        if isinstance(request, Telecommand):
+            expires_at = now + valid_ns if request.expires_at is None else max(now, request.expires_at)
+            request = signer.authorized(request, self._mission, now, expires_at)
+        header = header.model_copy(
+            update={"sequence": secrets.randbits(48), "made_at": now, "expires_at": now + REQUEST_VALID_NS}
+        )
+        return encode(header, request, partial(signer.signed, Part.QUERY, topic.name))
+
+    def _run_of(self, topic: Topic, identity: Identity) -> str:
+        """The present run of the mission, as the process that answers that topic has signed it in its status."""
+        status = LINK_STATUS if Role.LINK in topic.access.answer else GROUND_STATUS
+        payload, _ = self._reply(status, b"", QUERY_TIMEOUT_S)
+        try:
+            header, _ = decode(status, payload, self._mission)
+            verifier = self._verifier(identity, header.instance)
+            roles = status.access.publish
+            verifier.verify(Part.MESSAGE, status.name, header, body_of(payload), roles, header.made_at)
+        except Refused as refusal:
+            raise He3Error(str(refusal)) from None
+        return str(header.instance)
+
+    def _verifier(self, identity: Identity, instance: str | None) -> Verifier:
+        return Verifier(lambda: identity.roster, self._mission, str(instance), utc_now)
+
+    def _now(self) -> tuple[int, int]:
+        """Mission time, and for how long a command without an expiry counts [ns]."""
+        header, clock = self.latest(EARTH_CLOCK)
+        if clock.mode is ClockMode.LOCKSTEP:
+            return header.made_at, REQUEST_VALID_NS
+        valid_s = max(CONSENT_VALID_S, CONSENT_VALID_WALL_S * clock.rate)
+        return mission_time(clock, time.time_ns()), seconds(valid_s)
 
     def fetch(
         self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = QUERY_TIMEOUT_S

@@ -19,16 +19,16 @@ from schemas.commands import Authorization, Telecommand
 from schemas.signing import Part, signed_bytes
 from schemas.topics import COMMAND, ISSUE_COMMAND
 from schemas.wire import Header
+from services.mission.mission_time import MAX_AHEAD, SECOND
 from services.runtime.trust.certificates import Subject, parse_common_name
 
 if TYPE_CHECKING:
     from schemas.roles import Role
     from services.runtime.trust.roster import Roster
 
-SECOND_NS: Final = 1_000_000_000
-AHEAD_NS: Final = 3600 * SECOND_NS
-"""How far ahead of now a message may be made: clocks of two machines differ, the more the faster mission time runs.
-Without a bound, one message from the end of time would outdate all later ones."""
+REQUEST_VALID_NS: Final = 30 * 86_400 * SECOND
+"""Mission time for which a signed request counts. It is long, as an hour of mission time may pass in milliseconds; the
+receiver also remembers the requests that have come."""
 
 
 class Key(Protocol):
@@ -155,10 +155,10 @@ def _require_role(what: str, who: Subject, roles: tuple[Role, ...]) -> None:
 
 
 def _require_in_time(what: str, made_at: int, expires_at: int | None, now: int) -> None:
-    if made_at > now + AHEAD_NS:
-        raise Refused(f"{what}: expected one made by now, got one {(made_at - now) / SECOND_NS:g} s ahead")
+    if made_at > now + MAX_AHEAD:
+        raise Refused(f"{what}: expected one made by now, got one {(made_at - now) / SECOND:g} s ahead")
     if expires_at is not None and now > expires_at:
-        raise Refused(f"{what}: expired {(now - expires_at) / SECOND_NS:g} s ago: late, or replayed")
+        raise Refused(f"{what}: expired {(now - expires_at) / SECOND:g} s ago: late, or replayed")
 
 
 def _shown(who: Subject) -> str:

@@ -15,13 +15,14 @@ from schemas.roles import PERSON_ROLES
 from schemas.signing import Part
 from schemas.topics import COMMAND, ISSUE_COMMAND, PLAN, SAMPLE, STATE, TOPICS, Query
 from schemas.wire import Header
+from services.mission.mission_time import MAX_AHEAD, SECOND
 from services.runtime.trust.authority import Authority
 from services.runtime.trust.certificates import subject, utc_now
 from services.runtime.trust.identity import load_identity
-from services.runtime.trust.signing import AHEAD_NS, SECOND_NS, Signer, Verifier
+from services.runtime.trust.signing import Signer, Verifier
 
 NOW = 10**18
-HOUR = 3600 * SECOND_NS
+HOUR = 3600 * SECOND
 ORDER = Telecommand(command_id="c-12", kind=CommandKind.GO_TO, target_m=(12.5, 340.0), expires_at=NOW + HOUR)
 KEEP_OUT = Telecommand(
     command_id="k1", kind=CommandKind.SET_KEEP_OUT, area_id="rim", polygon_m=((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))
@@ -181,7 +182,7 @@ def test_a_message_from_the_end_of_time_is_refused(keys):
     header, body = sent(keys, header=HEADER.model_copy(update={"made_at": 2**63 - 1, "expires_at": None}))
     with pytest.raises(Refused, match="expected one made by now"):
         verified(keys, header, body)
-    header, body = sent(keys, header=HEADER.model_copy(update={"made_at": NOW + AHEAD_NS, "expires_at": None}))
+    header, body = sent(keys, header=HEADER.model_copy(update={"made_at": NOW + MAX_AHEAD, "expires_at": None}))
     assert verified(keys, header, body)
 
 
@@ -279,7 +280,7 @@ def test_a_command_to_another_mission_or_run_is_refused(keys):
 def test_a_command_replayed_after_an_hour_is_refused(keys):
     command = authorized(keys, order=ORDER.model_copy(update={"expires_at": None}))
     with pytest.raises(Refused, match="command c-12 of operator anna: expired 10 s ago: late, or replayed"):
-        verifier(keys).verify_command(command, NOW + HOUR + 10 * SECOND_NS)
+        verifier(keys).verify_command(command, NOW + HOUR + 10 * SECOND)
 
 
 def test_a_signed_command_cannot_carry_a_second_name(keys):
