@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 
+from schemas.authority import AuthorityChange, AuthorityState
 from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestChange, InterestList, MapOverview, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
@@ -313,6 +314,21 @@ LIST_INTERESTS = Topic(
     reply=InterestList,
     max_reply_bytes=4_194_304,
 )
+SET_AUTHORITY = Topic(
+    "earth/ground/authority",
+    AuthorityChange,
+    _queried((Role.OPERATOR,), Role.GROUND),
+    service=Query(),
+    reply=AuthorityState,
+    signed=True,
+)
+SHOW_AUTHORITY = Topic(
+    "earth/ground/authority/show",
+    NoParameters,
+    _queried(_READERS, Role.GROUND),
+    service=Query(observes=True),
+    reply=AuthorityState,
+)
 COMMAND_STATUS = Topic(
     "earth/ground/command-status",
     CommandStatus,
@@ -395,6 +411,8 @@ TOPICS: tuple[Topic, ...] = (
     LIST_COMMANDS,
     SET_INTEREST,
     LIST_INTERESTS,
+    SET_AUTHORITY,
+    SHOW_AUTHORITY,
     COMMAND_STATUS,
     MAP_POINT,
     MAP_LAYER,

@@ -46,6 +46,11 @@ class CommandHistory:
         """Note a start of the process: its messages are numbered from 0 again."""
         self._sent = []
 
+    def knows(self, command: Telecommand) -> bool:
+        """Whether that very command was issued before: asking again changes nothing."""
+        known = self._statuses.get(command.command_id)
+        return known is not None and known.command.order == command.order
+
     def issue(self, command: Telecommand, now: MissionTime) -> tuple[CommandStatus, bool]:
         """The command's status, and whether it is new and must be sent; the same command again changes nothing.
 

@@ -10,6 +10,7 @@ import numpy as np
 from he3.errors import He3Error, InvalidInput
 from he3.posterior.grid import expect_map_fits
 from he3.trend import OrbitalTrend
+from schemas.authority import AuthorityChange
 from schemas.commands import CommandReport, NoParameters, Telecommand
 from schemas.ground import InterestChange
 from schemas.link import LinkStatus
@@ -21,10 +22,13 @@ from schemas.topics import (
     LIST_COMMANDS,
     LIST_INTERESTS,
     SAMPLE,
+    SET_AUTHORITY,
     SET_INTEREST,
+    SHOW_AUTHORITY,
     STATE,
     Side,
 )
+from services.ground.authority import CommandAuthority
 from services.ground.belief import Belief
 from services.ground.budget import Budget
 from services.ground.command_history import CommandHistory
@@ -93,6 +97,7 @@ class GroundNode:
         director: Director,
         interests: InterestAreas,
         telecommands: TelecommandHandler,
+        authority: CommandAuthority,
         publisher: MapPublisher,
         status: StatusReporter,
         silence: SilenceWatch,
@@ -104,6 +109,7 @@ class GroundNode:
         self._director = director
         self._interests = interests
         self._telecommands = telecommands
+        self._authority = authority
         self._publisher = publisher
         self._status = status
         self._silence = silence
@@ -113,6 +119,7 @@ class GroundNode:
         self._stateful: dict[str, Stateful] = {
             "director": director,
             "telecommands": telecommands,
+            "authority": authority,
             "publisher": publisher,
             "status": status,
             "silence": silence,
@@ -126,7 +133,15 @@ class GroundNode:
             name=NAME,
             sides=(Side.EARTH,),
             subscribes=(SAMPLE, EVENT, STATE, COMMAND_REPORT),
-            serves=(ISSUE_COMMAND, LIST_COMMANDS, SET_INTEREST, LIST_INTERESTS, *MAP_TOPICS),
+            serves=(
+                ISSUE_COMMAND,
+                LIST_COMMANDS,
+                SET_INTEREST,
+                LIST_INTERESTS,
+                SET_AUTHORITY,
+                SHOW_AUTHORITY,
+                *MAP_TOPICS,
+            ),
         )
 
     @property
@@ -163,6 +178,10 @@ class GroundNode:
                 yield from self._set_interest(change, token, now)
             case QueryReceived(topic, NoParameters(), token) if topic is LIST_INTERESTS:
                 yield SendReply(token, self._interests.listed())
+            case QueryReceived(topic, AuthorityChange() as change, token) if topic is SET_AUTHORITY:
+                yield from self._change_authority(change, token, now)
+            case QueryReceived(topic, _, token) if topic is SHOW_AUTHORITY:
+                yield SendReply(token, self._authority.state)
             case TimerFired(timer) if timer == STATUS_TIMER:
                 yield SetTimer(STATUS_TIMER, now + self._status_period)
                 yield from self._silence.check(now)
@@ -232,6 +251,17 @@ class GroundNode:
         yield SendReply(token, self._interests.listed())
         yield from effects
 
+    def _change_authority(self, change: AuthorityChange, token: int, now: MissionTime) -> Iterable[Effect]:
+        earlier = self._authority.state.holder
+        try:
+            state = self._authority.change(change, now)
+        except InvalidInput as error:
+            yield RefuseQuery(token, str(error))
+            return
+        yield SendReply(token, state)
+        fields = {"holder": state.holder or "nobody", "earlier": earlier or "nobody"}
+        yield LogRecord(Level.INFO, "command authority", fields)
+
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
     @property
@@ -291,11 +321,13 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     )
     silence = SilenceWatch(ground.rover_timeout_s)
     round_trip_s = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
+    authority = CommandAuthority()
     return GroundNode(
         terrain=terrain,
         director=director,
         interests=interests,
-        telecommands=TelecommandHandler(scenario, NAME, CommandHistory(grid, round_trip_s), director),
+        telecommands=TelecommandHandler(scenario, NAME, CommandHistory(grid, round_trip_s), director, authority),
+        authority=authority,
         publisher=publisher,
         status=StatusReporter(scenario, belief, director, publisher, silence),
         silence=silence,

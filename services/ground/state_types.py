@@ -12,6 +12,7 @@ from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
 from he3.posterior.grid import PosteriorMap
 from he3.trend import OrbitalTrend
+from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
 from schemas.ground import GroundStatus, KeepOutArea
 from schemas.link import LinkConditions
@@ -25,6 +26,7 @@ from services.ground.planners.interface import PlannedRound, PlannerOptions, Pla
 from services.ground.round_plans import PlanningTask
 
 STATE_TYPES: Final[tuple[type, ...]] = (
+    AuthorityState,
     CommandStatus,
     FitRequest,
     GaussianProcess,

@@ -22,6 +22,7 @@ from schemas.commands import (
 )
 from schemas.link import LinkStatus
 from schemas.topics import COMMAND, COMMAND_STATUS, LINK_SHOW
+from services.ground.authority import CommandAuthority
 from services.ground.command_history import LOOK_AGAIN_S, CommandHistory
 from services.mission.mission_time import MissionTime, seconds
 from services.runtime.node import Effect, RefuseQuery, Send, SendQuery, SendReply, SetTimer
@@ -40,12 +41,15 @@ _EXCURSIONS = frozenset({CommandKind.GO_TO, CommandKind.RETURN_TO_START})
 class TelecommandHandler:
     """Issues telecommands, follows them, and tells the director of those that change what is planned."""
 
-    def __init__(self, scenario: Scenario, source: str, history: CommandHistory, director: Director) -> None:
+    def __init__(
+        self, scenario: Scenario, source: str, history: CommandHistory, director: Director, authority: CommandAuthority
+    ) -> None:
         """source: name of this service in message headers."""
         self._start_m = scenario.start_m
         self._keep_outs = scenario.ground.keep_outs
         self._source = source
         self._history = history
+        self._authority = authority
         self._director = director
 
     def restarted(self) -> None:
@@ -64,6 +68,8 @@ class TelecommandHandler:
     def issue(self, command: Telecommand, token: int, now: MissionTime) -> Iterable[Effect]:
         """Answer the operator's query with the command's status or a refusal, and send the command if it is new."""
         try:
+            if not self._history.knows(command) and (why := self._authority.objection(command)) is not None:
+                raise InvalidInput(why)
             status, new = self._history.issue(command, now)
         except InvalidInput as error:
             yield RefuseQuery(token, str(error))
@@ -71,6 +77,7 @@ class TelecommandHandler:
         yield SendReply(token, status)
         if not new:
             return
+        self._authority.commanded(command, now)
         yield Send(COMMAND, command)
         yield from self.look()
         overdue = self._history.overdue_at(command)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import He3Error
+from schemas.authority import AuthorityChange
 from schemas.commands import Telecommand
 from services.runtime.trust.audit import AuditKind
 
@@ -46,7 +47,7 @@ class AuditTrail:
 
     def changed(self, topic: Topic, header: Header | None, body: Any, verified: bool, now: MissionTime) -> None:
         """Write down a command, or a change of the link, the clock or an area of interest; a repetition is left out."""
-        fields: dict[str, Any] = {"at": now, "topic": topic.name, "by": _by(header, body), "verified": verified}
+        fields: dict[str, Any] = {"at": now, "topic": topic.name, "by": named_in(header, body), "verified": verified}
         if isinstance(body, Telecommand):
             if body.command_id in self._commands:
                 return
@@ -56,11 +57,16 @@ class AuditTrail:
             what = f"{body.kind.value} {body.command_id}"
             self._add(AuditKind.COMMAND, what=what, order=_short(body.order.model_dump_json()), **fields)
         else:
-            self._add(AuditKind.CHANGE, what=_short(body.model_dump_json(exclude_defaults=True)), **fields)
+            kind = AuditKind.AUTHORITY if isinstance(body, AuthorityChange) else AuditKind.CHANGE
+            self._add(kind, what=_short(body.model_dump_json(exclude_defaults=True)), **fields)
 
-    def refused(self, topic: Topic, by: str, why: str, number: int, now: MissionTime) -> None:
-        """Write down a refusal. by: whom the message names, which is not proven. number: how many of that sender."""
-        self._add(AuditKind.REFUSAL, at=now, topic=topic.name, by=by, verified=False, why=why, number_of_sender=number)
+    def refused(
+        self, topic: Topic, by: str, why: str, number: int, now: MissionTime, *, verified: bool = False
+    ) -> None:
+        """Write down a refusal. by: whom the message names; verified: whether that is proven; number: of theirs."""
+        self._add(
+            AuditKind.REFUSAL, at=now, topic=topic.name, by=by, verified=verified, why=why, number_of_sender=number
+        )
 
     def _add(self, kind: AuditKind, **fields: Any) -> None:
         if self._failed:
@@ -72,9 +78,12 @@ class AuditTrail:
             self._report(f"{error}; the mission goes on without its audit log")
 
 
-def _by(header: Header | None, body: Any) -> str:
+def named_in(header: Header | None, body: Any) -> str:
+    """Whom a message names as who wants what it says."""
     if isinstance(body, Telecommand) and body.by:
         return body.authorization.signer if body.authorization is not None else str(body.issued_by)
+    if isinstance(body, AuthorityChange):
+        return body.by
     if header is None:
         return ""
     return header.signer or header.source

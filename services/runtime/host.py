@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode, decode_reply, encode, header_of, raw_objection
-from schemas.commands import Telecommand
 from schemas.refusal import RefusalCode
 from schemas.signing import Part
 from schemas.topics import COMMAND, Crosses, Query, Side, Topic, under_custody
 from schemas.wire import MAX_TEXT, Header, Wire, printable
 from services.mission.mission_time import MAX_AHEAD, MissionTime
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError, SetAside
-from services.runtime.audit_trail import RefusalCounter
+from services.runtime.audit_trail import RefusalCounter, named_in
 from services.runtime.custody.endpoint import CUSTODY_TIMER, CustodyEndpoint
 from services.runtime.custody.endpoint import STATE_TYPES as CUSTODY_STATE_TYPES
 from services.runtime.inputs import (
@@ -105,11 +104,6 @@ def _sender(given: Input) -> str:
     return ""
 
 
-def _named(header: Header, body: Wire) -> str:
-    consent = body.authorization if isinstance(body, Telecommand) else None
-    return consent.signer if consent is not None else header.source
-
-
 EventSink = Callable[[MissionTime, str, str], None]
 """Called for each event handled with mission time, node and a line that describes it: the event log."""
 
@@ -155,6 +149,7 @@ class Host:
         self._queries: dict[str, PutQuery] = {}
         self._refused = 0
         self._refusals = RefusalCounter()
+        self._asking: dict[int, str] = {}
         self._gate = gate
         self._audit = audit
         self._events = 0
@@ -279,7 +274,7 @@ class Host:
                 case MessageArrived(topic, payload) if topic.signed and topic not in self._interface.receives_raw:
                     return self._admit_message(given, topic, payload, now), []
                 case QueryArrived(topic, payload) if topic.signed:
-                    self._admit_query(topic, payload, now)
+                    self._admit_query(given, topic, payload, now)
                 case CheckedQueryArrived(topic, request) if topic.signed:
                     if self._gate is not None:
                         raise Refused(f"{topic.name}: expected a signed message, got selector parameters")
@@ -313,17 +308,30 @@ class Host:
         except Refused as refusal:
             self._refused += 1
             if self._audit is not None:
-                self._audit.refused(topic, _named(header, body), str(refusal), 1, now)
+                self._audit.refused(topic, named_in(header, body), str(refusal), 1, now)
             return replace(given, objection=str(refusal))
         self._write_down(topic, header, body, now)
         return given
 
-    def _admit_query(self, topic: Topic, payload: bytes, now: MissionTime) -> None:
+    def _admit_query(self, given: QueryArrived, topic: Topic, payload: bytes, now: MissionTime) -> None:
         header, body = decode(topic, payload, self._mission)
         if self._gate is not None:
             self._gate.admit(Part.QUERY, topic, header, payload, now)
+            self._gate.admit_person(topic, header, body)
             self._gate.admit_command(topic, header, body, now)
+        if self._audit is not None:
+            self._asking[given.token] = named_in(header, body)
         self._write_down(topic, header, body, now)
+
+    def answered(self, action: Action, now: MissionTime) -> None:
+        """Write down a change that the node itself refuses, such as a command of who does not hold authority."""
+        match action:
+            case Reply(token):
+                self._asking.pop(token, None)
+            case ReplyError(token, topic, why):
+                who = self._asking.pop(token, None)
+                if who is not None and self._audit is not None and topic.signed:
+                    self._audit.refused(topic, who, why, 1, now, verified=self._gate is not None)
 
     def _write_down(self, topic: Topic, header: Header | None, body: Wire, now: MissionTime) -> None:
         if self._audit is not None and (isinstance(topic.service, Query) or topic is COMMAND):

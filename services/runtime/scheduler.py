@@ -147,7 +147,10 @@ class NodeScheduler:
             self._journal.append(now, batch)
         self.last = now
         for given in batch:
-            outward.extend(action for action in self.host.handle(given, now) if not self._performed(action, now))
+            actions = [action for action in self.host.handle(given, now) if not self._performed(action, now)]
+            for action in actions:
+                self.host.answered(action, now)
+            outward += actions
         if self._journal is not None and batch:
             self._keep_state(batch)
         return outward

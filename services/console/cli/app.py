@@ -8,6 +8,7 @@ import typer
 
 from services.console.cli import (
     audit,
+    authority,
     bench,
     command,
     keys,
@@ -58,6 +59,7 @@ def build() -> typer.Typer:
         command.commands
     )
     app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
+    app.add_typer(authority.app, name="authority", help="Who commands the rover: show it, take it, release it.")
     app.add_typer(audit.app, name="audit", help="The audit log: who did what.", epilog=audit.EXAMPLES)
     app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")
     app.add_typer(region.app, name="reference", hidden=True)  # the former name: scripts use it, an error stays one line

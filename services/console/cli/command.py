@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from services.console.cli.coordinates import NEGATIVE_NUMBERS, Corners, X, Y, polygon
-from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, IdentityFolder, Insecure, Mission, checked, within
+from services.console.cli.options import (
+    MAX_WAIT_S,
+    AsJson,
+    AsName,
+    Earth,
+    IdentityFolder,
+    Insecure,
+    Mission,
+    checked,
+    within,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,13 +92,14 @@ def _plain(word: str, about: str) -> None:
         earth: Earth = None,
         identity: IdentityFolder = None,
         insecure: Insecure = False,
+        as_name: AsName = None,
         command_id: CommandId = None,
         expires_in: ExpiresIn = None,
         wait: Wait = None,
         timeout: Timeout = 60.0,
         json: AsJson = False,
     ) -> None:
-        _issue(word, {}, mission, earth, identity, insecure, command_id, expires_in, wait, timeout, json)
+        _issue(word, {}, mission, earth, identity, insecure, as_name, command_id, expires_in, wait, timeout, json)
 
     app.command(word, help=about, epilog=EXAMPLES)(issue)
 
@@ -105,6 +116,7 @@ def go_to(
     earth: Earth = None,
     identity: IdentityFolder = None,
     insecure: Insecure = False,
+    as_name: AsName = None,
     command_id: CommandId = None,
     expires_in: ExpiresIn = None,
     wait: Wait = None,
@@ -113,7 +125,18 @@ def go_to(
 ) -> None:
     """Drive to a place, and wait there for the next plan."""
     _issue(
-        "go-to", {"target_m": (x, y)}, mission, earth, identity, insecure, command_id, expires_in, wait, timeout, json
+        "go-to",
+        {"target_m": (x, y)},
+        mission,
+        earth,
+        identity,
+        insecure,
+        as_name,
+        command_id,
+        expires_in,
+        wait,
+        timeout,
+        json,
     )
 
 
@@ -127,6 +150,7 @@ def keep_out(
     earth: Earth = None,
     identity: IdentityFolder = None,
     insecure: Insecure = False,
+    as_name: AsName = None,
     command_id: CommandId = None,
     expires_in: ExpiresIn = None,
     wait: Wait = None,
@@ -137,7 +161,9 @@ def keep_out(
     what: dict[str, Any] = {"area_id": area}
     if corners:
         what["polygon_m"] = polygon(corners)
-    _issue("set-keep-out", what, mission, earth, identity, insecure, command_id, expires_in, wait, timeout, json)
+    _issue(
+        "set-keep-out", what, mission, earth, identity, insecure, as_name, command_id, expires_in, wait, timeout, json
+    )
 
 
 def _issue(
@@ -147,6 +173,7 @@ def _issue(
     earth: str | None,
     identity: Path | None,
     insecure: bool,
+    as_name: str | None,
     command_id: str | None,
     expires_in: float | None,
     wait: str | None,
@@ -157,7 +184,7 @@ def _issue(
     from services.console.client.mission_client import MissionClient
 
     stage = None if wait is None else CommandStage(wait)
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
         issued = client.command(kind, expires_in_s=expires_in, command_id=command_id, **what)
         status = issued.status if stage is None else issued.wait(stage, timeout_s)
     typer.echo(status.model_dump_json(indent=2) if json else "\n".join(command_lines([status])))
@@ -207,7 +234,8 @@ def command_lines(statuses: Sequence[CommandStatus]) -> list[str]:
         if command.area_id is not None:
             about += f" {command.area_id}: {f'{len(command.polygon_m)} corners' if command.polygon_m else 'removed'}"
         expires = "" if command.expires_at is None else f", expires {utc(command.expires_at)}"
-        lines.append(f"{command.command_id}  {about}{expires}")
+        by = f", by {command.by}" if command.by else ""
+        lines.append(f"{command.command_id}  {about}{expires}{by}")
         for report in status.stages:
             why = f"  {report.why}" if report.why else ""
             lines.append(f"    {utc(report.at)}  {report.stage.value:<10}{why}".rstrip())

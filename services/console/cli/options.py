@@ -112,6 +112,12 @@ Insecure = Annotated[
     bool,
     typer.Option("--insecure", help="Allow an endpoint off loopback without TLS: anyone who reaches it may command."),
 ]
+AsName = Annotated[
+    str | None,
+    typer.Option(
+        "--as", metavar="NAME", help="Your name, in a mission without keys; else user@host. It is not proven."
+    ),
+]
 Keys = Annotated[
     Path | None,
     typer.Option(

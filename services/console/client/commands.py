@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import getpass
+import os
 import queue
+import socket
 import time
 import uuid
 from typing import TYPE_CHECKING, Any
@@ -10,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput, PeerUnreachable
+from schemas.authority import AuthorityAction, AuthorityChange, AuthorityState
 from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
-from schemas.topics import COMMAND_STATUS, ISSUE_COMMAND, LIST_COMMANDS
+from schemas.topics import COMMAND_STATUS, ISSUE_COMMAND, LIST_COMMANDS, SET_AUTHORITY, SHOW_AUTHORITY
 from schemas.validation import one_line
 from services.console.client.clock import ClockQueries
 from services.mission.mission_time import seconds
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
     from schemas.wire import Header
     from services.console.client.map_queries import Polygon
     from services.runtime.transport.client import Client
+    from services.runtime.trust.identity import Identity
 
 MAX_EXPIRY_S = 1e9
 """Longest time for which a command may stay valid [s]: 30 years."""
@@ -90,6 +95,14 @@ class Commanding(ClockQueries):
     """The part of `MissionClient` that sends telecommands."""
 
     _session: Client
+    identity: Identity | None
+    as_name: str | None
+    """The name under which this client commands where nothing proves one; None: the user and the machine."""
+
+    @property
+    def person(self) -> str:
+        """Who commands: the identity's common name, else the name that was given, else the user and the machine."""
+        return self.identity.common_name if self.identity is not None else self.as_name or user_and_machine()
 
     def command(
         self,
@@ -113,12 +126,47 @@ class Commanding(ClockQueries):
         if valid_s is not None:
             expires_at = self.now() + seconds(valid_s)
             command = _checked(command.model_dump() | {"expires_at": expires_at})
+        if self.identity is None:
+            command = command.model_copy(update={"issued_by": self.person})
         return CommandHandle(self._session, self._session.query(ISSUE_COMMAND, command))
+
+    def authority(self) -> AuthorityState:
+        """Who holds command authority."""
+        state: AuthorityState = self._session.query(SHOW_AUTHORITY, NoParameters())
+        return state
+
+    def take_authority(self, over_from: str | None = None) -> AuthorityState:
+        """Take command authority: others' commands are refused then, but `safe`.
+
+        over_from: the present holder, to take it over from them. Raises InvalidInput while somebody else holds it.
+        """
+        return self._change_authority(AuthorityAction.TAKE, over_from)
+
+    def release_authority(self) -> AuthorityState:
+        """Release command authority. Raises InvalidInput if somebody else holds it."""
+        return self._change_authority(AuthorityAction.RELEASE, None)
+
+    def _change_authority(self, action: AuthorityAction, over_from: str | None) -> AuthorityState:
+        try:
+            change = AuthorityChange(action=action, by=self.person, over_from=over_from)
+        except ValidationError as error:
+            raise InvalidInput(f"authority: {one_line(error)}") from None
+        state: AuthorityState = self._session.query(SET_AUTHORITY, change)
+        return state
 
     def commands(self) -> tuple[CommandStatus, ...]:
         """All commands with the stages they passed, oldest first."""
         listed: CommandList = self._session.query(LIST_COMMANDS, NoParameters())
         return listed.commands
+
+
+def user_and_machine() -> str:
+    """The user and the machine of this process, as user@host: what it says of itself, which nothing proves."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):
+        user = f"uid-{os.getuid()}"
+    return f"{user}@{socket.gethostname()}"[:100]
 
 
 def _duration_s(value: object) -> float:

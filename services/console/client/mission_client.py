@@ -57,17 +57,20 @@ class MissionClient(MapFiles, Commanding, LinkControl, LiveNews, MapFeed):
         identity: Path | None = None,
         insecure: bool = False,
         while_waiting: WhileWaiting | None = None,
+        as_name: str | None = None,
     ) -> None:
         """Join the mission that runs on this machine, or the one of that Earth endpoint and name.
 
         name: source of its messages, unless there is an identity. identity: folder, see `credentials_for`. insecure:
         whether an endpoint off loopback may be without TLS.
+        as_name: see `person`.
         while_waiting: called while the router accepts the connection and has not replied; None: one line on standard
         error.
         Raises PeerUnreachable when there is none, InvalidInput when there are several.
         """
         self.earth, self.mission = find(mission, earth)
         credentials = credentials_for(self.earth, self.mission, identity, insecure=insecure)
+        self.as_name = as_name
         self.identity, self.warning = credentials.identity, credentials.warning
         if self.warning is not None:
             _report(self.warning)

@@ -12,6 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import He3Error
+from schemas.authority import AuthorityChange
 from schemas.codec import Refused, body_of, encode
 from schemas.commands import Telecommand
 from schemas.signing import Part
@@ -52,6 +53,11 @@ class Gate:
         if part is Part.QUERY:
             self._require_first(topic, header)
         return who.common_name
+
+    def admit_person(self, topic: Topic, header: Header, body: Any) -> None:
+        """Raise Refused for a body that speaks for somebody else than who has signed the message."""
+        if isinstance(body, AuthorityChange) and body.by != header.signer:
+            raise Refused(f"{topic.name} of {header.signer}: expected its signer's own name, got '{body.by[:80]}'")
 
     def admit_command(self, topic: Topic, header: Header, body: Any, now: int) -> None:
         """Raise Refused unless a person has consented to the command in that message, if it is one."""

@@ -1,0 +1,80 @@
+"""Command authority: one holder at a time, whose commands alone go to the rover.
+
+Who commands while nobody holds it, holds it then. In a mission with keys that already keeps others out. Without keys
+nobody's name is proven, and a person may well use several terminals: there only `take` keeps others out, and until then
+authority goes along with whoever commands. The command `safe` is everybody's.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from he3.errors import InvalidInput
+from schemas.authority import AuthorityAction, AuthorityChange, AuthorityState
+from schemas.commands import CommandKind, Telecommand
+
+if TYPE_CHECKING:
+    from services.mission.mission_time import MissionTime
+    from services.runtime.node import SavedState
+
+RELEASE_HINT = "he3 authority take --force"
+
+
+class CommandAuthority:
+    """The holder, and who may command."""
+
+    def __init__(self) -> None:
+        self.state = AuthorityState()
+        self._proven = False
+
+    def objection(self, command: Telecommand) -> str | None:
+        """One line on why the sender of this command may not command now; None if they may."""
+        holder, name = self.state.holder, name_of(command)
+        firm = self.state.explicit or self._proven
+        if holder is None or name == holder or not firm or command.kind is CommandKind.SAFE:
+            return None
+        sender = name or "somebody without a name"
+        return (
+            f"command {command.command_id} of {sender}: expected the holder of command authority, {holder} "
+            f"({RELEASE_HINT} {holder})"
+        )
+
+    def commanded(self, command: Telecommand, now: MissionTime) -> None:
+        """Note a command that was sent; its sender holds authority from now on, unless somebody holds it firmly."""
+        holder, name = self.state.holder, name_of(command)
+        firm = self.state.explicit or self._proven
+        if name and name != holder and (holder is None or not firm):
+            self.state = AuthorityState(holder=name, since=now)
+            self._proven = command.authorization is not None
+
+    def change(self, change: AuthorityChange, now: MissionTime) -> AuthorityState:
+        """The state after that change; raises InvalidInput, in one line, for one that is not to be made."""
+        holder = self.state.holder
+        if change.action is AuthorityAction.RELEASE:
+            if holder not in (None, change.by):
+                raise InvalidInput(f"authority: expected its holder, {holder}, to release it, got {change.by}")
+            self.state, self._proven = AuthorityState(), False
+            return self.state
+        firm = self.state.explicit or self._proven
+        if change.over_from is not None and change.over_from != holder:
+            raise InvalidInput(
+                f"authority: expected the name of its present holder, {holder or 'nobody'}, got {change.over_from}"
+            )
+        if holder not in (None, change.by) and firm and change.over_from is None:
+            raise InvalidInput(f"authority: held by {holder}: to take it over, {RELEASE_HINT} {holder}")
+        same = holder == change.by and self.state.explicit
+        self.state = AuthorityState(holder=change.by, since=self.state.since if same else now, explicit=True)
+        return self.state
+
+    def checkpoint(self) -> SavedState:
+        """The whole state, as named parts."""
+        return {"state": self.state, "proven": self._proven}
+
+    def restore(self, state: SavedState) -> None:
+        """Restore the authority from this state."""
+        self.state, self._proven = state["state"], state["proven"]
+
+
+def name_of(command: Telecommand) -> str:
+    """The name under which the sender of a command holds authority; empty if they gave none."""
+    return command.authorization.signer if command.authorization is not None else command.issued_by or ""
