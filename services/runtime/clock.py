@@ -16,11 +16,13 @@ from __future__ import annotations
 import secrets
 import threading
 from collections import OrderedDict
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from schemas.link import ClockMode, ClockState
 from services.mission.mission_time import SECOND, MissionTime
-from services.runtime.machine_time import MachineTime
+
+if TYPE_CHECKING:
+    from services.runtime.machine_time import MachineTime
 
 MAX_CORRECTION_NS: Final = SECOND
 """Limit in wall time: the monotonic clocks of two machines drift less between two announcements."""

@@ -88,7 +88,9 @@ def test_a_mission_in_five_processes_ends_by_itself_with_every_sample_and_leaves
     assert report.completed
     assert (report.driver, report.rate, report.samples) == ("zenoh", 2000.0, 4)
     assert report.messages.lost == 0
-    assert {"report.json", "map.png", "rmse.png", "mission.mcap", "logs", "audit"} == {path.name for path in out.iterdir()}
+    assert {"report.json", "map.png", "rmse.png", "mission.mcap", "logs", "audit"} == {
+        path.name for path in out.iterdir()
+    }
     samples = {m.body.sample_id for m in Recording(out / "mission.mcap").messages() if m.topic.name == "tm/sample"}
     assert samples == {row.sample_id for row in report.sample_table}
     assert "RMSE" in done.stdout
