@@ -14,6 +14,7 @@ from he3.errors import InvalidInput
 from schemas.codec import encode
 from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
+from services.link.changes import read_change
 from services.link.kept_clock import KeptClock, keep, kept_clock
 from services.runtime.clock import at_rate, started
 from services.runtime.machine_time import this_machine
@@ -86,7 +87,7 @@ class ClockKeeper:
 
     def _set_rate(self, query: IncomingQuery) -> None:
         try:
-            change = self._context.read_change(CLOCK_SET, query)
+            change = read_change(self._context, CLOCK_SET, query)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
             self._context.refused(str(error))

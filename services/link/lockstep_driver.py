@@ -16,6 +16,7 @@ from schemas.codec import Refused, decode, encode
 from schemas.link import ClockMode, ClockState
 from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.topics import MEMBERS, ONLOOKERS, TIME_CONTROL, TIME_SHOW, Side, Topic
+from services.link.changes import read_change
 from services.link.late import SignsOfLife
 from services.runtime.heartbeat import TOPICS as HEARTBEATS
 from services.runtime.lockstep.pace import Pace
@@ -272,7 +273,7 @@ class TimeManagerDriver:
 
     def _control(self, query: IncomingQuery) -> None:
         try:
-            control = self._context.read_change(TIME_CONTROL, query)
+            control = read_change(self._context, TIME_CONTROL, query)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
             return

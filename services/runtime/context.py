@@ -7,16 +7,13 @@ in common is here.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from he3.errors import InvalidInput
 from schemas.codec import body_of
-from services.runtime.actions import ReplyError, SetAside
+from services.runtime.actions import SetAside
 from services.runtime.node import Finish, LogRecord, PublishSnapshot
 from services.runtime.service_manager import ServiceManager
 from services.runtime.set_aside import SetAsideFile
-from services.runtime.transport.inputs import query_input
-from services.runtime.transport.request import read_request
 
 if TYPE_CHECKING:
     from schemas.refusal import Refusal
@@ -148,22 +145,8 @@ class ProcessContext:
             fields["kept_in"] = str(self.set_aside.path)
         self.log.error(f"set aside, a defect: {action.what}: {action.error}", **fields)
 
-    def read_change(self, topic: Topic, query: IncomingQuery) -> Any:
-        """The request of a query that the driver answers itself, admitted and written down as the node's are.
-
-        Raises InvalidInput with one line.
-        """
-        given = query_input(topic, query, 0)
-        host = self.scheduler.host
-        kept, actions = host.admit(given, self.clock.latest)
-        for action in actions:
-            self.perform(action)
-        if kept is None:
-            raise InvalidInput(next(action.why for action in actions if isinstance(action, ReplyError)))
-        return read_request(topic, query, self.mission)
-
     def encode_reply(self, topic: Topic, query: IncomingQuery, header: Header, reply: Wire) -> bytes:
-        """The reply to such a query in the form of the query: a message for a message, else the plain body."""
+        """The reply to a query that the driver answers itself: a message for a message, else the plain body."""
         payload = self.scheduler.host.encode_reply(topic, header, reply)
         return body_of(payload) if query.payload is None else payload
 
