@@ -19,13 +19,15 @@ from schemas.commands import Authorization, Telecommand
 from schemas.signing import Part, signed_bytes
 from schemas.topics import COMMAND, ISSUE_COMMAND
 from schemas.wire import Header
-from services.mission.mission_time import MAX_AHEAD, SECOND
 from services.runtime.trust.certificates import Subject, parse_common_name
 
 if TYPE_CHECKING:
     from schemas.roles import Role
     from services.runtime.trust.roster import Roster
 
+SECOND: Final = 1_000_000_000
+MAX_AHEAD: Final = 86_400 * SECOND
+"""How far ahead of now a message may be made [ns]: clocks of two machines differ, by more at a higher rate."""
 REQUEST_VALID_NS: Final = 30 * 86_400 * SECOND
 """Mission time for which a signed request counts. It is long, as an hour of mission time may pass in milliseconds; the
 receiver also remembers the requests that have come."""
