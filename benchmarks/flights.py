@@ -44,6 +44,8 @@ class Flight:
     """Name of the row in tables; the planner's name if empty."""
     variation: int | None = None
     """Seed of another variation of an embedded region; its own if None. A region from a file has no other."""
+    likeliest: bool = True
+    """Hyperparameters of maximum likelihood, as the paper has them; else the most probable under priors."""
 
     @property
     def name(self) -> str:
@@ -101,6 +103,7 @@ def fly(flight: Flight) -> Mission:
         flight.seed,
         budget_m=flight.budget_m,
         prior=flight.prior,
+        likeliest=flight.likeliest,
         orbital_ppb=orbital if flight.prior == "orbital" else None,
     )
     mission.row.update(region=region.name, planner=flight.planner, label=flight.name)

@@ -81,6 +81,7 @@ def run_mission(
     samples: int = SAMPLES_A_ROUND,
     budget_m: float = inf,
     prior: str | None = None,
+    likeliest: bool = True,
     noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
     start_m: tuple[float, float] | None = None,
     interest: NDArray[np.float32] | None = None,
@@ -91,8 +92,9 @@ def run_mission(
     """A mission with this planner over the region, with its row of figures.
 
     prior: None or "orbital", a trend learned from the region's orbital map or from ``orbital_ppb`` in its place.
-    start_m: where the rover stands at first, ``start_of`` the region if None. progress is called with the number of
-    samples taken and the total. Raises InvalidInput for names that are not known.
+    likeliest: hyperparameters of maximum likelihood, else the most probable under priors. start_m: where the rover
+    stands at first, ``start_of`` the region if None. progress is called with the number of samples taken and the total.
+    Raises InvalidInput for names that are not known.
     """
     begun = time.perf_counter()
     if prior not in (None, "orbital"):
@@ -101,7 +103,7 @@ def run_mission(
     terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
     orbital = region.orbital_ppb if orbital_ppb is None else orbital_ppb
     trend = OrbitalTrend(region.grid, orbital) if prior == "orbital" else None
-    belief = Belief(region.grid, kernel, noise_std_ppb, trend)
+    belief = Belief(region.grid, kernel, noise_std_ppb, trend, likeliest=likeliest)
     scorer = Scorer(region.he3_ppb)
     start_m = start_of(region, terrain) if start_m is None else start_m
     log, here = _Log(), start_m

@@ -139,7 +139,7 @@ def own_gp_rmse(region: Region, mission: Mission) -> float:
 
 def _belief(region: Region, places: FloatArray, values: FloatArray, kernel: str, seed: int) -> Belief:
     """The belief from all samples at once, hyperparameters fitted to them."""
-    belief = Belief(region.grid, kernel, NOISE_STD_PPB)
+    belief = Belief(region.grid, kernel, NOISE_STD_PPB, likeliest=True)
     for k, (place, value) in enumerate(zip(places, values, strict=True)):
         at = (float(place[0]), float(place[1]))
         belief.add(f"s{k}", Observation((1, 1, k + 1), at, float(value)))

@@ -27,7 +27,7 @@ evidence.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -50,7 +50,7 @@ from he3.kernels import (
 from he3.likelihood import log_marginal_likelihood
 
 if TYPE_CHECKING:
-    from he3.trend import OrbitalTrend
+    from he3.trend import OrbitalTrend, Trend
 
 DEFAULT_NOISE_STD_PPB = 0.1  # ppb, the sensor's, PAPER
 EXTENT_M = 500.0  # m, width of the site that the following length scales are for, PAPER
@@ -94,7 +94,7 @@ class Hyperparameters:
     mean_ppb: float = 0.0
     scale_ppb: float = 1.0
     log_likelihood: float = math.nan
-    trend: OrbitalTrend | None = None
+    trend: Trend | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale_ppb) and self.scale_ppb > 0 and math.isfinite(self.mean_ppb)):
@@ -123,7 +123,7 @@ class Hyperparameters:
         return self.trend.at(xy_m) + self.mean_ppb
 
     def trend_basis(self, xy_m: FloatArray) -> FloatArray | None:
-        """Columns (n, 2) whose outer product is the trend's covariance in standardised units; None without a trend."""
+        """Columns (n, p) whose outer product is the trend's covariance in standardised units; None without a trend."""
         return None if self.trend is None else self.trend.basis(xy_m, self.scale_ppb)
 
     def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
@@ -278,7 +278,7 @@ def _fit(data: _Data, default: Kernel, rng: np.random.Generator, previous: Hyper
     if previous is not None and previous.kernel.name == default.name:
         warm = _in_scale(previous, scale, bounds)
     basis = None if data.trend is None else data.trend.basis(data.xy, scale)
-    problem = _Problem(
+    problem = LikelihoodProblem(
         default=default,
         r2=squared_distances(data.xy, data.xy),
         z=z,
@@ -306,7 +306,7 @@ def _in_scale(previous: Hyperparameters, scale: float, bounds: Sequence[tuple[fl
 
 
 @dataclass(frozen=True, slots=True)
-class _Problem:
+class LikelihoodProblem:
     """Minus the log likelihood, to be minimised over the logarithms of the kernel's parameters.
 
     noise: the instrument's noise variance in standardised units. Where it is below the floor, the floor is used, which
@@ -339,25 +339,35 @@ class _Problem:
 
     def solve(self, starts: Sequence[FloatArray]) -> FloatArray:
         """The best of the optima (p,) that the starts lead to. Raises NumericalFailure if none is finite."""
-        best, lowest = starts[0], math.inf
-        for start in starts:
-            found = minimize(
-                self.cost,
-                start,
-                jac=True,
-                method="L-BFGS-B",
-                bounds=self.bounds,
-                options={"maxiter": _MAX_ITERATIONS, "ftol": 1e-9, "gtol": 1e-4},
-            )
-            if found.fun < lowest:
-                best, lowest = np.asarray(found.x), float(found.fun)
-        if not math.isfinite(lowest):
-            raise NumericalFailure(f"no start of {len(starts)} gave a finite likelihood for {self.default.name!r}")
-        return best
+        return best_optimum(self.cost, starts, self.bounds, f"a likelihood for {self.default.name!r}")
+
+
+def best_optimum(
+    cost: Callable[[FloatArray], tuple[float, FloatArray]], starts: Sequence[FloatArray], bounds: FloatArray, of: str
+) -> FloatArray:
+    """The best of the minima (p,) of a cost with gradient that the starts lead to, within bounds (p, 2).
+
+    Raises NumericalFailure, with the name of what the cost is of, if none is finite.
+    """
+    best, lowest = starts[0], math.inf
+    for start in starts:
+        found = minimize(
+            cost,
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": _MAX_ITERATIONS, "ftol": 1e-9, "gtol": 1e-4},
+        )
+        if found.fun < lowest:
+            best, lowest = np.asarray(found.x), float(found.fun)
+    if not math.isfinite(lowest):
+        raise NumericalFailure(f"no start of {len(starts)} gave a finite value of {of}")
+    return best
 
 
 def _starts(
-    problem: _Problem, warm: Kernel | None, default: Kernel, rng: np.random.Generator, widening: float
+    problem: LikelihoodProblem, warm: Kernel | None, default: Kernel, rng: np.random.Generator, widening: float
 ) -> list[FloatArray]:
     """Starting points: the previous optimum if there is one, and the likeliest of the default and random ones.
 

@@ -1,17 +1,20 @@
-"""A prior mean from a coarse orbital map, whose gain and offset are learned from the samples.
+"""A prior mean with unknown coefficients: a constant, or a coarse orbital map with gain and offset.
 
-The field is modelled as m(x) + g(x), with g the zero-mean Gaussian process of the kernel and
+With an orbital map the field is modelled as m(x) + g(x), with g the zero-mean Gaussian process of the kernel and
 
     m(x) = M + offset + gain (o(x) - M),      gain ~ N(1, gain_std^2),  offset ~ N(0, offset_std^2)
 
 where o is the orbital map and M its mean over the site, so that gain and offset are nearly independent. Both being
 Gaussian, they are marginalised exactly by adding their covariance to the kernel's (Rasmussen & Williams 2006, sect.
-2.7): their uncertainty is part of the posterior variance from the first sample on.
+2.7): their uncertainty is part of the posterior variance from the first sample on. A constant alone, whose mean value
+is the hyperparameters' ``mean_ppb``, is the same with one coefficient.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +24,37 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray, IntArray, SiteGrid, as_points
 
 MAX_TREND_STD = 30.0  # 1, prior standard deviation of the trend anywhere, in units of the field's scale
+
+
+class Trend(Protocol):
+    """A prior mean that is linear in unknown coefficients."""
+
+    def at(self, points_m: FloatArray) -> FloatArray:
+        """Its expected value (N,) [ppb] at places (N, 2) [m], a constant excepted."""
+
+    def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
+        """Columns (N, p) at places (N, 2) [m] whose outer product is its covariance, in units of scale_ppb."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnknownConstant:
+    """A constant of expectation zero, with the standard deviation of its prior [ppb].
+
+    Raises InvalidInput for a standard deviation that is not positive.
+    """
+
+    std_ppb: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.std_ppb) and self.std_ppb > 0):
+            raise InvalidInput(f"expected a positive standard deviation of the constant, got {self.std_ppb!r} ppb")
+
+    def at(self, points_m: FloatArray) -> FloatArray:
+        return np.zeros(len(points_m))
+
+    def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
+        """One column (N, 1) at places (N, 2) [m]; the prior is at most ``MAX_TREND_STD`` wide, as the map's is."""
+        return np.full((len(points_m), 1), min(self.std_ppb / scale_ppb, MAX_TREND_STD))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

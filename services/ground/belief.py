@@ -17,9 +17,10 @@ import numpy as np
 from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
 from he3.gp import GaussianProcess, Hyperparameters
+from he3.hyperprior import MEAN_PPB, Hyperprior
 from he3.kernels import AUTO, kernel_from
 from he3.posterior.grid import GridPosterior, PosteriorMap
-from services.ground.fitting import FitRequest
+from services.ground.fitting import FitRequest, fit
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray, SiteGrid
@@ -27,11 +28,11 @@ if TYPE_CHECKING:
     from services.ground.observation import Observation
     from services.runtime.node import SavedState
 
-# The map before the first sample: the site means of six landing sites lie at 1.4 to 15.1 ppb [assumed].
-PRIOR_MEAN_PPB = 7.5
+# The map before the first sample, where hyperparameters are the likeliest ones, which no sample determines yet.
 PRIOR_SCALE_PPB = 4.0
 PRIOR_KERNEL = "matern52"  # where the kernel is chosen by the evidence, and there is none yet
 BELOW_ZERO_PPB = 1e3  # an instrument may read so far below zero, or beyond what a soil can hold
+MIN_ORBITAL_STD_PPB = 0.05  # spread of an orbital map below which it is uniform [assumed]
 NOISE_STDS = 10.0  # or this many standard deviations of its noise, so that no valid reading is refused
 
 
@@ -42,21 +43,47 @@ MAP_THREADS = 2
 class Belief:
     """The map and the samples that it is computed from; changed by `add` and `adopt` alone."""
 
-    def __init__(self, grid: SiteGrid, kernel: str, noise_std_ppb: float, trend: OrbitalTrend | None = None) -> None:
+    def __init__(
+        self,
+        grid: SiteGrid,
+        kernel: str,
+        noise_std_ppb: float,
+        trend: OrbitalTrend | None = None,
+        *,
+        likeliest: bool = False,
+    ) -> None:
+        """likeliest: take the hyperparameters of maximum likelihood for certain, as the paper does."""
         self.grid = grid
         self._kernel = kernel
         self._noise_std_ppb = noise_std_ppb
         self._trend = trend
-        first = kernel_from(PRIOR_KERNEL if kernel == AUTO else kernel)
-        if trend is None:
-            prior = Hyperparameters(first, noise_std_ppb, PRIOR_MEAN_PPB, PRIOR_SCALE_PPB)
-        else:
-            prior = Hyperparameters(first, noise_std_ppb, trend=trend)
+        self._prior = None if likeliest else hyperprior(grid, trend)
         self._observations: dict[str, Observation] = {}
-        self._posterior: GridPosterior | None = GridPosterior(grid, prior, threads=MAP_THREADS)
+        self._posterior: GridPosterior | None = GridPosterior(grid, self._first(), threads=MAP_THREADS)
         self._map, self._process = self._posterior.snapshot(), self._posterior.process
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
+
+    def _first(self) -> Hyperparameters:
+        """The hyperparameters before the first sample."""
+        kernel = PRIOR_KERNEL if self._kernel == AUTO else self._kernel
+        if self._prior is not None:
+            request = FitRequest(
+                xy_m=np.empty((0, 2)), values_ppb=np.empty(0), kernel=kernel, noise_std_ppb=self._noise_std_ppb,
+                previous=None, trend=self._trend, seed=(), extent_m=self._extent_m, prior=self._prior,
+            )  # fmt: skip
+            return self._with_trend(fit(request))
+        if self._trend is not None:
+            return Hyperparameters(kernel_from(kernel), self._noise_std_ppb, trend=self._trend)
+        return Hyperparameters(kernel_from(kernel), self._noise_std_ppb, MEAN_PPB, PRIOR_SCALE_PPB)
+
+    def _with_trend(self, fitted: Hyperparameters) -> Hyperparameters:
+        return fitted if self._trend is None else replace(fitted, trend=self._trend)
+
+    @property
+    def _extent_m(self) -> float:
+        """The site's longer side [m]."""
+        return max(self.grid.width_m, self.grid.height_m)
 
     def __len__(self) -> int:
         """Number of measurements in the map."""
@@ -120,7 +147,8 @@ class Belief:
             previous=self.hyperparameters,
             trend=self._trend,
             seed=seed,
-            extent_m=max(self.grid.width_m, self.grid.height_m),
+            extent_m=self._extent_m,
+            prior=self._prior,
         )
 
     def adopt(self, fitted: Hyperparameters) -> None:
@@ -128,7 +156,7 @@ class Belief:
         self._fits += 1
         planned = {name: observed.planned for name, observed in self._observations.items()}
         self._built = tuple(sorted(planned, key=planned.__getitem__))
-        posterior = self._posterior = self._rebuilt(replace(fitted, trend=self._trend))
+        posterior = self._posterior = self._rebuilt(self._with_trend(fitted))
         self._map, self._process = posterior.snapshot(), posterior.process
 
     def _rebuilt(self, hyperparameters: Hyperparameters) -> GridPosterior:
@@ -168,3 +196,11 @@ class Belief:
         self._observations, self._built, self._fits = state["observations"], state["built"], state["fits"]
         self._map, self._process = state["map"], state["process"]
         self._posterior = None
+
+
+def hyperprior(grid: SiteGrid, trend: OrbitalTrend | None) -> Hyperprior:
+    """What is known of the site's hyperparameters before landing."""
+    extent_m = max(grid.width_m, grid.height_m)
+    spread_ppb = 0.0 if trend is None else float(trend.orbital_ppb.std())
+    # A map that shows no contrast says nothing of what it does not resolve.
+    return Hyperprior(extent_m) if spread_ppb < MIN_ORBITAL_STD_PPB else Hyperprior(extent_m, field_std_ppb=spread_ppb)

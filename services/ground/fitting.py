@@ -8,28 +8,45 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
+from he3.hyperposterior import infer_hyperparameters
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
+    from he3.hyperprior import Hyperprior
     from he3.trend import OrbitalTrend
 
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
-    """The input of a refit: places (n, 2) [m], values (n,) [ppb], previous hyperparameters, extent of the site [m]."""
+    """The input of a refit: places (n, 2) [m], values (n,) [ppb], previous hyperparameters, extent of the site [m].
+
+    prior: of the hyperparameters; None for those of maximum likelihood.
+    """
 
     xy_m: FloatArray
     values_ppb: FloatArray
     kernel: str
     noise_std_ppb: float
-    previous: Hyperparameters
+    previous: Hyperparameters | None
     trend: OrbitalTrend | None
     seed: tuple[int, ...]
     extent_m: float
+    prior: Hyperprior | None = None
 
 
 def fit(request: FitRequest) -> Hyperparameters:
-    """The hyperparameters of maximum likelihood, without the trend, which the caller has. Pure and picklable."""
+    """The hyperparameters, without the request's trend, which the caller has. Pure and picklable."""
+    if request.prior is not None:
+        inferred = infer_hyperparameters(
+            request.xy_m,
+            request.values_ppb,
+            request.kernel,
+            request.prior,
+            noise_std_ppb=request.noise_std_ppb,
+            trend=request.trend,
+            previous=request.previous,
+        )
+        return inferred if request.trend is None else replace(inferred, trend=None)
     rng = np.random.default_rng(np.random.SeedSequence(request.seed))
     fitted = fit_hyperparameters(
         request.xy_m,

@@ -302,7 +302,8 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     terrain = _terrain(scenario, region)
     trend = OrbitalTrend(grid, region.orbital_ppb) if ground.prior == "orbital" else None
     expect_map_fits(grid, ground.kernel, scenario.samples)
-    belief = Belief(grid, ground.kernel, scenario.field.noise_std_ppb, trend)
+    likeliest = ground.hyperparameters == "ml"
+    belief = Belief(grid, ground.kernel, scenario.field.noise_std_ppb, trend, likeliest=likeliest)
     interests = InterestAreas(grid, ground.interests)
     round_log = RoundLog()
     samples = SampleIntake(belief, round_log)

@@ -9,9 +9,10 @@ from typing import Final
 
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
+from he3.hyperprior import Hyperprior
 from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
 from he3.posterior.grid import PosteriorMap
-from he3.trend import OrbitalTrend
+from he3.trend import OrbitalTrend, UnknownConstant
 from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
 from schemas.ground import GroundStatus, KeepOutArea
@@ -32,6 +33,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     GaussianProcess,
     GroundStatus,
     Hyperparameters,
+    Hyperprior,
     KeepOutArea,
     LinkConditions,
     MapRegion,
@@ -54,4 +56,5 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     SmoothPlusRough,
     SquaredExponential,
     Telecommand,
+    UnknownConstant,
 )

@@ -46,7 +46,10 @@ def refit(belief: Belief, up_to_round: int) -> None:
 def test_before_any_sample_the_map_is_the_prior_of_lunar_soils() -> None:
     empty = Belief(GRID, "se", NOISE).map
     assert (empty.mean_ppb == 7.5).all()
-    assert (empty.std_ppb == 4.0).all()
+    assert (empty.std_ppb > 4.0).all()  # of the sites' means, and then the field's own
+    likeliest = Belief(GRID, "se", NOISE, likeliest=True).map
+    assert (likeliest.mean_ppb == 7.5).all()
+    assert (likeliest.std_ppb == 4.0).all()
 
 
 def test_each_sample_is_in_the_map_at_once_and_exactly() -> None:
@@ -137,12 +140,25 @@ def test_without_a_sample_there_is_nothing_to_fit() -> None:
 
 @pytest.mark.parametrize("kernel", [*KERNELS, AUTO])
 def test_every_kernel_of_a_scenario_is_fitted_and_keeps_the_likelihood_or_betters_it(kernel: str) -> None:
-    belief = belief_of(observations(20), kernel)
+    belief = Belief(GRID, kernel, NOISE, likeliest=True)
+    for name, observation in observations(20).items():
+        belief.add(name, observation)
     refit(belief, 4)
     first = belief.hyperparameters.log_likelihood
     refit(belief, 4)
     assert belief.hyperparameters.log_likelihood >= first - 1e-6
     assert kernel in (belief.hyperparameters.kernel.name, "auto")
+
+
+@pytest.mark.parametrize("kernel", [*KERNELS, AUTO])
+def test_every_kernel_of_a_scenario_has_most_probable_parameters_the_same_for_the_same_samples(kernel: str) -> None:
+    belief = belief_of(observations(20), kernel)
+    request = belief.fit_request(4, (1,))
+    assert request is not None
+    fitted = fit(request)
+    assert kernel in (fitted.kernel.name, AUTO)
+    assert np.isfinite(fitted.log_likelihood)
+    assert fit(request) == fitted
 
 
 def test_an_orbital_prior_is_the_map_before_the_first_sample_and_survives_a_refit() -> None:
