@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import InvalidInput
+from he3.polygons import outline_objection
 
 if TYPE_CHECKING:
     from he3.frames import BoolArray, FloatArray, Place, SiteGrid
@@ -221,15 +222,19 @@ def cells_inside(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
 
 
 def keep_out_objection(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
-    """One line on why the polygon closes no ground of the site; None if it closes some."""
+    """One line on why the polygon is none, or closes no ground of the site; None if it closes some."""
     corners = np.asarray(polygon_m, dtype=np.float64)
     if np.linalg.matrix_rank(corners - corners[0], tol=_FLAT_M) < 2:
         return "expected corners around some ground, got all of them in one line"
+    if (why := outline_objection(polygon_m)) is not None:
+        return why
     return None if cells_touched(grid, polygon_m).any() else _off_site(grid, corners)
 
 
 def interest_area_objection(grid: SiteGrid, polygon_m: Sequence[Place]) -> str | None:
-    """One line on why the polygon holds the centre of no cell of the site; None if it holds one."""
+    """One line on why the polygon is none, or holds the centre of no cell of the site; None if it holds one."""
+    if (why := outline_objection(polygon_m)) is not None:
+        return why
     if cells_inside(grid, polygon_m).any():
         return None
     if cells_touched(grid, polygon_m).any():

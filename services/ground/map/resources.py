@@ -11,6 +11,7 @@ from scipy.special import ndtri
 
 from he3.constants import REGOLITH_BULK_DENSITY_KG_M3
 from he3.errors import InvalidInput, NotReady, OutsideRegion
+from he3.polygons import outline_objection
 from he3.resource import area_mean, share_above
 from schemas.maps import Interval, ResourceEstimate, ResourceQuery
 from services.ground.map.layers import exceedance
@@ -50,6 +51,8 @@ def area_of(text: str | None, grid: SiteGrid) -> NDArray[np.bool_]:
             f"polygon: expected corners within 0..{grid.width_m:g} m east and 0..{grid.height_m:g} m north, "
             f"got ({x:g}, {y:g})"
         )
+    if (why := outline_objection(corners)) is not None:
+        raise InvalidInput(f"polygon: {why}")
     area = cells_inside(grid, corners)
     if not area.any():
         raise InvalidInput("polygon: expected one that holds the centre of a cell at least, got a smaller one")
@@ -67,7 +70,7 @@ def estimate(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
     # kg of helium-3 in a metre of ground, for each ppb by mass of its mean
     kg_per_ppb = PPB * REGOLITH_BULK_DENSITY_KG_M3 * area_m2
     reach = float(ndtri(0.5 + request.probability / 2)) * over.std_ppb
-    low, high = over.mean_ppb - reach, over.mean_ppb + reach
+    low, high = max(0.0, over.mean_ppb - reach), over.mean_ppb + reach  # there is no less than no helium-3
     above = exceedance(snapshot.mean_ppb[area], snapshot.std_ppb[area], request.cutoff_ppb)
     # Equal queries of one revision have equal answers: the draws are seeded by both.
     seed = zlib.crc32(f"{snapshot.revision} {request.polygon}".encode())
@@ -80,9 +83,7 @@ def estimate(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
         cells=over.cells,
         mean_ppb=Interval(expected=over.mean_ppb, low=low, high=high),
         mean_std_ppb=over.std_ppb,
-        mass_kg_per_m=Interval(
-            expected=kg_per_ppb * over.mean_ppb, low=kg_per_ppb * max(0.0, low), high=kg_per_ppb * high
-        ),
+        mass_kg_per_m=Interval(expected=kg_per_ppb * over.mean_ppb, low=kg_per_ppb * low, high=kg_per_ppb * high),
         bulk_density_kg_m3=REGOLITH_BULK_DENSITY_KG_M3,
         cutoff_ppb=request.cutoff_ppb,
         area_above_m2=Interval(
