@@ -29,6 +29,8 @@ REPORT_AFTER_S = 5.0
 START_AGAIN_S = 1.0
 CLOSE_WITHIN_S = 0.3
 """Time [s] that a query process has to end by itself; then it is killed, which loses no data."""
+KILLED_WITHIN_S = 5.0
+"""Time [s] that the system may take to end a killed process; then its end is no longer waited for."""
 
 
 class QueryProcess:
@@ -118,7 +120,7 @@ class QueryProcess:
         process = self._process
         if self._thread.is_alive() and process is not None:
             process.kill()  # it is still starting, and does not read its pipe
-        self._thread.join(CLOSE_WITHIN_S)
+            self._thread.join(KILLED_WITHIN_S)
 
     # --- in a thread of its own ---------------------------------------------------------------------------------
 
