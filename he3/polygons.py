@@ -78,7 +78,8 @@ def _sides(start: FloatArray, end: FloatArray, places: FloatArray) -> FloatArray
 def _between(start: FloatArray, end: FloatArray, places: FloatArray) -> BoolArray:
     """Whether (n, k) each of k places, known to lie on the line of an edge, lies between the edge's ends."""
     low, high = np.minimum(start, end) - FLAT, np.maximum(start, end) + FLAT
-    inside: BoolArray = ((places[None] >= low[:, None]) & (places[None] <= high[:, None])).all(axis=-1)
+    above, below = places[None] >= low[:, None], places[None] <= high[:, None]
+    inside: BoolArray = np.all(above & below, axis=-1)
     return inside
 
 
@@ -88,7 +89,7 @@ def _leads_back(start: FloatArray, end: FloatArray) -> BoolArray:
     following = np.roll(along, -1, axis=0)
     cross = along[:, 0] * following[:, 1] - along[:, 1] * following[:, 0]
     lengths = np.hypot(*along.T) * np.hypot(*following.T)
-    back: BoolArray = (np.abs(cross) <= FLAT * lengths) & ((along * following).sum(axis=1) < 0)
+    back: BoolArray = np.logical_and(np.abs(cross) <= FLAT * lengths, (along * following).sum(axis=1) < 0)
     return back
 
 

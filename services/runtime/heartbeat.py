@@ -16,7 +16,7 @@ from schemas.wire import Header
 if TYPE_CHECKING:
     from services.runtime.host import Host
 
-PERIOD_S = 2.0
+PERIOD_S = 1.0
 """Wall time between two heartbeats [s]."""
 
 TOPICS = {Side.MOON: MOON_PRESENCE, Side.EARTH: EARTH_PRESENCE}
@@ -31,7 +31,7 @@ def software_version() -> str:
 
 
 class Heartbeat:
-    """Publishes a `Presence` message of the process on each of its sides, every two seconds."""
+    """Publishes a `Presence` message of the process on each of its sides, every second."""
 
     def __init__(self, host: Host, publish: Callable[[Topic, Side, bytes], None], insecure: bool = False) -> None:
         """insecure: whether the process uses an endpoint off loopback without TLS."""

@@ -30,8 +30,8 @@ from schemas.topics import (
     Topic,
 )
 from services.console.client.clock import MissionClock, time_shown
-from services.console.client.staleness import SILENT_S
-from services.mission.mission_time import MissionTime, seconds
+from services.console.client.staleness import SILENT_S, STATE_PERIOD_S
+from services.mission.mission_time import SECOND, MissionTime, seconds
 
 if TYPE_CHECKING:
     from schemas.ground import GroundStatus, Presence
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 ANSWER_WITHIN_S = 10.0
 """Longest wall time for the answer of a live process; queries to an ended one end at once."""
 MAX_EVENTS = 300
+REPORT_GAPS, MIN_REPORT_GAPS = 9, 2
+"""Intervals between reports of the rover's state from which their period is told, and the fewest that tell it."""
 MAX_COMMANDS = 300  # the newest, as the ground lists them
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
 """Topics whose last message can be queried."""
@@ -116,6 +118,7 @@ class MissionState:
         self._events: deque[Happened] = deque(maxlen=MAX_EVENTS)
         self._commands: dict[str, CommandStatus] = {}
         self._presence: dict[str, tuple[float, Presence]] = {}
+        self._report_gaps_s: deque[float] = deque(maxlen=REPORT_GAPS)
 
     def follow(self, timeout_s: float = ANSWER_WITHIN_S) -> None:
         """Subscribe, and query the last messages; a process that does not answer is left out.
@@ -206,6 +209,26 @@ class MissionState:
         """Wall time since the last message of any kind [s]."""
         return time.monotonic() - self._heard_wall
 
+    def process_silent_s(self, name: str) -> float | None:
+        """Wall time since the last heartbeat of that process on Earth [s]; None if none was ever heard."""
+        heard = self._presence.get(name)
+        return None if heard is None else time.monotonic() - heard[0]
+
+    @property
+    def report_period_s(self) -> float:
+        """Mission time between two reports of the rover's state [s], as heard; lost reports do not lengthen it."""
+        with self._lock:
+            gaps = sorted(self._report_gaps_s)
+        return gaps[len(gaps) // 4] if len(gaps) >= MIN_REPORT_GAPS else STATE_PERIOD_S
+
+    @property
+    def rover_age_s(self) -> float | None:
+        """Mission time since the newest state of the rover was made [s]; None while there is none."""
+        made_at = [fact.made_at for fact in (self._facts.get(STATE),) if fact is not None]
+        if self.status is not None and self.status.rover_made_at is not None:
+            made_at.append(self.status.rover_made_at)
+        return self.time.age_s(max(made_at)) if made_at else None
+
     @property
     def insecure(self) -> tuple[str, ...]:
         """Names of the processes that use an endpoint off loopback without TLS."""
@@ -285,6 +308,8 @@ class MissionState:
         if last is not None and not supersedes(header, last.header):
             return False
         self._facts[topic] = Fact(header, body)
+        if topic is STATE and last is not None and header.incarnation == last.header.incarnation:
+            self._report_gaps_s.append((header.made_at - last.made_at) / SECOND)
         if topic is EARTH_CLOCK:
             self.time.follow(body)
         return True

@@ -8,7 +8,11 @@ if TYPE_CHECKING:
     from schemas.link import LinkStatus
 
 SILENT_S = 15.0
-"""Wall time without any message after which a mission counts as silent; heartbeats come every 2 s."""
+"""Wall time without any message after which a mission counts as gone; heartbeats come every second."""
+PROCESS_SILENT_S = 3.0
+"""Wall time without a heartbeat after which a display says that a process is silent."""
+STATE_PERIOD_S = 60.0
+"""Mission time between two reports of the rover's state, until this session has heard a few; the scenario's default."""
 MISSED_STATES = 3.0
 """Reports of the rover's state that may be missed, beyond the light time, before its state counts as stale."""
 COMPUTING_S = 1.0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.telemetry import EventKind, RoverEvent, RoverMode
-from services.console.client.staleness import stale_after_s
+from services.console.client.staleness import STATE_PERIOD_S, stale_after_s
 from services.console.client.time_format import duration
 from services.mission.mission_time import SECOND, MissionTime
 
@@ -28,6 +28,17 @@ class AlarmKind(StrEnum):
     NO_CONTACT = "no_contact"
     MISSION_FAILED = "mission_failed"
     DEFECT = "defect"
+
+
+_ABOUT = {
+    EventKind.BLOCKED: AlarmKind.BLOCKED,
+    EventKind.ROUND_STARTED: AlarmKind.BLOCKED,
+    EventKind.ROUND_COMPLETED: AlarmKind.BLOCKED,
+    EventKind.SAFE_MODE_ENTERED: AlarmKind.SAFE_MODE,
+    EventKind.SAFE_MODE_LEFT: AlarmKind.SAFE_MODE,
+    EventKind.LOW_ENERGY: AlarmKind.LOW_ENERGY,
+}
+"""The alarm that an event of the rover raises or ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +70,11 @@ class Alarm:
 class Alarms:
     """All alarms that are active or not acknowledged, at most one per kind."""
 
-    def __init__(self, state_period_s: float = 60.0) -> None:
-        self._state_period_s = state_period_s
+    def __init__(self) -> None:
         self._alarms: dict[str, Alarm] = {}
         self._counter = 0
+        self._known_at: dict[AlarmKind, MissionTime] = {}
+        """When the newest word on a condition of the rover was made: states and events overtake each other."""
 
     @property
     def current(self) -> tuple[Alarm, ...]:
@@ -76,13 +88,14 @@ class Alarms:
         now: MissionTime,
         rate: float = 1.0,
         defects: str = "",
+        state_period_s: float = STATE_PERIOD_S,
     ) -> bool:
         """Check all conditions against the mission's state; returns whether an alarm has changed.
 
-        rate: mission seconds per wall second, see `stale_after_s`. defects: one line on processes that have failed upon
-        messages; empty if there are none.
+        rate and state_period_s: see `stale_after_s`. defects: one line on processes that have failed upon messages;
+        empty if there are none.
         """
-        found = self._conditions(status, link, now, rate)
+        found = self._conditions(status, link, now, stale_after_s(state_period_s, link, rate))
         if defects:  # it stays true for as long as the process runs
             found[AlarmKind.DEFECT] = defects
         changes = [self._set(kind, text, now) for kind, text in found.items()]
@@ -90,6 +103,9 @@ class Alarms:
 
     def happened(self, event: RoverEvent) -> bool:
         """Handle an event of the rover; returns whether an alarm has changed."""
+        kind = _ABOUT.get(event.kind)
+        if kind is None or not self._is_news(kind, event.at):
+            return False
         where = f"at ({event.x_m:.0f}, {event.y_m:.0f}) m"
         about = f": {event.detail}" if event.detail else ""
         if event.kind is EventKind.BLOCKED:
@@ -113,26 +129,35 @@ class Alarms:
         return True
 
     def _conditions(
-        self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, rate: float
+        self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, stale_s: float
     ) -> dict[AlarmKind, str | None]:
         found: dict[AlarmKind, str | None] = {}
         over = status is not None and status.is_over
         if status is not None and status.rover is not None and status.rover_made_at is not None:
             rover, age_s = status.rover, (now - status.rover_made_at) / SECOND
-            stale = age_s > stale_after_s(self._state_period_s, link, rate) and not over
+            stale = age_s > stale_s and not over
             found[AlarmKind.STALE] = f"no report of the rover for {duration(age_s)}" if stale else None
             share = rover.energy_wh / rover.capacity_wh
-            low = f"the rover's battery is at {share:.0%}" if share < LOW_ENERGY_SHARE else None
-            found[AlarmKind.LOW_ENERGY] = low
+            if self._is_news(AlarmKind.LOW_ENERGY, status.rover_made_at):
+                low = f"the rover's battery is at {share:.0%}" if share < LOW_ENERGY_SHARE else None
+                found[AlarmKind.LOW_ENERGY] = low
             # The state says it too: the event may still be in flight.
-            safe = rover.mode is RoverMode.SAFE
-            found[AlarmKind.SAFE_MODE] = "the rover is in safe mode" if safe else None
+            if self._is_news(AlarmKind.SAFE_MODE, status.rover_made_at):
+                safe = rover.mode is RoverMode.SAFE
+                found[AlarmKind.SAFE_MODE] = "the rover is in safe mode" if safe else None
         if link is not None:
             found[AlarmKind.NO_CONTACT] = None if link.contact or over else "no contact with the Moon"
         if status is not None:
             failed = status.phase is MissionPhase.FAILED
             found[AlarmKind.MISSION_FAILED] = f"the mission failed: {status.detail}" if failed else None
         return found
+
+    def _is_news(self, kind: AlarmKind, made_at: MissionTime) -> bool:
+        """Whether no later word on that condition is known; if so, this is the newest from now on."""
+        if made_at < self._known_at.get(kind, made_at):
+            return False
+        self._known_at[kind] = made_at
+        return True
 
     def _set(self, kind: AlarmKind, text: str | None, at: MissionTime) -> bool:
         active = next((alarm for alarm in self._alarms.values() if alarm.kind is kind and alarm.active), None)

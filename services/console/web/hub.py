@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
 from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EVENT, GROUND_STATUS, LINK_STATUS, STATE, Topic
+from services.console.client.liveness import Condition, Liveness, liveness
 from services.console.web.alarms import Alarms, documents
 from services.console.web.curves import Curves
 
@@ -28,7 +29,7 @@ MAX_WAITING = 400
 """Queue length of a browser; beyond it the stream ends, and the browser reconnects and receives everything anew."""
 TOLD_EVERY_S = 0.1
 """A status that changes more often is sent no more often than this [s of wall time]."""
-BEAT_EVERY_S = 2.0
+BEAT_EVERY_S = 1.0
 FLIGHTS_SHOWN_S = 0.5
 """A message in flight is shown for at least this time, because it may arrive before the next status is sent."""
 MAX_FLIGHTS = 100
@@ -54,11 +55,10 @@ class Viewer:
 class Hub:
     """The mission's state with curves and alarms, sent to every browser."""
 
-    def __init__(self, mission: MissionClient, state_period_s: float = 60.0) -> None:
+    def __init__(self, mission: MissionClient) -> None:
         self.mission = mission
         self._lock = threading.RLock()
         self._viewers: set[Viewer] = set()
-        self._state_period_s = state_period_s
         self._told: dict[str, float] = {}
         self._pending: dict[str, str] = {}
         self._ended = threading.Event()
@@ -66,12 +66,13 @@ class Hub:
         self._start_afresh()
 
     def _start_afresh(self) -> None:
-        self._alarms = Alarms(self._state_period_s)
+        self._alarms = Alarms()
         self._curves = Curves()
         self._flights: dict[tuple[Any, ...], tuple[float, dict[str, Any]]] = {}
         self._events_sent: set[tuple[str, int, int]] = set()
         self._stages_sent: dict[str, int] = {}
         self._has_past = False
+        self._condition: Condition | None = None
 
     def begin(self) -> None:
         """Subscribe, and query the mission's past."""
@@ -206,12 +207,14 @@ class Hub:
                     self._told[name] = wall
                     self._send(self._pending.pop(name))
                 clock, state = self._state.time, self._state
-                if self._alarms.look(state.status, state.link, clock.now(), clock.rate, state.defect_report):
+                defects, period_s = state.defect_report, state.report_period_s
+                if self._alarms.look(state.status, state.link, clock.now(), clock.rate, defects, period_s):
                     self._tell("alarms", documents(self._alarms.current))
-                if wall - self._told.get("beat", 0.0) >= BEAT_EVERY_S:
+                alive = liveness(state)
+                if alive.condition is not self._condition or wall - self._told.get("beat", 0.0) >= BEAT_EVERY_S:
+                    self._condition = alive.condition
                     self._told["beat"] = wall
-                    silent_s = state.silent_s if state.is_silent else None
-                    self._tell("beat", {"silent_s": silent_s, **self._clock_document()})
+                    self._tell("beat", {"liveness": _liveness_document(alive), **self._clock_document()})
 
     def _tell(self, kind: str, content: Any) -> None:
         self._send(_message(kind, content))
@@ -272,6 +275,7 @@ class Hub:
             "events": [_event_document(happened) for happened in self._state.events],
             "curves": self._curves.document(),
             "alarms": documents(self._alarms.current),
+            "liveness": _liveness_document(liveness(self._state)),
         }
 
 
@@ -280,6 +284,10 @@ def _event_document(happened: Happened) -> dict[str, Any]:
         "received_at": happened.received_at,
         **happened.event.model_dump(mode="json", exclude={"samples_done"}),
     }
+
+
+def _liveness_document(alive: Liveness) -> dict[str, str]:
+    return {"condition": alive.condition.value, "text": alive.text}
 
 
 def _command_document(status: CommandStatus) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import { map } from "./layers.js";
 import { send } from "./net.js";
-import { $, attempt, state } from "./state.js";
+import { $, attempt, numberIn, state } from "./state.js";
 import { duration, element, utc, words } from "./words.js";
 
 const SHOWN = 40;
@@ -12,8 +12,8 @@ const onCommands = []; // called when a command is new or has passed a stage
 export const whenCommandsChange = (callback) => onCommands.push(callback);
 
 export async function command(wanted) {
-  const expires = Number($("expires").value);
-  if (expires > 0) wanted.expires_in_s = expires;
+  const expires = $("expires");
+  if (expires.value !== "" || expires.validity.badInput) wanted.expires_in_s = numberIn(expires);
   takeCommand(await send("command", wanted));
 }
 

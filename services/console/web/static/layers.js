@@ -2,7 +2,7 @@
 
 import { SiteMap } from "./map.js";
 import { askJson, askLayer, download } from "./net.js";
-import { $, sinceStart, state, toast } from "./state.js";
+import { $, numberIn, sinceStart, state, toast } from "./state.js";
 import { elapsed, element } from "./words.js";
 
 const NAMES = { mean: "helium-3", std: "standard deviation", information: "information of one sample", exceedance: "probability of more than", traversable: "0 closed, 1 open" };
@@ -29,7 +29,7 @@ export function wantMap() {
 
 async function loadMap() {
   const layer = chosenLayer(), as_of = state.past?.revision ?? null;
-  const threshold = layer === "exceedance" ? Number($("threshold").value) : null;
+  const threshold = layer === "exceedance" ? numberIn($("threshold")) : null;
   const revision = as_of ?? state.status?.map_revision ?? 0;
   const key = `${layer} ${threshold} ${revision}`;
   const track = askJson("map/track", { as_of });

@@ -2,7 +2,7 @@
 
 import { LinkPicture, describe } from "./link.js";
 import { send } from "./net.js";
-import { $, attempt, state, toast } from "./state.js";
+import { $, attempt, numberIn, rewrite, state, toast } from "./state.js";
 import { element } from "./words.js";
 
 export const picture = new LinkPicture($("link"));
@@ -18,23 +18,79 @@ export function showLink() {
   const row = (name, c) => [name, c.offered, c.delivered, c.in_flight, c.waiting, c.lost + c.dropped_out_of_contact + c.dropped_queue_full];
   const line = (cells, tag) => element("tr", {}, ...cells.map((cell, index) => element(index ? tag : "th", {}, String(cell))));
   $("counts").replaceChildren(line(head, "th"), line(row("up", status.up), "td"), line(row("down", status.down), "td"));
+  fillLinkForm();
+}
+
+// --- the form -------------------------------------------------------------------------------------------------------
+// It shows the conditions as they are, but for the fields that the operator has edited; only those are sent.
+
+const DIRECTIONS = { both: ["up", "down"], up: ["up"], down: ["down"] };
+const FIELDS = ["one_way_light_time_s", "loss", "rate_bit_s", "contact"];
+const edited = new Map(); // name of a field -> its value on the link when the editing began
+
+// A field's value as text; null if the two directions differ.
+function onLink(name) {
+  const { conditions, contact_forced: forced } = state.link;
+  if (name === "contact") return forced === null ? "schedule" : forced ? "on" : "off";
+  const values = DIRECTIONS[$("link-form").elements.direction.value].map((direction) => conditions[direction][name]);
+  return values.every((value) => value === values[0]) ? String(values[0] ?? "") : null;
+}
+
+function words(name, text) {
+  if (text === null) return `${state.link.conditions.up[name] ?? "unlimited"} up, ${state.link.conditions.down[name] ?? "unlimited"} down`;
+  return text === "" ? "unlimited" : text;
 }
 
 export function fillLinkForm() {
-  const status = state.link, form = $("link-form").elements;
-  if (!status || $("link-form").contains(document.activeElement)) return;
-  form.one_way_light_time_s.value = status.conditions.down.one_way_light_time_s;
-  form.loss.value = status.conditions.down.loss;
-  form.rate_bit_s.value = status.conditions.down.rate_bit_s ?? "";
-  form.contact.value = status.contact_forced === null ? "schedule" : status.contact_forced ? "on" : "off";
+  if (!state.link) return;
+  const form = $("link-form").elements, changed = [];
+  for (const name of FIELDS) {
+    const now = onLink(name), field = form[name];
+    if (!edited.has(name)) {
+      if (field !== document.activeElement || field.tagName === "SELECT" || field.value === "") field.value = now ?? "";
+      if (field.tagName === "INPUT") field.placeholder = words(name, now);
+    } else if (edited.get(name) !== now) changed.push(`${field.closest("label").firstChild.textContent.trim().toLowerCase()} is now ${words(name, now)}`);
+    field.classList.toggle("edited", edited.has(name));
+  }
+  $("link-submit").disabled = $("link-reset").disabled = edited.size === 0;
+  rewrite($("link-note"), changed.length ? `Changed meanwhile by somebody else: ${changed.join("; ")}` : "");
 }
 
+function forgetEdits() {
+  edited.clear();
+  if ($("link-form").contains(document.activeElement)) document.activeElement.blur();
+  fillLinkForm();
+}
+
+function wanted() {
+  const form = $("link-form").elements, change = {};
+  for (const name of edited.keys()) {
+    const field = form[name];
+    if (name === "contact") {
+      if (field.value === "schedule") change.contact_as_scheduled = true; else change.contact = field.value === "on";
+    } else if (name === "rate_bit_s" && field.value === "" && !field.validity.badInput) change.unlimited_rate = true;
+    else change[name] = numberIn(field);
+  }
+  if (form.direction.value !== "both" && Object.keys(change).some((name) => !name.startsWith("contact"))) change.direction = form.direction.value;
+  return change;
+}
+
+$("link-form").addEventListener("input", (event) => {
+  const name = event.target.name;
+  if (name === "direction") edited.clear(); // the fields are those of another direction now
+  else if (state.link && !edited.has(name)) edited.set(name, onLink(name));
+  fillLinkForm();
+});
+$("link-reset").addEventListener("click", forgetEdits);
+$("link-form").addEventListener("keydown", (event) => { if (event.key === "Escape") forgetEdits(); });
 $("link-form").addEventListener("submit", async (event) => {
   event.preventDefault();
-  const form = event.target.elements, change = {};
-  if (form.one_way_light_time_s.value !== "") change.one_way_light_time_s = Number(form.one_way_light_time_s.value);
-  if (form.loss.value !== "") change.loss = Number(form.loss.value);
-  if (form.rate_bit_s.value === "") change.unlimited_rate = true; else change.rate_bit_s = Number(form.rate_bit_s.value);
-  if (form.contact.value === "schedule") change.contact_as_scheduled = true; else change.contact = form.contact.value === "on";
-  await attempt(async () => { state.link = await send("link", change); showLink(); toast("Link changed"); });
+  if (edited.size === 0) return;
+  await attempt(async () => {
+    const status = await send("link", wanted());
+    state.link = { ...status, at: state.link.at };
+    forgetEdits();
+    showLink();
+    toast("Link changed");
+  });
 });

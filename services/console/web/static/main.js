@@ -4,9 +4,11 @@ import { log, showAlarms, showEvents } from "./alarms.js";
 import { Chart } from "./charts.js";
 import { showCommands, takeCommand, whenCommandsChange } from "./commands.js";
 import { forgetMap, map, refreshHistory, wantMap, whenTimeChanges } from "./layers.js";
-import { fillLinkForm, picture, showLink } from "./linkpanel.js";
+import { picture, showLink } from "./linkpanel.js";
+import "./deliberate.js";
+import { heard, isTimeKnown, showLiveness } from "./liveness.js";
 import { askJson, listen } from "./net.js";
-import { showAreas, takeInterests } from "./place.js";
+import { mapIsAt, showAreas, takeInterests } from "./place.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
 import { elapsed, grouped, utc } from "./words.js";
@@ -25,18 +27,17 @@ whenCommandsChange(showAreas);
 listen({
   state: takeAll,
   clock: takeClock,
-  beat: (beat) => { takeClock(beat); state.silent_s = beat.silent_s; showPhase(); refreshHistory(); },
-  status: (status) => { state.status = status; showStatus(); wantMap(); },
+  beat: (beat) => { takeClock(beat); heard(beat.liveness); showPhase(); refreshHistory(); },
+  status: (status) => { state.status = status; showStatus(); wantMap(); mapIsAt(status.map_revision); },
   rover: (rover) => { state.rover = rover; showRover(); },
   link: (status) => { state.link = status; showLink(); },
   event: log,
   command: takeCommand,
   curve: ({ name, points }) => charts[name].extend(points),
   alarms: (alarms) => { state.alarms = alarms; showAlarms(); },
-}, () => { state.connected = false; showPhase(); });
+}, () => { state.connected = false; showLiveness(); });
 
 function takeAll(all) {
-  state.connected = true;
   takeClock(all.clock);
   state.status = all.status;
   state.rover = all.rover;
@@ -49,7 +50,7 @@ function takeAll(all) {
   for (const [name, chart] of Object.entries(charts)) chart.set(all.curves[name]);
   showEvents(all.events);
   showStatus(); showRover(); showLink(); showCommands(); showAlarms();
-  fillLinkForm();
+  heard(all.liveness);
   forgetMap();
   askJson("interest").then(takeInterests).catch(() => {}); // none before the ground answers
   refreshHistory(true);
@@ -85,16 +86,16 @@ function showStatus() {
 function showPhase() {
   const { status } = state;
   const phase = status ? `${status.phase}${status.detail ? ": " + status.detail : ""} · round ${status.round} of ${status.rounds} · planner ${status.planner}` : "no status yet";
-  rewrite($("phase"), !state.connected ? "connection lost; reconnecting …" : state.silent_s ? `nothing heard for ${Math.round(state.silent_s)} s` : phase);
+  rewrite($("phase"), phase);
 }
 
 function everyFrame() {
   const time = now();
   if (time !== null) {
-    $("utc").textContent = utc(time);
-    $("elapsed").textContent = elapsed(sinceStart(time));
-    picture.draw(time);
-    showAge(time);
+    const known = isTimeKnown();
+    $("utc").textContent = known ? utc(time) : "not known";
+    $("elapsed").textContent = known ? elapsed(sinceStart(time)) : "not known";
+    if (known) { picture.draw(time); showAge(time); }
   }
   requestAnimationFrame(everyFrame);
 }

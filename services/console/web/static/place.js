@@ -4,10 +4,11 @@ import { command } from "./commands.js";
 import { map, whenTimeChanges } from "./layers.js";
 import { askJson, send } from "./net.js";
 import { fact } from "./rover.js";
-import { $, attempt, state, toast } from "./state.js";
+import { $, attempt, numberIn, state, toast } from "./state.js";
 import { element, fixed, grouped } from "./words.js";
 
 const HINT = "Click the map, or press Enter at the cross-hair";
+const ASK_AGAIN_MS = 300;
 let asked = 0;
 
 map.onPlace = async (place, drawing) => {
@@ -15,18 +16,29 @@ map.onPlace = async (place, drawing) => {
   $("go-to").disabled = false;
   await showPlace();
 };
-whenTimeChanges(showPlace);
+whenTimeChanges(() => { showPlace(); showWhetherOutdated(); });
+$("threshold").addEventListener("change", showPlace);
+
+// The newest revision of the map: what is shown of an older one is asked for again, or says that it is outdated.
+let newest = 0;
+export function mapIsAt(revision) {
+  if (revision === newest) return;
+  newest = revision;
+  if (state.past === null) { showPlace(); showWhetherOutdated(); }
+}
 
 async function showPlace() {
   if (!map.chosen) return;
   const [x, y] = map.chosen, mine = ++asked;
   await attempt(async () => {
-    const threshold = Number($("threshold").value);
+    const threshold = numberIn($("threshold"));
     const point = await askJson("map/point", { x, y, threshold, as_of: state.past?.revision });
     if (mine !== asked) return;
+    // The ground reports a new map a moment before it answers from it.
+    if (state.past === null && point.revision < newest) setTimeout(() => { if (mine === asked) showPlace(); }, ASK_AGAIN_MS);
     $("place-hint").textContent = `(${x}, ${y}) m, revision ${point.revision}`;
     $("place").dataset.point = JSON.stringify(point);
-    const [low, high] = [-1.96, 1.96].map((factor) => fixed(point.mean_ppb + factor * point.std_ppb));
+    const [low, high] = [-1.96, 1.96].map((factor) => fixed(Math.max(0, point.mean_ppb + factor * point.std_ppb)));
     $("place").replaceChildren(element("dl", { class: "facts" }, ...[
       ["Helium-3", `${fixed(point.mean_ppb, 3)} ± ${fixed(point.std_ppb, 3)} ppb`, true],
       ["95 % interval", `${low} to ${high} ppb`],
@@ -72,9 +84,9 @@ $("map").addEventListener("keydown", (event) => {
 });
 
 $("estimate").addEventListener("click", () => attempt(async () => {
-  const cutoff = Number($("cutoff").value);
+  const cutoff = numberIn($("cutoff"));
   const got = await askJson("map/resource", { polygon: map.draft.flat().join(","), cutoff_ppb: cutoff, as_of: state.past?.revision });
-  const between = (interval, digits, scale = 1) => `${fixed(interval.expected * scale, digits)} (${fixed(interval.low * scale, digits)} to ${fixed(interval.high * scale, digits)})`;
+  const between = (interval, digits, scale = 1) => `${grouped(interval.expected * scale, digits)} (${grouped(interval.low * scale, digits)} to ${grouped(interval.high * scale, digits)})`;
   const percent = `${Math.round(got.probability * 100)} %`;
   const rows = [
     ["Helium-3 a metre deep", `${between(got.mass_kg_per_m, 2, 1000)} g/m`],
@@ -84,16 +96,31 @@ $("estimate").addEventListener("click", () => attempt(async () => {
   ];
   $("estimate-result").replaceChildren(
     element("table", { class: "result num" }, ...rows.map(([name, value]) => element("tr", {}, element("td", {}, name), element("td", {}, value)))),
-    element("p", { class: "dim" }, `${percent} intervals of the joint posterior; bulk density ${got.bulk_density_kg_m3} kg/m³`),
+    element("p", { class: "dim" }, `${percent} intervals of the joint posterior; bulk density ${grouped(got.bulk_density_kg_m3)} kg/m³; map revision ${got.revision}`),
+    element("p", { class: "outdated", role: "status" }),
   );
+  estimated = { revision: got.revision, cutoff };
+  showWhetherOutdated();
 }));
+
+let estimated = null; // what the shown estimate is of
+function showWhetherOutdated() {
+  const note = $("estimate-result").querySelector(".outdated");
+  if (!note || !estimated) return;
+  const shown = state.past?.revision ?? newest;
+  const why = shown > estimated.revision ? `of revision ${estimated.revision}; the map is at ${shown}` : shown < estimated.revision && state.past ? `of a later map than the one shown` : "";
+  const other = Number($("cutoff").value) === estimated.cutoff ? "" : `for a cut-off of ${estimated.cutoff} ppb`;
+  note.textContent = why || other ? `Outdated: ${[why, other].filter(Boolean).join(", ")}. Estimate again.` : "";
+  $("estimate-result").classList.toggle("old", note.textContent !== "");
+}
+$("cutoff").addEventListener("input", showWhetherOutdated);
 
 $("send-keepout").addEventListener("click", () => attempt(async () => {
   await command({ kind: "set_keep_out", area_id: $("area-name").value, polygon_m: map.draft });
   areaSent();
 }));
 $("send-interest").addEventListener("click", () => attempt(async () => {
-  const weight = Number($("weight").value);
+  const weight = numberIn($("weight"));
   takeInterests(await send("interest", { area_id: $("area-name").value, polygon_m: map.draft, weight }));
   toast("Area of interest set");
   areaSent();

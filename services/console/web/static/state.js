@@ -6,7 +6,7 @@ export const $ = (id) => document.getElementById(id);
 
 export const state = {
   clock: null, received: 0, status: null, rover: null, link: null, commands: new Map(), alarms: [], revisions: [],
-  past: null, interests: [], connected: false,
+  past: null, interests: [], connected: false, liveness: null, heard: 0,
 };
 
 // Mission time now [ns]; null before the clock is known.
@@ -30,6 +30,16 @@ export function toast(message, bad = false) {
   const shown = element("div", { class: bad ? "bad" : "" }, message);
   $("toast").append(shown);
   setTimeout(() => shown.remove(), bad ? 8000 : 4000);
+}
+
+// The number in a field. Throws, and puts the keyboard's focus there, if there is none or it is out of range.
+export function numberIn(input) {
+  const { badInput, rangeUnderflow, rangeOverflow } = input.validity;
+  if (!badInput && !rangeUnderflow && !rangeOverflow && input.value !== "") return input.valueAsNumber;
+  const name = input.dataset.name ?? input.closest("label").firstChild.textContent.trim().toLowerCase();
+  const range = input.min !== "" && input.max !== "" ? ` from ${input.min} to ${input.max}` : input.min !== "" ? ` of ${input.min} or more` : "";
+  input.focus();
+  throw new Error(`${name}: expected a number${range}, got ${input.value === "" ? (badInput ? "something else" : "nothing") : input.value}`);
 }
 
 // Writes only what is different: a click or the keyboard's focus outlives a new text.

@@ -34,8 +34,8 @@ def link(contact: bool = True, light_s: float = 1.282) -> LinkStatus:
     )  # fmt: skip
 
 
-def event(kind: EventKind) -> RoverEvent:
-    return RoverEvent(kind=kind, at=START, x_m=10.0, y_m=20.0)
+def event(kind: EventKind, at: int = START) -> RoverEvent:
+    return RoverEvent(kind=kind, at=at, x_m=10.0, y_m=20.0)
 
 
 def kinds(alarms: Alarms) -> list[AlarmKind]:
@@ -43,10 +43,16 @@ def kinds(alarms: Alarms) -> list[AlarmKind]:
 
 
 def test_what_we_see_of_the_rover_is_stale_after_three_missed_reports_beyond_the_light_time() -> None:
-    alarms = Alarms(state_period_s=60.0)
+    alarms = Alarms()
     assert not alarms.look(status(rover()), link(light_s=1200.0), START + 1380 * SECOND)
     assert alarms.look(status(rover()), link(light_s=1200.0), START + 1382 * SECOND)
     assert kinds(alarms) == [AlarmKind.STALE]
+
+
+def test_a_rover_that_reports_seldom_is_not_stale_sooner_than_three_of_its_own_periods() -> None:
+    alarms = Alarms()
+    assert not alarms.look(status(rover()), link(), START + 1800 * SECOND, state_period_s=600.0)
+    assert alarms.look(status(rover()), link(), START + 1803 * SECOND, state_period_s=600.0)
 
 
 def test_a_mission_that_is_over_may_be_silent() -> None:
@@ -87,6 +93,18 @@ def test_events_raise_and_end_alarms() -> None:
     assert alarms.happened(event(EventKind.ROUND_STARTED))
     assert alarms.happened(event(EventKind.SAFE_MODE_LEFT))
     assert [alarm.active for alarm in alarms.current] == [False, False]
+
+
+def test_one_safe_mode_counts_once_whatever_the_order_in_which_its_event_and_the_states_arrive() -> None:
+    alarms = Alarms()
+    assert alarms.happened(event(EventKind.SAFE_MODE_ENTERED, START + 10 * SECOND))
+    alarms.look(status(rover(RoverMode.DRIVING)), link(), START + 11 * SECOND)  # made at START, before the event
+    alarms.look(status(rover(RoverMode.SAFE)), link(), START + 12 * SECOND)
+    (alarm,) = alarms.current
+    assert (alarm.active, alarm.times) == (True, 1)
+    assert not alarms.happened(event(EventKind.SAFE_MODE_LEFT, START + 5 * SECOND))
+    assert alarms.happened(event(EventKind.SAFE_MODE_LEFT, START + 20 * SECOND))
+    assert not alarms.current[0].active
 
 
 def test_safe_mode_is_seen_in_the_state_even_when_its_event_is_still_on_the_way() -> None:
