@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import signal
 import socket
 import ssl
 import subprocess
@@ -20,7 +22,7 @@ from typing import Any
 import pytest
 
 from services.console.client.mission_client import MissionClient
-from services.console.launch.endpoints import free_endpoints
+from services.console.launch.endpoints import Endpoints, free_endpoints
 from services.console.launch.launcher import Launcher
 from services.runtime.trust.authority import Authority
 from services.runtime.trust.certificates import subject as subject_of
@@ -38,15 +40,22 @@ FLAGS = (
 
 
 @pytest.fixture(scope="module")
-def mission(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MissionClient]:
-    endpoints = free_endpoints()
+def endpoints() -> Endpoints:
+    return free_endpoints()
+
+
+@pytest.fixture(scope="module")
+def launcher(endpoints: Endpoints, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Launcher]:
     logs = tmp_path_factory.mktemp("logs")
     quick = ("--set", "rover.drill_s_per_m=600.0", "--set", "rover.analysis_s=30.0", "--set", "rover.speed_m_s=2.0")
     scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "t1-paper.toml"
-    with (
-        Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher,
-        MissionClient.when_up(endpoints.earth, "t1-paper", launcher.check) as client,
-    ):
+    with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
+        yield launcher
+
+
+@pytest.fixture(scope="module")
+def mission(launcher: Launcher, endpoints: Endpoints) -> Iterator[MissionClient]:
+    with MissionClient.when_up(endpoints.earth, "t1-paper", launcher.check) as client:
         yield client
 
 
@@ -367,7 +376,35 @@ def shown(driver: Any) -> dict[str, Any]:
 
 
 def click(driver: Any, css: str) -> None:
+    """Click as an operator does: once the page stands still."""
+    still(driver)
     driver.find_element("css selector", css).click()
+
+
+def still(driver: Any) -> None:
+    until(lambda: script(driver, "return document.body.dataset.moving === undefined"), "the page to stand still")
+
+
+def written(driver: Any, css: str) -> str:
+    return str(script(driver, "return document.querySelector(arguments[0]).textContent", css))
+
+
+def write(driver: Any, css: str, text: str) -> None:
+    """Replace what is written in a field, key by key."""
+    field = driver.find_element("css selector", css)
+    field.click()
+    field.send_keys("\ue009" + "a\ue000" + "\ue017" + text)  # Control+A, Delete
+
+
+def draw_area(driver: Any) -> None:
+    """Draw three corners with the keyboard, from the middle of the map."""
+    driver.find_element("id", "map").send_keys("d")
+    script(
+        driver,
+        "const map = document.getElementById('map');"
+        "const press = (key) => map.dispatchEvent(new KeyboardEvent('keydown', {key, shiftKey: true, bubbles: true}));"
+        "for (const key of ['Enter', 'ArrowRight', 'Enter', 'ArrowUp', 'Enter']) press(key)",
+    )
 
 
 def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
@@ -433,13 +470,7 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     until(lambda: shown(browser).get("revision", 0) > first.revision, "the map as it is")
 
     # An area drawn with the keyboard: estimated, and sent as a keep-out.
-    browser.find_element("id", "map").send_keys("d")
-    script(
-        browser,
-        "const map = document.getElementById('map');"
-        "const press = (key) => map.dispatchEvent(new KeyboardEvent('keydown', {key, shiftKey: true, bubbles: true}));"
-        "for (const key of ['Enter', 'ArrowRight', 'Enter', 'ArrowUp', 'Enter']) press(key)",
-    )
+    draw_area(browser)
     click(browser, "#estimate")
     until(lambda: browser.find_elements("css selector", "#estimate-result td"), "the estimate")
     click(browser, "#send-keepout")
@@ -457,6 +488,96 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     assert (bool(ours), elsewhere) == (True, [])
 
 
+def test_a_double_click_sends_once_and_reaches_no_control_that_moves_under_the_pointer(
+    browser: Any, mission: MissionClient
+) -> None:
+    from selenium.webdriver import ActionChains
+
+    before = {each.command.command_id for each in mission.commands()}
+
+    def new() -> list[str]:
+        return [each.command.kind.value for each in mission.commands() if each.command.command_id not in before]
+
+    draw_area(browser)
+    write(browser, "#area-name", "double")
+    still(browser)
+    ActionChains(browser).double_click(browser.find_element("id", "send-keepout")).perform()
+    until(lambda: new() == ["set_keep_out"], "the keep-out at the ground")
+    still(browser)
+    ActionChains(browser).double_click(browser.find_element("css selector", "[data-command=pause]")).perform()
+    until(lambda: new() == ["set_keep_out", "pause"], "one pause")
+    # A click comes at a control that was moved a moment before: it is not sent, and the page says so.
+    still(browser)
+    script(browser, "document.getElementById('place').style.paddingTop = '60px'")
+    browser.find_element("css selector", "[data-command=abort_round]").click()
+    until(lambda: "had just moved" in written(browser, "#toast"), "the reason")
+    script(browser, "document.getElementById('place').style.paddingTop = ''")
+    click(browser, "[data-command=resume]")
+    until(lambda: new() == ["set_keep_out", "pause", "resume"], "the resume, and nothing else")
+
+
+def test_a_field_that_is_empty_or_out_of_range_sends_nothing(browser: Any, mission: MissionClient) -> None:
+    before = mission.set_interest()
+    draw_area(browser)
+    write(browser, "#area-name", "empty")
+    for text, complaint in (("", "weight: expected a number from 0 to 1000, got nothing"), ("-3", "got -3")):
+        write(browser, "#weight", text)
+        click(browser, "#send-interest")
+        until(lambda complaint=complaint: complaint in written(browser, "#toast"), complaint)
+    assert mission.set_interest() == before
+    write(browser, "#weight", "3")
+    click(browser, "#send-interest")
+    until(lambda: {area.area_id for area in mission.set_interest()} > {area.area_id for area in before}, "the area")
+
+
+def test_an_area_is_replaced_only_when_that_is_asked_for(browser: Any, mission: MissionClient) -> None:
+    before = mission.set_interest()
+    draw_area(browser)
+    write(browser, "#area-name", "empty")
+    write(browser, "#weight", "7")
+    click(browser, "#send-interest")
+    until(lambda: "Replace empty" in written(browser, "#send-interest"), "the question")
+    assert mission.set_interest() == before
+    click(browser, "#send-interest")
+    until(lambda: [a.weight for a in mission.set_interest() if a.area_id == "empty"] == [7.0], "the other weight")
+    assert written(browser, "#send-interest") == "Set interest"
+
+
+def test_the_link_form_sends_only_what_was_edited_and_tells_what_others_changed_meanwhile(
+    browser: Any, mission: MissionClient
+) -> None:
+    assert script(browser, "return document.getElementById('link-submit').disabled")
+    mission.set_link(direction="up", rate_bit_s=125_000.0)
+    write(browser, "[name=loss]", "0.001")
+    mission.set_link(contact=False)
+    until(lambda: "contact is now off" in written(browser, "#link-note"), "the change by another")
+    click(browser, "#link-submit")
+    until(lambda: mission.link().conditions.up.loss == 0.001, "the loss")
+    link = mission.link()
+    assert (link.contact_forced, link.conditions.up.rate_bit_s) == (False, 125_000.0)
+    assert link.conditions.down.rate_bit_s is None
+    # The rates differ: the field is empty and says both; what is left untouched stays.
+    until(lambda: script(browser, "return document.querySelector('[name=rate_bit_s]').value") == "", "two rates")
+    until(lambda: written(browser, "#liveness").startswith("out of contact"), "no contact")
+    assert "old" in script(browser, "return document.querySelector('[data-known-by=rover]').className")
+    mission.set_link(contact_as_scheduled=True, unlimited_rate=True, loss=0.0)
+    until(lambda: written(browser, "#liveness").startswith("live"), "contact")
+
+
+def test_the_page_says_who_is_silent_and_greys_what_is_no_longer_known(browser: Any, launcher: Launcher) -> None:
+    pid = launcher.pids["ground"]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        until(lambda: written(browser, "#liveness").startswith("ground silent for"), "the silence of the ground")
+        old = "return [...document.querySelectorAll('.card.old h2')].map((each) => each.textContent)"
+        until(lambda: {"Map", "Commands"} <= set(script(browser, old)), "grey cards")
+        assert "as of T+" in written(browser, ".map-card .as-of")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    until(lambda: written(browser, "#liveness").startswith("live"), "the ground again")
+    assert script(browser, old) == []
+
+
 def test_the_page_fits_a_phone_in_light_and_dark(browser: Any) -> None:
     for scheme in ("light", "dark"):
         browser.execute_cdp_cmd(
@@ -467,3 +588,14 @@ def test_the_page_fits_a_phone_in_light_and_dark(browser: Any) -> None:
         )
         assert script(browser, "return getComputedStyle(document.documentElement).colorScheme") == scheme
         assert script(browser, "return document.documentElement.scrollWidth") <= 390
+
+
+def test_a_page_whose_server_is_gone_says_so_and_knows_neither_time_nor_mission(
+    browser: Any, mission: MissionClient, tmp_path: Path
+) -> None:
+    server = Served(mission)
+    with server as where:
+        browser.get(where)
+        until(lambda: written(browser, "#liveness").startswith("live"), "the mission")
+    until(lambda: written(browser, "#liveness").startswith("page disconnected"), "the loss of the server")
+    until(lambda: written(browser, "#utc") == "not known", "the clock")

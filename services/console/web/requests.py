@@ -33,6 +33,8 @@ class CommandRequest(PageRequest):
     area_id: Identifier | None = None
     polygon_m: Corners | None = None
     expires_in_s: Annotated[float, Field(gt=0, le=MAX_EXPIRY_S)] | None = None
+    replace: bool = False
+    """Whether a keep-out area of that name may be replaced."""
 
 
 class InterestRequest(PageRequest):
@@ -41,6 +43,8 @@ class InterestRequest(PageRequest):
     area_id: Identifier | None = None
     polygon_m: Corners | None = None
     weight: Annotated[float, Field(ge=0, le=1000)] = 2.0
+    replace: bool = False
+    """Whether an area of interest of that name may be replaced."""
 
 
 class AcknowledgeRequest(PageRequest):

@@ -48,6 +48,7 @@ MAX_AT_WORK = 64
 """Requests that may wait for the mission at a time; further ones are refused at once."""
 FRESH = {"cache-control": "no-store"}
 LOG_IN = "expected a login: open the address with a token that he3 web has printed, or present a certificate"
+TAKEN = "expected a new name, got that of an area of {} that is set: {}"
 BODY_WITHIN_S = 10.0
 """Longest time for a request's body to arrive."""
 
@@ -251,6 +252,8 @@ def _export(hub: Hub, at_work: threading.Lock, asked: Asked) -> Response:
 
 def _command(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(CommandRequest, asked.body)
+    if wanted.polygon_m is not None and not wanted.replace and wanted.area_id in hub.keep_outs():
+        return _error(TAKEN.format("keep-out", wanted.area_id), 409)
     issued = hub.mission.command(
         wanted.kind,
         target_m=wanted.target_m,
@@ -270,6 +273,10 @@ def _link(hub: Hub, asked: Asked) -> Response:
 
 def _interest(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(InterestRequest, asked.body)
+    if wanted.polygon_m is not None and not wanted.replace:
+        known = {area.area_id for area in hub.mission.set_interest()}
+        if wanted.area_id in known:
+            return _error(TAKEN.format("interest", wanted.area_id), 409)
     return _areas(hub.mission.set_interest(wanted.area_id, wanted.polygon_m, wanted.weight))
 
 

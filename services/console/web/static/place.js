@@ -4,7 +4,7 @@ import { command } from "./commands.js";
 import { map, whenTimeChanges } from "./layers.js";
 import { askJson, send } from "./net.js";
 import { fact } from "./rover.js";
-import { $, attempt, numberIn, state, toast } from "./state.js";
+import { $, attempt, numberIn, rewrite, state, toast } from "./state.js";
 import { element, fixed, grouped } from "./words.js";
 
 const HINT = "Click the map, or press Enter at the cross-hair";
@@ -115,23 +115,48 @@ function showWhetherOutdated() {
 }
 $("cutoff").addEventListener("input", showWhetherOutdated);
 
-$("send-keepout").addEventListener("click", () => attempt(async () => {
-  await command({ kind: "set_keep_out", area_id: $("area-name").value, polygon_m: map.draft });
-  areaSent();
-}));
-$("send-interest").addEventListener("click", () => attempt(async () => {
-  const weight = numberIn($("weight"));
-  takeInterests(await send("interest", { area_id: $("area-name").value, polygon_m: map.draft, weight }));
+// A name that is in use takes a second, deliberate click: the button says that it replaces that area.
+const CONFLICT = 409;
+function sends(id, deliver) {
+  const button = $(id), label = button.textContent;
+  let replaced = null; // the name that the next click replaces
+  const reset = () => { replaced = null; rewrite(button, label); };
+  $("area-name").addEventListener("input", reset);
+  button.addEventListener("click", () => attempt(async () => {
+    const name = $("area-name");
+    if (!name.reportValidity() || name.value === "") throw new Error("name: expected letters, digits and _ . : -, beginning with a letter or digit");
+    const area = { area_id: name.value, polygon_m: map.draft, replace: replaced === name.value };
+    try {
+      await deliver(area);
+    } catch (error) {
+      if (error.status === CONFLICT) { replaced = area.area_id; rewrite(button, `Replace ${area.area_id}`); }
+      throw error;
+    }
+    reset();
+    areaSent();
+  }));
+}
+sends("send-keepout", (area) => command({ kind: "set_keep_out", ...area }));
+sends("send-interest", async (area) => {
+  takeInterests(await send("interest", { ...area, weight: numberIn($("weight")) }));
   toast("Area of interest set");
-  areaSent();
-}));
+});
 
 function areaSent() {
   map.draft = [];
   setDrawing(false);
-  const number = Number(/(\d+)$/.exec($("area-name").value)?.[1] ?? 0) + 1;
+  suggestName();
+}
+
+// The next free name of the form area-N, unless the operator has written another.
+function suggestName() {
+  const used = new Set(areaNames);
+  if (!/^area-\d+$/.test($("area-name").value)) return;
+  let number = 1;
+  while (used.has(`area-${number}`)) number += 1;
   $("area-name").value = `area-${number}`;
 }
+let areaNames = [];
 
 export function takeInterests({ areas }) { state.interests = areas; showAreas(); }
 
@@ -141,6 +166,8 @@ export function showAreas() {
     if (sent.kind !== "set_keep_out" || (end && end !== "completed")) continue;
     if (sent.polygon_m) keepOuts.set(sent.area_id, sent.polygon_m); else keepOuts.delete(sent.area_id);
   }
+  areaNames = [...keepOuts.keys(), ...state.interests.map(({ area_id }) => area_id)];
+  if (map.draft.length < 3) suggestName();
   map.areas = [
     ...[...keepOuts].map(([name, corners]) => ({ name, corners, kind: "keepout" })),
     ...state.interests.map(({ area_id, polygon_m, weight }) => ({ name: `${area_id} ×${weight}`, corners: polygon_m, kind: "interest" })),
