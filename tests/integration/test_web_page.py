@@ -549,8 +549,10 @@ def test_the_link_form_sends_only_what_was_edited_and_tells_what_others_changed_
     assert script(browser, "return document.getElementById('link-submit').disabled")
     mission.set_link(direction="up", rate_bit_s=125_000.0)
     write(browser, "[name=loss]", "0.001")
-    mission.set_link(contact=False)
-    until(lambda: "contact is now off" in written(browser, "#link-note"), "the change by another")
+    mission.set_link(contact=False, loss=0.002)
+    until(lambda: "loss is now 0.002" in written(browser, "#link-note"), "the change by another")
+    contact = "return document.querySelector('[name=contact]').value"
+    until(lambda: script(browser, contact) == "off", "the field that was not edited to show what is")
     click(browser, "#link-submit")
     until(lambda: mission.link().conditions.up.loss == 0.001, "the loss")
     link = mission.link()

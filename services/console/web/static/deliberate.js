@@ -10,7 +10,7 @@ const places = new WeakMap(); // control -> where it is on the page, and since w
 let settled = 0;
 
 // Notes which controls have moved. Those that the page began with count as having stood still.
-function look(began = false) {
+export function look(began = false) {
   const now = performance.now();
   let moved = false;
   for (const control of document.querySelectorAll(GUARDED)) {

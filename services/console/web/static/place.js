@@ -1,6 +1,7 @@
 // A place that was clicked, and an area that is drawn: what the map says of them, and what is sent about them.
 
 import { command } from "./commands.js";
+import { look } from "./deliberate.js";
 import { map, whenTimeChanges } from "./layers.js";
 import { askJson, send } from "./net.js";
 import { fact } from "./rover.js";
@@ -120,7 +121,8 @@ const CONFLICT = 409;
 function sends(id, deliver) {
   const button = $(id), label = button.textContent;
   let replaced = null; // the name that the next click replaces
-  const reset = () => { replaced = null; rewrite(button, label); };
+  const say = (text) => { rewrite(button, text); look(); };
+  const reset = () => { replaced = null; say(label); };
   $("area-name").addEventListener("input", reset);
   button.addEventListener("click", () => attempt(async () => {
     const name = $("area-name");
@@ -129,7 +131,7 @@ function sends(id, deliver) {
     try {
       await deliver(area);
     } catch (error) {
-      if (error.status === CONFLICT) { replaced = area.area_id; rewrite(button, `Replace ${area.area_id}`); }
+      if (error.status === CONFLICT) { replaced = area.area_id; say(`Replace ${area.area_id}`); }
       throw error;
     }
     reset();
