@@ -1,5 +1,8 @@
 """Where on the Moon a raster lies, as GeoTIFF tags (OGC 19-008r4) on the lunar sphere of IAU 2015.
 
+It is for the quick download of a layer alone, which the ground answers without an extra; `services.console.map_export`
+writes the files for other tools, with GDAL. The tests hold both to the same places.
+
 Up to 65 deg of latitude the raster is in IAU_2015:30110, the equirectangular projection about (0, 0): X = R lon,
 Y = R lat. Its X stretches with latitude: a metre on the ground is 1 / cos(lat) of it, and so the cells of a site are
 not square there.

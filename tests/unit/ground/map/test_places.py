@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -148,6 +148,48 @@ def in_the_site_frame(shown: MapSnapshot, x: float, y: float) -> tuple[float, fl
     north = math.copysign(1.0, middle)
     scale = 2 / (1 + math.sin(min(abs(middle), math.pi / 2)))
     return x / scale, (y + north * 2 * MOON_RADIUS_M * math.tan((math.pi / 2 - north * lat) / 2)) / scale
+
+
+@settings(max_examples=40)
+@given(boxes(), st.tuples(st.floats(-89.0, 89.0), st.floats(-180.0, 180.0)), st.data())
+def test_gdal_finds_the_maps_value_in_a_geotiff_at_every_place_of_the_moon(
+    asked: tuple[MapSnapshot, MapBoxQuery], origin: tuple[float, float], data: st.DataObject
+) -> None:
+    rasterio, pyproj = pytest.importorskip("rasterio"), pytest.importorskip("pyproj")
+    shown, request = asked
+    grid = shown.grid
+    shown = snapshot(grid.rows, grid.columns, grid.resolution_m, origin)
+    try:
+        encoded = Renderer()(MAP_BOX, request.model_copy(update={"format": MapFormat.TIFF}), shown)
+        about = json.loads(encoded.about)  # type: ignore[union-attr]
+    except InvalidInput:
+        assume(False)
+    row, column = data.draw(st.integers(0, about["rows"] - 1)), data.draw(st.integers(0, about["columns"] - 1))
+    x = about["x_min_m"] + (column + 0.5) * about["resolution_m"]
+    y = about["y_min_m"] + (row + 0.5) * about["resolution_m"]
+    with rasterio.io.MemoryFile(encoded.payload) as memory, memory.open() as raster:  # type: ignore[union-attr]
+        crs = raster.crs.to_wkt()
+        assert "Moon (2015) - Sphere" in crs
+        to_raster = pyproj.Transformer.from_crs("IAU_2015:30100", crs, always_xy=True)
+        value = next(iter(raster.sample([to_raster.transform(*degrees_of(shown, x, y))])))[0]
+        values = raster.read(1)[::-1]
+    assert value == values[row, column]
+    if all(abs(place / grid.resolution_m - round(place / grid.resolution_m)) > ON_EDGE for place in (x, y)):
+        assert value == np.float32(point(MapPointQuery(x=x, y=y), shown).mean_ppb)
+
+
+def degrees_of(shown: MapSnapshot, x: float, y: float) -> tuple[float, float]:
+    """Longitude and latitude [deg] of a place of the site, by the formulas of its projection written out."""
+    assert shown.origin_deg is not None
+    lat, lon = map(math.radians, shown.origin_deg)
+    middle = lat + shown.grid.height_m / 2 / MOON_RADIUS_M
+    if abs(math.degrees(middle)) <= 65.0:
+        return math.degrees(lon + x / (MOON_RADIUS_M * math.cos(middle))), math.degrees(lat + y / MOON_RADIUS_M)
+    sign = math.copysign(1.0, middle)
+    scale = 2 / (1 + math.sin(min(abs(middle), math.pi / 2)))
+    east, north = x * scale, y * scale - sign * 2 * MOON_RADIUS_M * math.tan((math.pi / 2 - sign * lat) / 2)
+    colatitude = 2 * math.atan(math.hypot(east, north) / (2 * MOON_RADIUS_M))
+    return math.degrees(lon + math.atan2(east, -sign * north)), sign * (90 - math.degrees(colatitude))
 
 
 def test_a_box_has_as_many_cells_as_have_their_centre_in_it() -> None:
