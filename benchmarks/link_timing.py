@@ -162,6 +162,7 @@ def _ms(seconds: float) -> str:
 
 SENDS: dict[Side, Topic] = {Side.MOON: SAMPLE, Side.EARTH: COMMAND}
 HEARS: dict[Side, Topic] = {Side.MOON: COMMAND, Side.EARTH: SAMPLE}
+SENDERS = {Side.MOON: "rover", Side.EARTH: "ground"}  # the link carries messages of the topic's own source alone
 CLOCKS: dict[Side, Topic] = {Side.MOON: MOON_CLOCK, Side.EARTH: EARTH_CLOCK}
 
 
@@ -193,7 +194,7 @@ def _send(session: Session, side: Side, mission: str, clock: ClockState, numbers
     for number in numbers:
         time.sleep(max(0.0, began + (number - numbers.start) * interval_s - time.monotonic()))
         now = mission_time(clock, time.time_ns())
-        header = Header(mission=mission, source="bench", incarnation=1, sequence=number, made_at=now)
+        header = Header(mission=mission, source=SENDERS[side], incarnation=1, sequence=number, made_at=now)
         session.publish(SENDS[side], encode(header, _body(side, number, now)))
 
 
