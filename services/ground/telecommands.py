@@ -67,9 +67,6 @@ class TelecommandHandler:
 
     def issue(self, command: Telecommand, token: int, now: MissionTime) -> Iterable[Effect]:
         """Answer the operator's query with the command's status or a refusal, and send the command if it is new."""
-        if command.target_m is not None and (why := self._director.objection_to_visit(command.target_m)) is not None:
-            yield RefuseQuery(token, f"command {command.command_id}: {why}")
-            return
         try:
             if not self._history.knows(command) and (why := self._authority.objection(command)) is not None:
                 raise InvalidInput(why)
