@@ -23,7 +23,7 @@ class AuthorityChange(Wire):
 
     action: AuthorityAction
     by: PersonName
-    """Who asks; in a mission with keys, who has signed the request."""
+    """The person who asks; in a mission with keys, the signer of the request."""
     over_from: PersonName | None = None
     """The holder from whom it is taken over (`take` only). Naming them shows that it is meant."""
 
@@ -32,7 +32,7 @@ class AuthorityState(Wire):
     """Who holds command authority."""
 
     holder: PersonName | None = None
-    """None: nobody, and the next one who commands."""
+    """None: no one; the sender of the next command becomes the holder."""
     since: MissionTimeNs | None = None
     explicit: bool = False
-    """Whether it was taken; else its holder was the last who commanded."""
+    """Whether it was taken with `take`; if not, the holder is the sender of the last command."""

@@ -45,7 +45,7 @@ _ORDER: Final = {stage: number for number, stage in enumerate(CommandStage)}
 
 
 class Authorization(Wire):
-    """The consent of a person to one command, signed: whoever passes the command on cannot make, alter or renew it."""
+    """A person's signed consent to one command. A process that forwards the command cannot make, alter or renew it."""
 
     signer: CommonName
     instance: Identifier

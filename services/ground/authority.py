@@ -1,8 +1,8 @@
 """Command authority: one holder at a time, whose commands alone go to the rover.
 
-Who commands while nobody holds it, holds it then. In a mission with keys that already keeps others out. Without keys
-nobody's name is proven, and a person may well use several terminals: there only `take` keeps others out, and until then
-authority goes along with whoever commands. The command `safe` is everybody's.
+While no one holds it, the sender of the next command becomes its holder. In a mission with keys, the commands of others
+are refused from then on. In a mission without keys a name is not proven, and one person may use several terminals:
+until `take`, each sender of a command becomes the holder. The command `safe` is accepted from every sender.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ class CommandAuthority:
         firm = self.state.explicit or self._proven
         if holder is None or name == holder or not firm or command.kind is CommandKind.SAFE:
             return None
-        sender = name or "somebody without a name"
+        sender = name or "a sender without a name"
         return (
             f"command {command.command_id} of {sender}: expected the holder of command authority, {holder} "
             f"({RELEASE_HINT} {holder})"
         )
 
     def commanded(self, command: Telecommand, now: MissionTime) -> None:
-        """Note a command that was sent; its sender holds authority from now on, unless somebody holds it firmly."""
+        """Note a command that was sent. Its sender becomes the holder, unless the present one keeps others out."""
         holder, name = self.state.holder, name_of(command)
         firm = self.state.explicit or self._proven
         if name and name != holder and (holder is None or not firm):
@@ -58,7 +58,7 @@ class CommandAuthority:
         firm = self.state.explicit or self._proven
         if change.over_from is not None and change.over_from != holder:
             raise InvalidInput(
-                f"authority: expected the name of its present holder, {holder or 'nobody'}, got {change.over_from}"
+                f"authority: expected the name of its present holder, {holder or 'no one'}, got {change.over_from}"
             )
         if holder not in (None, change.by) and firm and change.over_from is None:
             raise InvalidInput(f"authority: held by {holder}: to take it over, {RELEASE_HINT} {holder}")

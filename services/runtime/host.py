@@ -96,7 +96,7 @@ def _described(given: Input | None) -> tuple[str, bytes]:
 
 
 def _sender(given: Input) -> str:
-    """Whom a message names as its sender, which is not proven; empty for one that names nobody."""
+    """The sender that a message names, which is not proven; empty if it names none."""
     match given:
         case MessageArrived(_, payload) | QueryArrived(_, payload, _) | ReplyArrived(_, payload):
             header = header_of(payload)

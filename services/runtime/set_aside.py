@@ -1,4 +1,4 @@
-"""Inputs from outside that a node could not handle: the first of them are kept in a file, for whoever mends the defect.
+"""Inputs from outside that a node could not handle: the first of them are kept in a file, for the repair.
 
 A node refuses what it does not accept. An exception is a defect of the program, but the sender of a message must not
 be able to end a service with it, not even at each restart from a journal. So the input is set aside, counted and

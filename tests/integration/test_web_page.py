@@ -601,3 +601,4 @@ def test_a_page_whose_server_is_gone_says_so_and_knows_neither_time_nor_mission(
         until(lambda: written(browser, "#liveness").startswith("live"), "the mission")
     until(lambda: written(browser, "#liveness").startswith("page disconnected"), "the loss of the server")
     until(lambda: written(browser, "#utc") == "not known", "the clock")
+    assert (written(browser, "#pace"), written(browser, "#contact")) == ("not known", "contact not known")

@@ -66,7 +66,7 @@ def release(
     as_name: AsName = None,
     json: AsJson = False,
 ) -> None:
-    """Release command authority: who commands next has it."""
+    """Release command authority; the sender of the next command becomes its holder."""
     from services.console.client.mission_client import MissionClient
 
     with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
@@ -79,7 +79,7 @@ def _show(state: AuthorityState, json: bool) -> None:
     if json:
         typer.echo(state.model_dump_json(indent=2))
     elif state.holder is None:
-        typer.echo("nobody holds command authority")
+        typer.echo("no one holds command authority")
     else:
         how = "taken" if state.explicit else "by commanding"
         typer.echo(

@@ -80,7 +80,7 @@ def up(
         chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
     )
     with claimed(where, journal=journal):
-        # What the user named comes before the state of the machine: it is refused whoever listens at the endpoints.
+        # First what the user named: an output in use is refused even if the endpoints are in use, too.
         require_free(endpoints)
         with services as (launcher, _):
             with MissionClient.when_up(

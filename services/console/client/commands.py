@@ -138,12 +138,12 @@ class Commanding(ClockQueries):
     def take_authority(self, over_from: str | None = None) -> AuthorityState:
         """Take command authority: others' commands are refused then, but `safe`.
 
-        over_from: the present holder, to take it over from them. Raises InvalidInput while somebody else holds it.
+        over_from: the present holder, to take it over from them. Raises InvalidInput while another person holds it.
         """
         return self._change_authority(AuthorityAction.TAKE, over_from)
 
     def release_authority(self) -> AuthorityState:
-        """Release command authority. Raises InvalidInput if somebody else holds it."""
+        """Release command authority. Raises InvalidInput if another person holds it."""
         return self._change_authority(AuthorityAction.RELEASE, None)
 
     def _change_authority(self, action: AuthorityAction, over_from: str | None) -> AuthorityState:

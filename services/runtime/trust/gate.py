@@ -46,7 +46,7 @@ class Gate:
         return encode(header, body, partial(self.signer.signed, part, topic.name))
 
     def admit(self, part: Part, topic: Topic, header: Header, payload: bytes, now: int) -> str:
-        """The common name of who sent this; raises Refused unless it is signed by somebody who may send it."""
+        """The common name of the signer; raises Refused unless a role that may send this has signed it."""
         access = topic.access
         roles = {Part.MESSAGE: access.publish, Part.QUERY: access.query, Part.REPLY: access.answer}[part]
         who = self.verifier.verify(part, topic.name, header, body_of(payload), roles, now)
@@ -55,7 +55,7 @@ class Gate:
         return who.common_name
 
     def admit_person(self, topic: Topic, header: Header, body: Any) -> None:
-        """Raise Refused for a body that speaks for somebody else than who has signed the message."""
+        """Raise Refused for a body that names another person than the signer of the message."""
         if isinstance(body, AuthorityChange) and body.by != header.signer:
             raise Refused(f"{topic.name} of {header.signer}: expected its signer's own name, got '{body.by[:80]}'")
 

@@ -1,6 +1,7 @@
 // The link's panel: messages in flight, counts, and the form that changes the conditions.
 
 import { LinkPicture, describe } from "./link.js";
+import { showContact } from "./liveness.js";
 import { send } from "./net.js";
 import { $, attempt, numberIn, rewrite, state, toast } from "./state.js";
 import { element } from "./words.js";
@@ -11,8 +12,7 @@ export function showLink() {
   const status = state.link;
   if (!status) return;
   picture.take(status);
-  $("contact").textContent = status.contact ? "in contact" : "NO CONTACT";
-  $("contact").className = `chip ${status.contact ? "good" : "bad"}`;
+  showContact();
   $("link-summary").textContent = describe(status);
   const head = ["", "sent", "delivered", "in flight", "waiting", "lost"];
   const row = (name, c) => [name, c.offered, c.delivered, c.in_flight, c.waiting, c.lost + c.dropped_out_of_contact + c.dropped_queue_full];
@@ -53,7 +53,7 @@ export function fillLinkForm() {
     field.classList.toggle("edited", edited.has(name));
   }
   $("link-submit").disabled = $("link-reset").disabled = edited.size === 0;
-  rewrite($("link-note"), changed.length ? `Changed meanwhile by somebody else: ${changed.join("; ")}` : "");
+  rewrite($("link-note"), changed.length ? `Changed meanwhile by another operator: ${changed.join("; ")}` : "");
 }
 
 function forgetEdits() {

@@ -33,6 +33,13 @@ export function showLiveness() {
     const note = card.querySelector(".as-of");
     if (note) rewrite(note, old && made_at ? `as of ${elapsed(sinceStart(made_at))}${age(made_at)}` : "");
   }
+  showContact();
+}
+
+export function showContact() {
+  const known = isTimeKnown() && state.link; // both are the link's word
+  rewrite($("contact"), !known ? "contact not known" : state.link.contact ? "in contact" : "NO CONTACT");
+  $("contact").className = `chip ${!known ? "" : state.link.contact ? "good" : "bad"}`;
 }
 
 const lastHeard = (who) => ({ link: state.link?.at, ground: state.status?.at, rover: state.rover?.made_at })[who];

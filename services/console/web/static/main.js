@@ -71,7 +71,7 @@ function takeClock(clock) {
   keepClock(clock);
   picture.rate = clock.rate;
   const { rate, mode } = clock;
-  rewrite($("pace"), mode === "lockstep" ? "lockstep" : mode === null ? "–" : rate === 0 ? "paused" : rate === 1 ? "real time" : `${grouped(rate, rate % 1 ? 2 : 0)}x`);
+  state.pace = mode === "lockstep" ? "lockstep" : mode === null ? "–" : rate === 0 ? "paused" : rate === 1 ? "real time" : `${grouped(rate, rate % 1 ? 2 : 0)}x`;
 }
 
 function showStatus() {
@@ -95,6 +95,7 @@ function everyFrame() {
     const known = isTimeKnown();
     $("utc").textContent = known ? utc(time) : "not known";
     $("elapsed").textContent = known ? elapsed(sinceStart(time)) : "not known";
+    rewrite($("pace"), known ? state.pace : "not known");
     if (known) { picture.draw(time); showAge(time); }
   }
   requestAnimationFrame(everyFrame);
