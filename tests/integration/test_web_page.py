@@ -449,6 +449,10 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     assert passed["completed"] >= passed["started"]
     until(lambda: script(browser, "return document.getElementById('rover-mode').textContent") == "paused", "paused")
 
+    # The sender of the command has a name, which nothing proves without keys.
+    assert written(browser, "#commands > li .by").startswith("by ")
+    assert written(browser, "#commands > li .by").endswith(" (unverified)")
+
     # An alarm stays until an operator has acknowledged it.
     click(browser, "button[data-command=safe]")
     alarm = ".alarm[data-kind=safe_mode]"

@@ -192,7 +192,7 @@ class Hub:
             name, stages = status.command.command_id, len(status.stages)
             if self._stages_sent.get(name) != stages:
                 self._stages_sent[name] = stages
-                self._tell("command", _command_document(status))
+                self._tell("command", command_document(status))
         if len(self._stages_sent) > len(self._state.commands):
             names = {status.command.command_id for status in self._state.commands}
             self._stages_sent = {name: sent for name, sent in self._stages_sent.items() if name in names}
@@ -281,7 +281,7 @@ class Hub:
             "status": None if status is None else status.model_dump(mode="json"),
             "rover": self._rover_document(),
             "link": self._link_document(),
-            "commands": [_command_document(status) for status in self._state.commands],
+            "commands": [command_document(status) for status in self._state.commands],
             "events": [_event_document(happened) for happened in self._state.events],
             "curves": self._curves.document(),
             "alarms": documents(self._alarms.current),
@@ -300,9 +300,13 @@ def _liveness_document(alive: Liveness) -> dict[str, str]:
     return {"condition": alive.condition.value, "text": alive.text}
 
 
-def _command_document(status: CommandStatus) -> dict[str, Any]:
-    """The command with its stages, and the stage that ended it."""
-    return {**status.model_dump(mode="json"), "end": None if status.end is None else status.end.stage.value}
+def command_document(status: CommandStatus) -> dict[str, Any]:
+    """The command with its stages, its sender's name, and the stage that ended it."""
+    return {
+        **status.model_dump(mode="json"),
+        "by": status.command.by,
+        "end": None if status.end is None else status.end.stage.value,
+    }
 
 
 def _message(kind: str, content: Any) -> str:

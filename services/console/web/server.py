@@ -39,7 +39,7 @@ from services.console.client.map_files import CUTOFF_PPB
 from services.console.web.access import ACT, COMMAND, CONTROL, READ, Access, Caller
 from services.console.web.connections import PEER
 from services.console.web.guard import Guard
-from services.console.web.hub import Hub, Viewer
+from services.console.web.hub import Hub, Viewer, command_document
 from services.console.web.requests import AcknowledgeRequest, CommandRequest, InterestRequest, document, parsed
 
 STATIC = Path(__file__).parent / "static"
@@ -261,7 +261,7 @@ def _command(hub: Hub, asked: Asked) -> Response:
         polygon_m=wanted.polygon_m,
         expires_in_s=wanted.expires_in_s,
     )
-    return JSONResponse(issued.status.model_dump(mode="json"))
+    return JSONResponse(command_document(issued.status))
 
 
 def _link(hub: Hub, asked: Asked) -> Response:

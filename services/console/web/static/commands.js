@@ -31,12 +31,12 @@ export function showCommands() {
   for (const callback of onCommands) callback();
 }
 
-function row({ command: sent, stages, end }) {
+function row({ command: sent, stages, end, by }) {
   const first = stages[0]?.at ?? 0, why = stages.find(({ stage }) => stage === end)?.why;
   const about = sent.target_m ? ` (${sent.target_m.join(", ")}) m` : sent.area_id ? ` ${sent.area_id}` : "";
   const passed = stages.map(({ stage, at, why: reason }) => element("li", { class: look(stage), title: reason || utc(at) }, element("b", {}, stage), ` +${duration((at - first) / 1e9)}`));
   const item = element("li", { class: end ? (look(end) === "good" ? "done" : "failed") : "open" },
-    element("div", { class: "head" }, `${words(sent.kind)}${about}`, element("span", { class: "dim num" }, utc(first).slice(11))),
+    element("div", { class: "head" }, `${words(sent.kind)}${about}`, element("span", { class: "by dim" }, by ? `by ${by}` : ""), element("span", { class: "dim num" }, utc(first).slice(11))),
     element("ol", { class: "stages num" }, ...passed), ...(why ? [element("p", { class: "dim" }, why)] : []));
   item.dataset.id = sent.command_id;
   item.dataset.stages = JSON.stringify(stages);
