@@ -41,6 +41,7 @@ document.addEventListener("click", (event) => {
   if (event.detail > 1) drop(event);
   else if (movedWithin(control)) {
     drop(event);
+    document.body.dataset.dropped = Number(document.body.dataset.dropped ?? 0) + 1;
     toast(`“${control.textContent.trim()}” had just moved under the pointer: nothing was sent`, true);
   }
 }, true);

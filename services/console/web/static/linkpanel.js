@@ -1,5 +1,6 @@
 // The link's panel: messages in flight, counts, and the form that changes the conditions.
 
+import { look } from "./deliberate.js";
 import { LinkPicture, describe } from "./link.js";
 import { showContact } from "./liveness.js";
 import { send } from "./net.js";
@@ -54,6 +55,7 @@ export function fillLinkForm() {
   }
   $("link-submit").disabled = $("link-reset").disabled = edited.size === 0;
   rewrite($("link-note"), changed.length ? `Changed meanwhile by another operator: ${changed.join("; ")}` : "");
+  look(); // the note may have moved the buttons
 }
 
 function forgetEdits() {

@@ -28,6 +28,7 @@ export async function attempt(what) {
 
 export function toast(message, bad = false) {
   const shown = element("div", { class: bad ? "bad" : "" }, message);
+  shown.addEventListener("click", () => shown.remove()); // it may cover something; the click goes no further
   $("toast").append(shown);
   setTimeout(() => shown.remove(), bad ? 8000 : 4000);
 }
