@@ -22,6 +22,10 @@ class MissionPhase(StrEnum):
     FAILED = "failed"
 
 
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class KernelParameters(Wire):
     """The covariance function in use, in standardised units, with the scale of those units in ppb."""
 
@@ -30,6 +34,8 @@ class KernelParameters(Wire):
     noise_std_ppb: float
     mean_ppb: float
     scale_ppb: float
+    mean_std_ppb: float | None = Field(default=None, exclude_if=_is_none)
+    """Prior standard deviation of what the mean may be off by; None where the mean is taken for certain."""
 
 
 class GroundStatus(Wire):

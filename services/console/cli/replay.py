@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -83,14 +84,13 @@ def replay(file: FileName, topic: TopicName = None, verify: Verify = False, json
     if topic is None:
         document = _document(recording, seen, problems)
         typer.echo(json_format.dumps(document, indent=2) if json else "\n".join(_lines(document, seen)))
-    for problem in problems:
-        typer.echo(f"he3: {printable(f'{file}: {problem}')}", err=True)
+    _say_problems(file, problems)
     if problems:
         raise typer.Exit(1)
 
 
 def _verify(file: Path, json: bool) -> None:
-    """Print how the recorded map compares with the rebuilt one; exit code 1 if they differ."""
+    """Print how the recorded map compares with the rebuilt one; exit code 1 if they differ or the file is damaged."""
     import json as json_format
     from dataclasses import asdict
 
@@ -116,8 +116,16 @@ def _verify(file: Path, json: bool) -> None:
         if result.after_loss:
             largest = f"{result.largest_after_loss_ppb:.2g}"
             typer.echo(f"after loss {result.after_loss} revisions follow others that were not recorded: {largest} ppb")
-    if not result.equal:
+    _say_problems(file, result.problems)
+    if not result.equal or result.problems:
         raise typer.Exit(1)
+
+
+def _say_problems(file: Path, problems: Sequence[str]) -> None:
+    from schemas.wire import printable
+
+    for problem in problems:
+        typer.echo(f"he3: {printable(f'{file}: {problem}')}", err=True)
 
 
 def _document(recording: Recording, seen: _Seen, problems: list[str]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from he3.errors import He3Error, InvalidInput
 from he3.frames import Float32Array, SiteGrid
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import kernel_from
-from he3.trend import OrbitalTrend
+from he3.trend import OrbitalTrend, UnknownConstant
 from schemas.topics import MAP_OVERVIEW, PLAN, SAMPLE
 from services.ground.belief import Belief
 from services.ground.map.overview import checksum, kernel_parameters, reduced
@@ -63,6 +63,8 @@ class Verification:
     """Revisions behind overviews that were not recorded, up to the next fit; compared apart from the others."""
     largest_after_loss_ppb: float = 0.0
     """Largest difference of mean or standard deviation in them [ppb]."""
+    problems: tuple[str, ...] = ()
+    """What is damaged or missing in the file, a line each: the comparison says nothing about it."""
 
     @property
     def largest_ppb(self) -> float:
@@ -82,7 +84,7 @@ def verify(path: Path) -> Verification:
     rebuilt because samples or plans are missing.
     """
     evidence = _Evidence(path)
-    result = Verification()
+    result = Verification(problems=evidence.problems)
     rebuilt: _Rebuilt | None = None
     for overview, values in evidence.overviews():
         if rebuilt is None:
@@ -118,6 +120,8 @@ class _Evidence:
                         place = (planned.round, plan.revision, index)
                         self.planned[sample.sample_id] = min(place, self.planned.get(sample.sample_id, place))
         self.samples = {name: self.samples[name] for name in sorted(self.samples, key=sequences.__getitem__)}
+        self.problems = tuple(recording.problems())
+        """What is damaged or missing in the file."""
         text = recording.about.get(SCENARIO_RECORD, {}).get("json")
         self.scenario = None if text is None else Scenario.model_validate_json(text)
 
@@ -186,7 +190,11 @@ class _Rebuilt:
 def _hyperparameters(overview: MapOverview) -> Hyperparameters:
     kernel = overview.kernel
     return Hyperparameters(
-        kernel_from(kernel.name, kernel.parameters), kernel.noise_std_ppb, kernel.mean_ppb, kernel.scale_ppb
+        kernel_from(kernel.name, kernel.parameters),
+        kernel.noise_std_ppb,
+        kernel.mean_ppb,
+        kernel.scale_ppb,
+        trend=None if kernel.mean_std_ppb is None else UnknownConstant(kernel.mean_std_ppb),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
+from he3.trend import UnknownConstant
 from schemas.ground import (
     MAX_OVERVIEW_CELLS,
     MAX_OVERVIEW_CORNERS,
@@ -64,7 +65,9 @@ def overview(snapshot: MapSnapshot, known: int, fits: int) -> MapOverview:
 
 def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
     """The hyperparameters as operators see them."""
+    trend = hyperparameters.trend
     return KernelParameters(
+        mean_std_ppb=trend.std_ppb if isinstance(trend, UnknownConstant) else None,
         name=hyperparameters.kernel.name,
         parameters=hyperparameters.kernel.parameters(),
         noise_std_ppb=hyperparameters.noise_std_ppb,

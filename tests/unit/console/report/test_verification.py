@@ -63,6 +63,26 @@ def test_the_rebuilt_belief_of_a_mission_flown_with_faults_is_the_recorded_map_a
     assert result.after_loss == 0
 
 
+def test_a_mission_whose_mean_is_uncertain_is_rebuilt_with_that_uncertainty(tmp_path: Path) -> None:
+    words = ["run", "short", "--in-process", "--quiet", "--set", "ground.hyperparameters=bayes", "--out", str(tmp_path)]
+    assert main(words) == 0
+    result = verify(tmp_path / "mission.mcap")
+    assert result.identical == result.revisions > result.samples
+
+
+def test_what_is_whole_of_a_torn_recording_is_compared_and_the_rest_is_not_passed_over(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(flown.read_bytes()[: flown.stat().st_size // 2])
+    result = verify(torn)
+    assert 0 < result.revisions < verify(flown).revisions
+    assert result.equal
+    assert result.problems
+    assert main(["replay", "--verify", str(torn)]) == 1
+    assert "the file ends early" in capsys.readouterr().err
+
+
 def test_lost_overviews_do_not_hinder_it(flown: Path, tmp_path: Path) -> None:
     thinned = tmp_path / "thinned.mcap"
     seen = 0
