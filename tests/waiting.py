@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import TypeVar
 
 import pytest
@@ -16,6 +19,7 @@ POLL_S = 0.02
 
 _COUNT, _QUIET_S = 5_000_000, 0.25
 """So many squares take so long [s] on a core of its own of the machine on which the promises were made."""
+_COMPUTES = "print(flush=True)\nwhile True: pass"
 
 
 def until(seen: Callable[[], T], what: str | Callable[[], str], patience_s: float = PATIENCE_S) -> T:
@@ -28,20 +32,37 @@ def until(seen: Callable[[], T], what: str | Callable[[], str], patience_s: floa
     return found
 
 
-def slowness(clock: Callable[[], float] = time.perf_counter) -> float:
+def slowness(clock: Callable[[], float] = time.perf_counter, processes: int = 1) -> float:
     """How many times slower than a quiet machine this one is now, by that clock [s]; 1 at least.
 
-    By wall time, what the machine does beside this test counts, too. By `time.process_time` only its speed does.
+    processes: that compute at the same time, each on a core of its own on the quiet machine, which has two. By wall
+    time, what the machine does beside this test counts, too. By `time.process_time` only its speed does.
     """
-    began = clock()
-    sum(number * number for number in range(_COUNT))
-    return max(1.0, (clock() - began) / _QUIET_S)
+    with ExitStack() as others:
+        for _ in range(processes - 1):
+            other = subprocess.Popen([sys.executable, "-c", _COMPUTES], stdout=subprocess.PIPE)
+            others.enter_context(other)
+            others.callback(other.kill)
+            assert other.stdout is not None
+            other.stdout.readline()
+        began = clock()
+        sum(number * number for number in range(_COUNT))
+        return max(1.0, (clock() - began) / _QUIET_S)
 
 
-def expect_within(promised_s: float, took_s: float, what: str, clock: Callable[[], float] = time.perf_counter) -> None:
-    """Fail the test unless `what` took no longer than promised, or than promised times the slowness of the machine."""
+def expect_within(
+    promised_s: float,
+    took_s: float,
+    what: str,
+    clock: Callable[[], float] = time.perf_counter,
+    processes: int = 1,
+) -> None:
+    """Fail the test unless `what` took no longer than promised, or than promised times the slowness of the machine.
+
+    processes: at work in it at the same time, up to the two cores for which the promise is made.
+    """
     if took_s > promised_s:
-        factor = slowness(clock)
+        factor = slowness(clock, processes)
         assert took_s <= promised_s * factor, (
             f"{what}: took {took_s:.2f} s, expected at most {promised_s:g} s, on a machine that is now {factor:.1f} "
             "times slower than a quiet one"

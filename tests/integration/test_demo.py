@@ -73,6 +73,6 @@ def test_a_signal_ends_the_mission_and_the_published_protocol_beside_it(
             process.communicate()
             assert process.returncode == 128 + number
             until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children), "the processes to end")
-            expect_within(GONE_WITHIN_S, time.monotonic() - told_at, "the end of the demo")
+            expect_within(GONE_WITHIN_S, time.monotonic() - told_at, "the end of the demo", processes=2)
         finally:
             process.kill()
