@@ -330,21 +330,26 @@ class World:
     def _command(self, command: Telecommand | None) -> None:
         if command is None or not self.simulation.alive("ground"):
             return
-        if not self._asked("ground", ISSUE_COMMAND, command):
+        may_refuse = command.kind is CommandKind.GO_TO  # the way may lead over ground that is known as closed
+        if not self._asked("ground", ISSUE_COMMAND, command, may_refuse):
             # The command may have gone out or not: because of its id it is executed once.
             self._start("ground", torn=False)
-            self._asked("ground", ISSUE_COMMAND, command)
+            self._asked("ground", ISSUE_COMMAND, command, may_refuse)
 
-    def _asked(self, name: str, topic: Topic, request: Wire) -> bool:
-        """Whether that process answered; it may be down, or go down on the query."""
+    def _asked(self, name: str, topic: Topic, request: Wire, may_refuse: bool = False) -> bool:
+        """Whether that process answered; it may be down, or go down on the query.
+
+        may_refuse: whether a refusal is an answer. Raises He3Error for one where it is not.
+        """
         if not self.simulation.alive(name):
             return False
         try:
             self.simulation.ask(topic, request)
         except He3Error:
-            if self.simulation.alive(name):
+            if not self.simulation.alive(name):
+                return False
+            if not may_refuse:
                 raise
-            return False
         return True
 
     # --- judgement ----------------------------------------------------------------------------------------------

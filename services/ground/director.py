@@ -213,6 +213,13 @@ class Director:
         self._take_back(self._round_log.not_begun)
         return self._advance(now)
 
+    def objection_to_visit(self, target_m: Place) -> str | None:
+        """One line on why the rover must not be sent straight to that place; None if nothing speaks against it.
+
+        The rover drives in a straight line, as seen from Earth from where it was last heard of.
+        """
+        return self._terrain.objection_to_drive(self._execution.place_m, target_m)
+
     def excursion_begun(self, command_id: str) -> None:
         """Note that the operator moves the rover: no round is planned until it has arrived."""
         self._excursions.begin(command_id)

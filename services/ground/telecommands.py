@@ -68,8 +68,8 @@ class TelecommandHandler:
     def issue(self, command: Telecommand, token: int, now: MissionTime) -> Iterable[Effect]:
         """Answer the operator's query with the command's status or a refusal, and send the command if it is new."""
         try:
-            if not self._history.knows(command) and (why := self._authority.objection(command)) is not None:
-                raise InvalidInput(why)
+            if not self._history.knows(command):
+                self._expect_sound(command)
             status, new = self._history.issue(command, now)
         except InvalidInput as error:
             yield RefuseQuery(token, str(error))
@@ -85,6 +85,13 @@ class TelecommandHandler:
             yield SetTimer(LOST_TIMER + command.command_id, overdue)
         yield Send(COMMAND_STATUS, status)
         yield from self._set_keep_out(command, now)
+
+    def _expect_sound(self, command: Telecommand) -> None:
+        """Raise InvalidInput, in one line, unless its sender may command and the way that it orders is open."""
+        if (why := self._authority.objection(command)) is not None:
+            raise InvalidInput(why)
+        if command.target_m is not None and (why := self._director.objection_to_visit(command.target_m)) is not None:
+            raise InvalidInput(f"command {command.command_id}: {why}")
 
     def reported(self, report: CommandReport, now: MissionTime) -> Iterable[Effect]:
         """Handle a rover's report on a command."""

@@ -101,6 +101,27 @@ class GroundTerrain:
         self._obstacles[(*centre, radius_m)] = within(self.grid, centre, radius_m)
         self._recompute()
 
+    def objection_to_drive(self, start_m: Place, target_m: Place) -> str | None:
+        """One line on which closed ground the straight way to the target leads over; None if it is open, or off site.
+
+        The rover may stand where its centre should not be; ground is closed to it once it has been on open ground.
+        """
+        if not self.grid.contains(np.array([target_m]))[0]:
+            return None  # the command's own check says so
+        if not self._open[cell_of(self.grid, target_m)]:
+            x, y = target_m
+            return f"expected a target on open ground, got ({x:g}, {y:g}) m, which the map knows as closed"
+        been_on_open = False
+        for place in along((start_m, target_m), _BOUNDARY_STEP_CELLS * self.grid.resolution_m):
+            is_open = bool(self._open[cell_of(self.grid, place)])
+            if been_on_open and not is_open:
+                return (
+                    f"expected open ground on the straight way from ({start_m[0]:.1f}, {start_m[1]:.1f}) m, where the "
+                    f"rover was last heard of, got closed ground at ({place[0]:.1f}, {place[1]:.1f}) m"
+                )
+            been_on_open = been_on_open or is_open
+        return None
+
     def open_from(self, start_m: Place, came_by_m: Sequence[Place] = ()) -> BoolArray:
         """(rows, columns), read-only: where the rover may go from the place where it stands.
 

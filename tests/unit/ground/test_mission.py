@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -782,6 +782,26 @@ def test_a_command_that_cannot_be_executed_is_refused_and_not_sent() -> None:
             mission.simulation.ask(ISSUE_COMMAND, bad)
     mission.simulation.step()
     assert mission.rover.commands == [command()]
+
+
+def test_the_rover_is_not_sent_to_or_straight_over_ground_that_the_map_knows_as_closed() -> None:
+    mission = Mission(scenario())
+    mission.simulation.run_for(10.0)
+    x, y = mission.rover.place
+    wall = ((x + 8, 0.0), (x + 12, 0.0), (x + 12, 60.0), (x + 8, 60.0))
+    mission.simulation.ask(ISSUE_COMMAND, command(CommandKind.SET_KEEP_OUT, area_id="a", polygon_m=wall))
+    for name, target, complaint in (
+        ("into", (x + 10, y), "into: expected a target on open ground"),
+        ("over", (x + 20, y), "over: expected open ground on the straight way"),
+    ):
+        with pytest.raises(He3Error, match=complaint):
+            mission.simulation.ask(ISSUE_COMMAND, command(CommandKind.GO_TO, name, target_m=target))
+    mission.simulation.ask(ISSUE_COMMAND, command(CommandKind.GO_TO, "beside", target_m=(x, y + 10)))
+    assert [status.command.command_id for status in listed(mission)] == ["c1", "beside"]
+
+
+def listed(mission: Mission) -> Sequence[CommandStatus]:
+    return mission.simulation.ask(LIST_COMMANDS, NoParameters()).commands
 
 
 def test_a_command_without_a_report_is_lost_after_its_time() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,8 +62,14 @@ def flat_region(closed: tuple[slice, slice] | None = None) -> Region:
 class Flown:
     """A mission in virtual time that receives commands; its reports are recorded."""
 
-    def __init__(self, truth: Region | None = None, known: Region | None = None, **sections: Any) -> None:
-        """truth: the real terrain; known: the ground's map of it."""
+    def __init__(
+        self,
+        truth: Region | None = None,
+        known: Region | None = None,
+        unknown_keep_outs: Sequence[Sequence[tuple[float, float]]] = (),
+        **sections: Any,
+    ) -> None:
+        """truth: the real terrain; known: the ground's map of it; unknown_keep_outs: those that only the rover has."""
         self.scenario: Scenario = checked_scenario(
             {
                 "name": "commanded", "region": "t1", "rounds": 3, "samples_per_round": 2, "start_m": [40.0, 40.0],
@@ -72,9 +78,11 @@ class Flown:
             "test",
         )  # fmt: skip
         truth = truth or flat_region()
+        ground = self.scenario.ground.model_copy(update={"keep_outs_m": tuple(unknown_keep_outs)})
+        on_board = self.scenario.model_copy(update={"ground": ground}) if unknown_keep_outs else self.scenario
         self._builds: dict[str, Callable[[], Any]] = {
             "field": lambda: build_field(self.scenario, truth),
-            "rover": lambda: build_rover(self.scenario, truth.grid),
+            "rover": lambda: build_rover(on_board, truth.grid),
             "link": lambda: build_link(self.scenario),
             "ground": lambda: build_ground(self.scenario, known or truth, around),
         }
@@ -221,23 +229,29 @@ def test_a_command_that_waits_for_contact_is_radiated_when_contact_begins() -> N
 # --- rejected -----------------------------------------------------------------------------------------------------
 
 
-def rejections() -> list[tuple[str, list[tuple[str, dict[str, Any]]], str, dict[str, Any], str]]:
-    keep_out = ("set_keep_out", {"area_id": "a", "polygon_m": SQUARE})
-    wide = ("set_keep_out", {"area_id": "b", "polygon_m": ((8.0, 50.0), (30.0, 50.0), (30.0, 70.0), (8.0, 70.0))})
+Orders = list[tuple[str, dict[str, Any]]]
+WIDE_AREA = ((8.0, 50.0), (30.0, 50.0), (30.0, 70.0), (8.0, 70.0))
+
+
+def rejections() -> list[tuple[str, Orders, str, dict[str, Any], str, tuple[Any, ...]]]:
+    """Name of the case, commands before it, the command, the reason, and keep-outs that the ground does not know."""
     return [
-        ("nothing held", [], "resume", {}, "neither"),
-        ("safe already", [("safe", {})], "pause", {}, "in safe mode already"),
-        ("target in a keep-out", [keep_out], "go_to", {"target_m": (7.0, 62.0)}, "keep-out"),
-        ("way through a keep-out", [("pause", {}), wide], "go_to", {"target_m": (2.0, 68.0)}, "keep-out b"),
-        ("no such keep-out", [], "set_keep_out", {"area_id": "c"}, "there is no keep-out c to remove"),
-    ]
+        ("nothing held", [], "resume", {}, "neither", ()),
+        ("safe already", [("safe", {})], "pause", {}, "in safe mode already", ()),
+        ("target in a keep-out", [], "go_to", {"target_m": (7.0, 62.0)}, "within a keep-out", (SQUARE,)),
+        ("way through a keep-out", [("pause", {})], "go_to", {"target_m": (2.0, 68.0)}, "keep-out scenario-1",
+         (WIDE_AREA,)),
+        ("no such keep-out", [], "set_keep_out", {"area_id": "c"}, "there is no keep-out c to remove", ()),
+    ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("before", "kind", "more", "why"), [row[1:] for row in rejections()], ids=lambda _: "")
+@pytest.mark.parametrize(
+    ("before", "kind", "more", "why", "unknown"), [row[1:] for row in rejections()], ids=lambda _: ""
+)
 def test_a_command_that_makes_no_sense_on_the_moon_is_rejected_and_says_why(
-    before: list[tuple[str, dict[str, Any]]], kind: str, more: dict[str, Any], why: str
+    before: Orders, kind: str, more: dict[str, Any], why: str, unknown: tuple[Any, ...]
 ) -> None:
-    flown = Flown()
+    flown = Flown(unknown_keep_outs=unknown)
     flown.until(RoverMode.DRIVING)
     for number, (first, its) in enumerate(before):
         flown.command(first, f"before{number}", **its)
@@ -252,7 +266,7 @@ def test_a_command_that_makes_no_sense_on_the_moon_is_rejected_and_says_why(
 
 def test_the_rover_knows_the_scenarios_keep_outs_under_the_ids_that_the_ground_gives_them() -> None:
     far_off = ((70.0, 2.0), (76.0, 2.0), (76.0, 8.0))
-    flown = Flown(ground={"keep_outs_m": [far_off, SQUARE]})
+    flown = Flown(unknown_keep_outs=(far_off, SQUARE))
     flown.until(RoverMode.DRIVING)
     flown.command("go_to", target_m=(7.0, 62.0))
     flown.command("set_keep_out", "open", area_id="scenario-2")
@@ -313,7 +327,7 @@ def test_a_removal_that_the_rover_rejects_leaves_the_area_closed_on_the_ground()
 
 
 def test_a_restarted_rover_keeps_what_became_of_the_scenarios_keep_outs() -> None:
-    flown = Flown(ground={"keep_outs_m": [((70.0, 2.0), (76.0, 2.0), (76.0, 8.0)), SQUARE]})
+    flown = Flown(unknown_keep_outs=(((70.0, 2.0), (76.0, 2.0), (76.0, 8.0)), SQUARE))
     flown.until(RoverMode.DRIVING)
     flown.command("set_keep_out", "open", area_id="scenario-1")
     flown.simulation.run_for(10.0)
