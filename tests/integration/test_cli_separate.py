@@ -221,21 +221,29 @@ def test_a_mission_goes_on_without_a_recorder_that_dies_and_says_so(
     assert said.endswith(f"he3: {ended}; the mission continues without it\nhe3: {incomplete}\n")
 
 
-def test_services_that_are_up_stay_up_without_a_recorder_that_dies(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_services_that_are_up_stay_up_without_a_recorder_that_dies_and_report_on_the_mission_when_it_is_over(
+    tmp_path: Path, environment: dict[str, str]
+) -> None:
     network = [
         f'network.{side}="tcp/127.0.0.1:{port}"' for side, port in zip(("moon", "earth"), free_ports(), strict=True)
     ]
-    settings = [word for setting in network for word in ("--set", setting)]
+    settings = [word for setting in (*network, "rounds=1", "samples_per_round=2") for word in ("--set", setting)]
+    out = tmp_path / "out"
     with started(
-        "up", "short", "--quiet", "--out", str(tmp_path / "out"), *settings, environment=environment
+        "up", "short", "--rate", "500", "--quiet", "--out", str(out), *settings, environment=environment
     ) as process:
         assert process.stderr is not None
         pids = services_of(process, environment)
         # On a busy machine it may first say that it still waits for the router.
         assert any("is up" in line for line in iter(process.stderr.readline, ""))
         os.kill(pids["recorder"], signal.SIGKILL)
-        ended = "the recorder service ended by itself, killed by SIGKILL"
-        assert process.stderr.readline() == f"he3: {ended}; the mission continues without it\n"
+        ended = "he3: the recorder service ended by itself, killed by SIGKILL; the mission continues without it\n"
+        over = (
+            f"he3: mission 'short' is over (completed): wrote {out / 'report.json'}, {out / 'map.png'}, "
+            f"{out / 'rmse.png'}; its services still answer\n"
+        )
+        assert {process.stderr.readline(), process.stderr.readline()} == {ended, over}
+        assert MissionReport.model_validate_json((out / "report.json").read_text()).samples == 2
         until_answered(environment, "map", "score")
         assert "recorder" not in alive(pids)
         process.send_signal(signal.SIGINT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -26,6 +26,8 @@ DRAWN_EVERY_S = 0.25
 MAP_EVERY_S = 1.0
 EVENTS_SHOWN = 6
 COMMANDS_SHOWN = 3
+MAP_FROM_COLUMNS = 72
+"""Width of a terminal from which on there is room for the map beside the figures."""
 
 
 def watch(
@@ -125,14 +127,18 @@ class _Screen:
         layout, left, right = Layout(), Layout(name="map", size=map_width + 4), Layout(name="side")
         upper = Layout(name="upper", ratio=3)
         layout.split_column(upper, Layout(name="events", size=EVENTS_SHOWN + 2))
-        upper.split_row(left, right)
-        picture = Text.from_ansi("\n".join(self._picture(map_width)), no_wrap=True)
-        left.update(Panel(picture, title="helium-3, mean [ppb]", border_style="dim"))
+        side_width = width
+        if width >= MAP_FROM_COLUMNS:
+            side_width = width - map_width - 4
+            upper.split_row(left, right)
+            picture = Text.from_ansi("\n".join(self._picture(map_width)), no_wrap=True)
+            left.update(Panel(picture, title="helium-3, mean [ppb]", border_style="dim"))
+        else:
+            upper.split_row(right)
         commands = command_lines(self._state.commands[-COMMANDS_SHOWN:])
         lower = Layout(Panel(Text("\n".join(commands) or "no commands yet"), title="commands", border_style="dim"))
-        right.split_column(
-            Layout(Panel(self._figures(), title=f"{self._client.mission}", border_style="cyan"), size=20), lower
-        )
+        figures = Panel(self._figures(), title=f"{self._client.mission}", border_style="cyan")
+        right.split_column(Layout(figures, size=lines_of(figures, side_width)), lower)
         events = "\n".join(_event_line(each) for each in reversed(self._state.events[-EVENTS_SHOWN:]))
         layout["events"].update(
             Panel(
@@ -147,7 +153,6 @@ class _Screen:
     def _figures(self) -> Any:
         from rich.console import Group
         from rich.progress_bar import ProgressBar
-        from rich.table import Table
         from rich.text import Text
 
         from services.console.report.progress import moment_now, sparkline
@@ -155,12 +160,8 @@ class _Screen:
         moment = moment_now(self._state)
         if moment.rmse_ppb is not None and (not self._curve or self._curve[-1] != moment.rmse_ppb):
             self._curve.append(moment.rmse_ppb)
-        table = Table.grid(padding=(0, 2))
-        for name, text in self._rows():
-            alert = "bold red" if "NO CONTACT" in text or text.startswith("safe") else ""
-            table.add_row(Text(name, style="dim"), Text(text, style=alert, no_wrap=True, overflow="ellipsis"))
         bar = ProgressBar(total=max(1, moment.samples_total), completed=moment.samples)
-        parts: list[Any] = [bar, Text(""), table]
+        parts: list[Any] = [bar, Text(""), table_of(self._rows())]
         if len(self._curve) > 1:
             parts.append(Text.assemble(("RMSE  ", "dim"), (sparkline(self._curve, 40), "cyan")))
         return Group(*parts)
@@ -214,6 +215,26 @@ class _Screen:
             return self._map or [str(error)]
         self._map, self._map_of = drawn(array_of(raster), raster, width, colours=True), wanted
         return self._map
+
+
+def table_of(rows: Sequence[tuple[str, str]]) -> Any:
+    """Names and texts in two columns. A text that is longer than its column continues on the next line."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for name, text in rows:
+        alert = "bold red" if "NO CONTACT" in text or text.startswith("safe") else ""
+        table.add_row(Text(name, style="dim", no_wrap=True), Text(text, style=alert, overflow="fold"))
+    return table
+
+
+def lines_of(what: Any, width: int) -> int:
+    """How many lines it takes at that width."""
+    from rich.console import Console
+
+    console = Console(width=width, color_system=None)
+    return len(console.render_lines(what, console.options.update(width=width)))
 
 
 def _event_line(happened: Happened) -> str:

@@ -79,16 +79,29 @@ def _run_separate(
             try:
                 state = client.state(start_ns=scenario.start_ns)
                 status = _watched_to_its_end(state, launcher, progress)
-                wall_time_s = time.monotonic() - began
-                driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
-                run = Run(driver, rate, region.provenance, state.status_time_s, wall_time_s, region.layers)
-                outcome: Outcome = gather(client, scenario, status, run)
+                outcome = outcome_of(client, state, status, scenario, region, began, lockstep)
             finally:
                 launcher.tell_to_end()  # they end while this session closes, which takes a second without a router
     problem = launcher.failure("recorder")
     if problem is None:
         return outcome, []
     return outcome, [problem if str(where.recording) in problem else f"{where.recording}: not complete: {problem}"]
+
+
+def outcome_of(
+    client: MissionClient,
+    state: MissionState,
+    status: GroundStatus,
+    scenario: Scenario,
+    region: Region,
+    began: float,
+    lockstep: bool,
+) -> Outcome:
+    """The outcome of a mission that is over, as its ground has it; began: by `time.monotonic`."""
+    driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
+    wall_time_s = time.monotonic() - began
+    run = Run(driver, rate, region.provenance, state.status_time_s, wall_time_s, region.layers)
+    return gather(client, scenario, status, run)
 
 
 def checked_region(scenario: Scenario) -> Region:
