@@ -96,13 +96,14 @@ def open_recording(path: Path) -> RecordingFile:
     lock = lock_beside(path, f"{path}: expected a recording that no other process writes")
     try:
         if path.is_file() and path.stat().st_size > 0:
-            path.rename(_free_name(path))
+            path.rename(free_name(path))
         return RecordingFile(path, open_output(path, buffering=0), lock)
     except OSError as error:
         lock.release()
         raise He3Error(f"{path}: cannot write the recording: {error.strerror}") from None
 
 
-def _free_name(path: Path) -> Path:
+def free_name(path: Path) -> Path:
+    """A name beside that one which no file has: with -1, -2, ..."""
     names = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
     return next(name for name in names if not name.exists())

@@ -17,7 +17,7 @@ from schemas.codec import Refused, decode
 from schemas.topics import BY_NAME, Topic
 from services.mission.mission_time import SECOND, MissionTime
 from services.recorder.recovery import Fault, read_records
-from services.recorder.writer import CHANNEL_RECORD, GAP_RECORD, MISSION_RECORD
+from services.recorder.writer import CHANNEL_RECORD, GAP_RECORD, MISSION_RECORD, REPAIR_RECORD
 
 if TYPE_CHECKING:
     from schemas.wire import Header
@@ -80,12 +80,17 @@ class Recording:
         self.left_out: dict[str, LeftOut] = {}
         """Intact messages that this version cannot read, by topic."""
         self.omissions: list[str] = []
-        """One line on each place where the recorder left messages out because the disk was full."""
+        """One line on each place where messages are missing and the file says so: a full disk, or a repair."""
+        self.repairs: list[str] = []
+        """One line on each part that a repair completed without a loss of whole records."""
         self.messages_by_topic: Counter[str] = Counter()
         """The messages that were returned."""
+        self.foreign: Counter[str] = Counter()
+        """Messages of other programs' formats, by the topic of their channel; they are not returned."""
         self.about: dict[str, dict[str, str]] = {}
         """The metadata records on the mission, by name; see `services.recorder.about`."""
         self._topics: dict[int, str] = {}
+        self._foreign: dict[int, str] = {}
         self._named_mission = ""
         self._recorded: Counter[int] | None = None
 
@@ -111,7 +116,8 @@ class Recording:
         """Messages that were recorded, by topic, as the summary of the file counts them; None if it is lost."""
         if self._recorded is None:
             return None
-        return Counter({self._topics.get(channel, f"channel {channel}"): n for channel, n in self._recorded.items()})
+        ours = {channel: n for channel, n in self._recorded.items() if channel not in self._foreign}
+        return Counter({self._topics.get(channel, f"channel {channel}"): n for channel, n in ours.items()})
 
     def problems(self) -> list[str]:
         """One line on each part that is not whole, each topic with messages left out, and how many are missing."""
@@ -120,13 +126,17 @@ class Recording:
             lines.append(f"the recording is named '{self._named_mission}', its messages are of '{self.mission}'")
         if lines and self.recorded is None:
             lines.append("how many messages are missing is not known: the summary of the file is lost")
-        elif self.recorded is not None:
-            missing = self.recorded - self.messages_by_topic
-            lines += [
-                f"{topic}: {self.messages_by_topic[topic]} of {self.recorded[topic]} messages are read"
-                for topic in sorted(missing)
-            ]
-        return lines
+        return lines + self.missing()
+
+    def missing(self) -> list[str]:
+        """One line on each topic of which the summary of the file counts more messages than were returned."""
+        if self.recorded is None:
+            return []
+        missing = self.recorded - self.messages_by_topic
+        return [
+            f"{topic}: {self.messages_by_topic[topic]} of {self.recorded[topic]} messages are read"
+            for topic in sorted(missing)
+        ]
 
     def _read(self, data: mmap) -> Iterator[Recorded]:
         received_at: MissionTime | None = None
@@ -142,6 +152,8 @@ class Recording:
                         self._topics.setdefault(int(fields["id"]), fields.get("topic", ""))
                 case Metadata(name=name, metadata=fields) if name == GAP_RECORD:
                     self.omissions.append(_omission(fields))
+                case Metadata(name=name, metadata=fields) if name == REPAIR_RECORD:
+                    (self.repairs if fields.get("messages") == "no" else self.omissions).append(fields.get("what", ""))
                 case Metadata(name=name, metadata=fields):
                     self.about.setdefault(name, fields)
                 case Channel():
@@ -158,13 +170,19 @@ class Recording:
                         yield message
 
     def _introduce(self, channel: Channel) -> None:
+        if "topic" not in channel.metadata:
+            self._foreign[channel.id] = channel.topic
+            return
         # A channel's record is under a checksum, a metadata record is not: what the channel says holds.
         self._topics[channel.id] = channel.metadata.get("topic", "") or channel.topic
         parts = channel.topic.split("/")
-        if "topic" in channel.metadata and len(parts) > 1:
+        if len(parts) > 1:
             self.mission = parts[1]
 
     def _checked(self, message: Message) -> Recorded | None:
+        if message.channel_id in self._foreign:
+            self.foreign[self._foreign[message.channel_id]] += 1
+            return None
         name = self._topics.get(message.channel_id, f"channel {message.channel_id}")
         topic = BY_NAME.get(name)
         if topic is None:

@@ -2,7 +2,8 @@
 
 The file is read record by record. Where a record is damaged, reading continues at the next chunk whose checksum is
 correct; chunks are found by the bytes that precede the compressed data of each. The summary at the end of the file
-repeats the channels and the number of messages. It is read first, so that the loss of a chunk can be counted.
+repeats the schemas, the channels and the number of messages. It is read first, so that the loss of a chunk can be
+counted.
 """
 
 from __future__ import annotations
@@ -48,7 +49,15 @@ _TYPES: Final[dict[int, Any]] = {
     Opcode.DATA_END: records.DataEnd,
 }
 
-Content = records.Channel | records.Message | records.Metadata | records.Statistics
+Content = (
+    records.Header
+    | records.Schema
+    | records.Channel
+    | records.Message
+    | records.Attachment
+    | records.Metadata
+    | records.Statistics
+)
 """Types of the records that contain messages and describe them."""
 
 
@@ -61,6 +70,8 @@ class Fault:
     end: int
     """One past its last byte; equal to `start` where the file ends and more was expected."""
     what: str
+    at_end: bool = False
+    """Whether only the end of the file is missing or damaged, as in a file that was not closed: no whole record is."""
 
 
 class _Content(ReadDataStream):
@@ -86,8 +97,8 @@ class _Summary:
 def read_records(data: bytes | mmap) -> Iterator[Content | Fault]:
     """The content of an MCAP file in the order of the file, with a Fault for each part that is not whole.
 
-    The channels and statistics of the summary come first: messages can then be assigned to their channels even if the
-    chunk is lost that introduces them.
+    The schemas, channels and statistics of the summary come first: messages can then be assigned to their channels even
+    if the chunk is lost that introduces them.
     """
     summary = _read_summary(data)
     if summary is not None:
@@ -108,7 +119,7 @@ def _read_data_section(data: bytes | mmap, summary: _Summary | None) -> Iterator
             if whole and record.data_section_crc not in (0, _checksum(data, 0, position)):
                 yield Fault(0, position, "the checksum of the file is wrong, although each chunk is whole")
             if summary is None:
-                yield Fault(behind, len(data), "the summary is damaged or cut off; it holds no messages")
+                yield Fault(behind, len(data), "the summary is damaged or cut off; it holds no messages", True)
             return
         if isinstance(record, records.Chunk):
             try:
@@ -116,13 +127,13 @@ def _read_data_section(data: bytes | mmap, summary: _Summary | None) -> Iterator
             except _Damaged as damage:
                 whole = False
                 yield Fault(position, behind, f"a damaged chunk ({damage})")
-        elif isinstance(record, records.Channel | records.Message | records.Metadata):
+        elif isinstance(record, Content) and not isinstance(record, records.Statistics):
             yield record
         elif record is None:
             whole = False
             found = _next_chunk(data, position, end)
             if found is None:
-                yield Fault(position, end, _cut_off(data, position, end) if summary is None else "a damaged record")
+                yield Fault(position, end, "a damaged record") if summary else _cut_off(data, position, end)
                 return
             start, content, behind = found
             if start == position:
@@ -132,17 +143,17 @@ def _read_data_section(data: bytes | mmap, summary: _Summary | None) -> Iterator
             yield from content
         position = behind
     if summary is None:
-        yield Fault(end, end, "the file ends early: it was not closed, or it is cut off")
+        yield Fault(end, end, "the file ends early: it was not closed, or it is cut off", True)
     else:
         yield Fault(end, end, "the end of the data is not marked")
 
 
-def _cut_off(data: bytes | mmap, position: int, end: int) -> str:
+def _cut_off(data: bytes | mmap, position: int, end: int) -> Fault:
     if end - position >= _FRAME.size:
         opcode, length = _FRAME.unpack_from(data, position)
         if opcode not in _TYPES or position + _FRAME.size + length <= end:
-            return "damaged records, up to the end of the file"
-    return "the file ends early, within a record"
+            return Fault(position, end, "damaged records, up to the end of the file")
+    return Fault(position, end, "the file ends early, within a record", True)
 
 
 def _record_at(data: bytes | mmap, position: int, end: int) -> tuple[Any, int]:
@@ -165,7 +176,7 @@ def _record_at(data: bytes | mmap, position: int, end: int) -> tuple[Any, int]:
 
 
 def _unpack(chunk: records.Chunk) -> list[Content]:
-    """The channels and messages of a chunk; raises _Damaged."""
+    """The schemas, channels and messages of a chunk; raises _Damaged."""
     content, behind = chunk.data, len(chunk.data)
     if chunk.compression == "zstd":
         content, behind = _decompress(chunk.data, chunk.uncompressed_size)
@@ -177,7 +188,7 @@ def _unpack(chunk: records.Chunk) -> list[Content]:
 
 
 def _content(content: bytes, checksum: int) -> list[Content]:
-    """The channels and messages in the uncompressed content of a chunk; raises _Damaged."""
+    """The schemas, channels and messages in the uncompressed content of a chunk; raises _Damaged."""
     if checksum not in (0, zlib.crc32(content)):
         raise _Damaged("its checksum is wrong")
     found: list[Content] = []
@@ -186,7 +197,7 @@ def _content(content: bytes, checksum: int) -> list[Content]:
         record, position = _record_at(content, position, len(content))
         if record is None:
             raise _Damaged("expected records of the lengths that they state")
-        if isinstance(record, records.Channel | records.Message):
+        if isinstance(record, records.Schema | records.Channel | records.Message):
             found.append(record)
     return found
 
@@ -237,7 +248,7 @@ def _read_summary(data: bytes | mmap) -> _Summary | None:
         record, position = _record_at(data, position, footer_at)
         if record is None:
             return None
-        if isinstance(record, records.Channel | records.Statistics):
+        if isinstance(record, records.Schema | records.Channel | records.Statistics):
             content.append(record)
     return _Summary(tuple(content), start)
 

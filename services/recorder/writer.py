@@ -31,6 +31,8 @@ MISSION_RECORD = "mission"
 """Metadata record: the mission and the version of the message schemas."""
 CHANNEL_RECORD = "channel"
 """Metadata record: id and topic of a channel, in case the chunk that introduces it is lost."""
+REPAIR_RECORD = "repair"
+"""Metadata record of a repaired file: one line on a part that was not whole, and whether messages were in it."""
 GAP_RECORD = "gap"
 """Metadata record: how many messages were not recorded at this place, and when the first and the last were received."""
 
@@ -66,8 +68,7 @@ class RecordingWriter:
         self._flushed_at = -math.inf
         self._mission = mission
         self._channels: dict[str, int] = {}
-        output = cast(IO[bytes], stream)  # the library uses no other method of it
-        self._writer = Writer(output, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer = mcap_writer(stream)
         self._writer.start(profile=PROFILE, library=PROFILE)
         self._writer.add_metadata(MISSION_RECORD, {"mission": mission, "schema_version": str(SCHEMA_VERSION)})
         for name, fields in (about or {}).items():
@@ -84,7 +85,7 @@ class RecordingWriter:
         """Append one message: when it reached the recorder and when it was made, both in mission time [ns]."""
         channel = self._channels.get(topic.name)
         if channel is None:
-            channel = self._channels[topic.name] = self._register(topic)
+            channel = self._channels[topic.name] = register(self._writer, topic, self._mission)
         before = self._stream.tell()
         self._writer.add_message(
             channel, log_time=received_at, data=payload, publish_time=made_at, sequence=sequence & 0xFFFFFFFF
@@ -124,13 +125,21 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
-    def _register(self, topic: Topic) -> int:
-        schema = Envelope[topic.payload].model_json_schema()  # type: ignore[name-defined]
-        schema_id = self._writer.register_schema(
-            name=topic.payload.__name__, encoding="jsonschema", data=json.dumps(schema).encode()
-        )
-        channel = self._writer.register_channel(
-            topic=topic.key(self._mission), message_encoding="json", schema_id=schema_id, metadata={"topic": topic.name}
-        )
-        self._writer.add_metadata(CHANNEL_RECORD, {"id": str(channel), "topic": topic.name})
-        return channel
+
+def mcap_writer(stream: Stream) -> Writer:
+    """The library's writer with the settings of a recording: its chunks are small, and they have checksums."""
+    output = cast(IO[bytes], stream)  # the library uses no other method of it
+    return Writer(output, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
+
+
+def register(writer: Writer, topic: Topic, mission: str) -> int:
+    """The new channel of that topic, under its JSON Schema."""
+    schema = Envelope[topic.payload].model_json_schema()  # type: ignore[name-defined]
+    schema_id = writer.register_schema(
+        name=topic.payload.__name__, encoding="jsonschema", data=json.dumps(schema).encode()
+    )
+    channel = writer.register_channel(
+        topic=topic.key(mission), message_encoding="json", schema_id=schema_id, metadata={"topic": topic.name}
+    )
+    writer.add_metadata(CHANNEL_RECORD, {"id": str(channel), "topic": topic.name})
+    return channel

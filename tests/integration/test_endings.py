@@ -8,10 +8,12 @@ import socket
 import time
 
 import pytest
+from mcap.reader import make_reader
 
 from schemas.topics import GROUND_STATUS
 from services.recorder.reader import Recording
-from tests.waiting import PATIENCE_S
+from services.recorder.repair import repair
+from tests.waiting import PATIENCE_S, until
 
 ALL = ("recorder", "ground", "rover", "field", "link")
 RATE = "2000"
@@ -62,8 +64,40 @@ def test_a_recorder_that_is_started_again_keeps_what_it_had_recorded(missions, l
     before = heard.heard[-1].body.samples  # on a busy machine the mission has gone on meanwhile
     heard.wait(lambda _, status: status.samples > before + 1)
     mission.stop()
+    assert_repairable(tmp_path / "mission-1.mcap")
     for path in (tmp_path / "mission-1.mcap", recording):
         assert any(message.topic is GROUND_STATUS for message in Recording(path).messages()), path
+
+
+def assert_repairable(path):
+    """The recording that a killed recorder left has whole messages, and all of them once others can open it."""
+    left = Recording(path)
+    before = [message.payload for message in left.messages()]
+    assert [gap.fault.at_end for gap in left.gaps] == [True]
+    done = repair(path)
+    assert (done.lost, done.kept) == ((), None)
+    with path.open("rb") as stream:
+        ours = [m.data for _, c, m in make_reader(stream, validate_crcs=True).iter_messages() if "topic" in c.metadata]
+    assert sorted(ours) == sorted(before)
+    assert [message.payload for message in Recording(path).messages()] == before
+
+
+@pytest.mark.exhaustive
+def test_a_recorder_that_is_killed_at_any_instant_leaves_a_recording_that_is_repaired(missions, tmp_path):
+    recording = tmp_path / "mission.mcap"
+    moments = random.Random(3)
+    mission = missions("short", "--rate", "50", "--set", "rounds=100")
+    mission.start(*ALL[1:])
+    mission.ready(*ALL[1:])
+    for _ in range(20):
+        mission.start("recorder", flags=["--out", str(recording)])
+        mission.ready("recorder")
+        until(lambda: recording.stat().st_size > 20_000, "messages in the recording")
+        time.sleep(moments.uniform(0.0, 1.0))  # somewhere between two flushes, in a chunk, in an overview of the map
+        mission["recorder"].kill()
+    left = [*(tmp_path / f"mission-{number}.mcap" for number in range(1, 20)), recording]
+    for path in left:
+        assert_repairable(path)
 
 
 def test_services_that_get_two_signals_end(missions):

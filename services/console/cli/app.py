@@ -14,6 +14,7 @@ from services.console.cli import (
     keys,
     link,
     map,
+    recording,
     region,
     replay,
     run,
@@ -64,6 +65,7 @@ def build() -> typer.Typer:
     app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")
     app.add_typer(region.app, name="reference", hidden=True)  # the former name: scripts use it, an error stays one line
     app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
+    app.add_typer(recording.app, name="recording", help="The file of a recording: repair it.")
     app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
         schemas.schemas
     )

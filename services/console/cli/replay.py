@@ -135,6 +135,8 @@ def _document(recording: Recording, seen: _Seen, problems: list[str]) -> dict[st
         "mission": recording.mission,
         "complete": not problems,
         "problems": problems,
+        "repairs": recording.repairs,
+        "foreign": dict(sorted(recording.foreign.items())),
         "mission_over": seen.status is not None and seen.status.is_over,
         "messages": seen.counts.total(),
         "samples": len(seen.samples),
@@ -159,10 +161,13 @@ def _lines(document: dict[str, Any], seen: _Seen) -> list[str]:
         lines.append(f"last       {plain_line(moment_of(seen.status, document['span_s'], 0), 0.0)}")
     lines.append(f"{'topic':<28} {'messages':>9} {'bytes':>12}")
     lines += [f"{name:<28} {row['messages']:>9} {row['bytes']:>12}" for name, row in document["topics"].items()]
+    if document["foreign"]:
+        lines.append(f"{'for other programs':<28} {sum(document['foreign'].values()):>9}")
     return lines
 
 
 def _state(document: dict[str, Any]) -> str:
     if not document["complete"]:
         return f"incomplete: {document['problems'][0]}"
-    return "complete" if document["mission_over"] else "complete file; the mission was not over"
+    file = "repaired file, once not closed" if document["repairs"] else "complete file"
+    return "complete" if document["mission_over"] else f"{file}; the mission was not over"
