@@ -8,7 +8,7 @@ samples are bounded, and so is the energy between two steps. So every wait ends.
 
 The time without progress that is waited for, in mission time while this process runs, is the scenario's patience, and
 on top of it what the light, the link's rate and the rover's own steps may take. At least three contact periods must
-have passed, unless no further one comes.
+have passed, unless no further one comes: then six hours are enough.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 CONTACT_PERIODS = 3  # that must pass without progress
 ROUND_TRIPS = 10  # that must pass: a plan goes up, its first sample comes down, each repeated a few times
 LARGEST_PLAN_BITS = 8 * 200_000
+CONTACT_OVER_S = 6 * 3600.0  # enough when no contact is to come: only an operator can change that
 WALL_S = 300.0  # on the wall clock, at the scenario's rate: the processes of a slow machine need time to start
 STEPS = 2  # pieces of path, bites and analyses one after another that the ground may not hear of
 ENERGY_SHARE = 1e-4  # of the battery's capacity; a smaller gain is no progress
@@ -39,9 +40,10 @@ class StallWatch:
         rover, ground = scenario.rover, scenario.ground
         slowest_m_s = rover.speed_m_s / (1.0 + rover.slope_slowdown)
         step_s = rover.look_ahead_m / slowest_m_s + rover.bite_m * rover.drill_s_per_m + rover.analysis_s
-        self._patience_s: float = (
-            max(3600.0 * ground.patience_h, WALL_S * scenario.rate) + STEPS * step_s + 2.0 * rover.state_period_s
-        )
+        patience_s, wall_s = 3600.0 * ground.patience_h, WALL_S * scenario.rate
+        on_top_s = STEPS * step_s + 2.0 * rover.state_period_s
+        self._patience_s: float = max(patience_s, wall_s) + on_top_s
+        self._contact_over_s: float = max(min(patience_s, CONTACT_OVER_S), wall_s) + on_top_s
         self._conditions = scenario.link
         self._start = scenario.start_ns
         self._longest_tick = 2 * seconds(ground.status_period_s)
@@ -53,8 +55,12 @@ class StallWatch:
 
     @property
     def patience_s(self) -> float:
-        """Seconds of mission time without progress after which the mission has stalled."""
-        return self._patience_s + _link_s(self._conditions.up) + _link_s(self._conditions.down)
+        """Seconds of mission time without progress after which the mission has stalled, while contact is to come."""
+        return self._patience_s + self._delivery_s
+
+    @property
+    def _delivery_s(self) -> float:
+        return _link_s(self._conditions.up) + _link_s(self._conditions.down)
 
     def progress(self, now: MissionTime) -> None:
         """Something has changed."""
@@ -94,6 +100,8 @@ class StallWatch:
 
     def stalled(self, now: MissionTime) -> bool:
         """Whether the mission has stood still for too long."""
+        if self._contact_is_over(now):
+            return self._waited > seconds(self._contact_over_s + self._delivery_s)
         return self._waited > seconds(self.patience_s) and self._contact_was_enough(now)
 
     def why(
@@ -106,29 +114,33 @@ class StallWatch:
         """
         if silent_s is None:
             reasons = ["the rover was never heard from"]
-        elif silent_s > self.patience_s / 2:
+        elif silent_s > self._waited / SECOND / 2.0:
             reasons = [f"the rover was last heard from {silent_s / 3600.0:.0f} h ago"]
         elif rover is not None and rover.plan_revision < plan_revision:
             reasons = [f"plan {plan_revision} has not reached the rover"]
         else:
             reasons = ["the rover reports but does nothing" if rover is None else f"the rover is {rover.mode.value}"]
-        windows = self._conditions.windows
-        if windows and self._start + seconds(windows[-1].closes_s) <= now:
-            reasons.append(f"the last contact window closed {windows[-1].closes_s:g} s after the mission began")
+        if self._contact_is_over(now):
+            closed_s = self._conditions.windows[-1].closes_s
+            reasons.append(f"the last contact window closed {closed_s:g} s after the mission began")
         if detail:
             reasons.append(detail)
         return f"no progress for {self._waited / SECOND / 3600.0:.0f} h: {'; '.join(reasons)}"[:400]
 
+    def _contact_is_over(self, now: MissionTime) -> bool:
+        """Whether the last contact window has closed."""
+        windows = self._conditions.windows
+        return bool(windows) and self._start + seconds(windows[-1].closes_s) <= now
+
     def _contact_was_enough(self, now: MissionTime) -> bool:
-        """Whether enough contact periods have passed since the last progress, or there will be none."""
+        """Whether enough contact periods have passed since the last progress, or the contact is not divided."""
         if self._conditions.duty_cycle is not None:
             cycle = self._conditions.duty_cycle
             first = self._start + seconds(cycle.offset_s + cycle.contact_s)
             since, until = ((time - first) // seconds(cycle.period_s) for time in (self._since, now))
             return until - since >= CONTACT_PERIODS
         closes = [self._start + seconds(window.closes_s) for window in self._conditions.windows]
-        over = sum(self._since < each <= now for each in closes)
-        return over >= CONTACT_PERIODS or all(each <= now for each in closes)
+        return not closes or sum(self._since < each <= now for each in closes) >= CONTACT_PERIODS
 
     def checkpoint(self) -> SavedState:
         """The whole state, as named parts."""

@@ -170,6 +170,13 @@ def test_the_patience_is_the_scenario_s() -> None:
     assert 5 * HOUR_S < mission.mission_time_s < 9 * HOUR_S
 
 
+@pytest.mark.parametrize("patience_h", [72.0, 12.0, 5.0])
+def test_after_the_last_contact_window_six_hours_without_news_end_the_mission(patience_h: float) -> None:
+    mission = Mission(scenario(link=NO_CONTACT, ground={"patience_h": patience_h}))
+    assert mission.run(until_s=30 * DAY_S) is MissionPhase.FAILED
+    assert min(patience_h, 6.0) < mission.mission_time_s / HOUR_S < min(patience_h, 6.0) + 4.0
+
+
 @pytest.mark.parametrize(
     "sections",
     [
