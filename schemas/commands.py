@@ -7,7 +7,8 @@ from typing import Annotated, Final
 
 from pydantic import Field, model_validator
 
-from schemas.wire import CommonName, Identifier, MissionTimeNs, PositionM, Signature, Text, Wire
+from schemas.plans import Waypoint
+from schemas.wire import CommonName, Count, Identifier, MissionTimeNs, PositionM, Signature, Text, Wire
 
 
 class CommandKind(StrEnum):
@@ -127,6 +128,48 @@ class CommandStatus(Wire):
     def has_reached(self, stage: CommandStage) -> bool:
         """Whether the command has passed that stage or a later one, or has ended in any way."""
         return self.end is not None or any(_ORDER[report.stage] >= _ORDER[stage] for report in self.stages)
+
+
+MAX_PREVIEW_VERTICES: Final = 4096
+"""Most vertices of a way in a preview."""
+
+
+class CommandPreview(Wire):
+    """What a command would do, by the ground's knowledge. It is not sent, and nothing changes.
+
+    The ground does not know the present link: when the rover would have the command follows from the link's status.
+    """
+
+    command: Telecommand
+    at: MissionTimeNs
+    """Mission time for which it holds."""
+    objection: Text = ""
+    """Why the ground would refuse it; empty if it would send it."""
+    warning: Text = ""
+    """Why the rover, by its last report, would reject it or not complete it; empty if nothing speaks against it."""
+    effect: Text
+    """What the rover does, in one line."""
+    path_m: Annotated[tuple[Waypoint, ...], Field(max_length=MAX_PREVIEW_VERTICES)] = ()
+    """The way that the rover takes, from where it was last heard of; empty if it does not move."""
+    drive_m: Annotated[float, Field(ge=0)] = 0.0
+    drive_s: Annotated[float, Field(ge=0)] | None = 0.0
+    """Expected duration [s], charging included; None: the sun never charges the rover enough."""
+    energy_wh: Annotated[float, Field(ge=0)] = 0.0
+    """Energy that the drive takes, without the base load [Wh]."""
+    charge_wh: Annotated[float, Field(ge=0)]
+    """Expected charge of the battery afterwards [Wh]; of a command without a drive, the last reported one."""
+    closed_cells: Count = 0
+    """Cells on the way that the ground's map knows as closed."""
+    cells_to_close: Count = 0
+    """Cells that are open now and that a keep-out closes."""
+    cells_to_open: Count = 0
+    """Cells of the keep-out that is removed."""
+    rounds_given_up: tuple[Count, ...] = ()
+    """Numbers of the rounds under way that end early."""
+    samples_given_up: Count = 0
+    """Samples of those rounds that are not taken yet; the ground plans as many elsewhere."""
+    rounds_planned_anew: tuple[Count, ...] = ()
+    """Numbers of the rounds that are planned, have not begun, and are planned again."""
 
 
 class CommandList(Wire):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 
 from schemas.authority import AuthorityChange, AuthorityState
-from schemas.commands import CommandList, CommandReport, CommandStatus, NoParameters, Telecommand
+from schemas.commands import CommandList, CommandPreview, CommandReport, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestChange, InterestList, MapOverview, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
 from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
@@ -289,6 +289,13 @@ ISSUE_COMMAND = Topic(
     reply=CommandStatus,
     signed=True,
 )
+PREVIEW_COMMAND = Topic(
+    "earth/ground/preview",
+    Telecommand,
+    _queried(_READERS, Role.GROUND),
+    service=Query(observes=True),
+    reply=CommandPreview,
+)
 LIST_COMMANDS = Topic(
     "earth/ground/commands",
     NoParameters,
@@ -408,6 +415,7 @@ TOPICS: tuple[Topic, ...] = (
     LINK_SHOW,
     GROUND_STATUS,
     ISSUE_COMMAND,
+    PREVIEW_COMMAND,
     LIST_COMMANDS,
     SET_INTEREST,
     LIST_INTERESTS,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass
-from math import ceil, inf, pi, radians, tan
+from math import ceil, inf, isfinite, pi, radians, tan
 from typing import TYPE_CHECKING
 
 from services.mission.mission_time import SECOND, MissionTime
@@ -42,6 +42,18 @@ class RemainingBudget:
     samples: int
     metres: float
     why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedDrive:
+    """A drive on ground of the mean slope."""
+
+    duration_s: float
+    """Charging included; infinite if the sun never charges the rover enough."""
+    energy_wh: float
+    """Without the base load."""
+    charge_wh: float
+    """Of the battery at its end."""
 
 
 class Budget:
@@ -89,6 +101,15 @@ class Budget:
         if self._surplus_w <= 0:
             return inf
         return work_s + ceil(missing_j / self._charged_j) * self._charged_j / self._surplus_w
+
+    def drive(self, metres: float) -> ExpectedDrive:
+        """The expected duration and energy of a drive of that length from now on."""
+        duration_s = self.lasts_s(Committed(metres, 0, 0))
+        energy_wh = metres * self._metre_j / J_PER_WH
+        if not isfinite(duration_s):
+            return ExpectedDrive(duration_s, energy_wh, min(self._charge_wh, self._reserve_wh))
+        charge_wh = self._charge_wh + self._surplus_w * duration_s / J_PER_WH - energy_wh
+        return ExpectedDrive(duration_s, energy_wh, min(max(0.0, charge_wh), self._capacity_wh))
 
     def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> RemainingBudget:
         """The number of wanted samples, and the metres, that may still be planned.

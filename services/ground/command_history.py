@@ -61,6 +61,18 @@ class CommandHistory:
             if known.command.order != command.order:
                 raise InvalidInput(f"command {command.command_id}: expected a new id, got that of another command")
             return known, False
+        self.expect_sound(command, now)
+        stages = tuple(
+            CommandReport(command_id=command.command_id, stage=stage, at=now)
+            for stage in (CommandStage.QUEUED, CommandStage.RELEASED)
+        )
+        status = CommandStatus(command=command, stages=stages)
+        self._statuses[command.command_id] = status
+        self._sent.append(command.command_id)
+        return status, True
+
+    def expect_sound(self, command: Telecommand, now: MissionTime) -> None:
+        """Raise InvalidInput, in one line, for a new command that could not be carried out."""
         if command.expires_at is not None and command.expires_at <= now:
             late = (now - command.expires_at) / SECOND
             raise InvalidInput(f"command {command.command_id}: expected an expiry ahead, got one {late:g} s ago")
@@ -75,14 +87,6 @@ class CommandHistory:
         under_way = sum(status.end is None for status in self._statuses.values())
         if under_way >= MAX_UNDER_WAY:
             raise InvalidInput(f"expected at most {MAX_UNDER_WAY} commands under way, got one more")
-        stages = tuple(
-            CommandReport(command_id=command.command_id, stage=stage, at=now)
-            for stage in (CommandStage.QUEUED, CommandStage.RELEASED)
-        )
-        status = CommandStatus(command=command, stages=stages)
-        self._statuses[command.command_id] = status
-        self._sent.append(command.command_id)
-        return status, True
 
     def report(self, report: CommandReport) -> CommandStatus | None:
         """The command's status after a report on it; None if the report is not new or the command is unknown."""

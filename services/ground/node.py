@@ -21,6 +21,7 @@ from schemas.topics import (
     ISSUE_COMMAND,
     LIST_COMMANDS,
     LIST_INTERESTS,
+    PREVIEW_COMMAND,
     SAMPLE,
     SET_AUTHORITY,
     SET_INTEREST,
@@ -39,6 +40,7 @@ from services.ground.map.publisher import MapPublisher
 from services.ground.map.region_account import region_account
 from services.ground.map.service import MAP_TOPICS, answer
 from services.ground.planning import RoundPlanning
+from services.ground.previews import CommandPreviews
 from services.ground.refits import RefitSchedule
 from services.ground.round_log import RoundLog
 from services.ground.samples import SampleIntake
@@ -97,6 +99,7 @@ class GroundNode:
         director: Director,
         interests: InterestAreas,
         telecommands: TelecommandHandler,
+        previews: CommandPreviews,
         authority: CommandAuthority,
         publisher: MapPublisher,
         status: StatusReporter,
@@ -109,6 +112,7 @@ class GroundNode:
         self._director = director
         self._interests = interests
         self._telecommands = telecommands
+        self._previews = previews
         self._authority = authority
         self._publisher = publisher
         self._status = status
@@ -135,6 +139,7 @@ class GroundNode:
             subscribes=(SAMPLE, EVENT, STATE, COMMAND_REPORT),
             serves=(
                 ISSUE_COMMAND,
+                PREVIEW_COMMAND,
                 LIST_COMMANDS,
                 SET_INTEREST,
                 LIST_INTERESTS,
@@ -158,6 +163,8 @@ class GroundNode:
                     return [RefuseQuery(token, str(error))]
             case QueryReceived(topic, _, token) if topic is LIST_COMMANDS:
                 return [SendReply(token, self._telecommands.listed())]
+            case QueryReceived(topic, Telecommand() as command, token) if topic is PREVIEW_COMMAND:
+                return [SendReply(token, self._previews.of(command, self._status.rover, now))]
         effects = list(self._changed_by(event, now))
         shown = self._publisher.publish(now, self._director.ended, self._director.plan_ends)
         return [*effects, *shown, *self._status.send(anyway=event == TimerFired(STATUS_TIMER))]
@@ -323,11 +330,13 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     silence = SilenceWatch(ground.rover_timeout_s)
     round_trip_s = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
     authority = CommandAuthority()
+    history = CommandHistory(grid, round_trip_s)
     return GroundNode(
         terrain=terrain,
         director=director,
         interests=interests,
-        telecommands=TelecommandHandler(scenario, NAME, CommandHistory(grid, round_trip_s), director, authority),
+        telecommands=TelecommandHandler(scenario, NAME, history, director, authority),
+        previews=CommandPreviews(history, terrain, round_log, execution, budget),
         authority=authority,
         publisher=publisher,
         status=StatusReporter(scenario, belief, director, publisher, silence),

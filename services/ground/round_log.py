@@ -68,6 +68,12 @@ class RoundLog:
         return self.chain[first:]
 
     @property
+    def executing(self) -> RoundRecord | None:
+        """The round that the rover executes, by the ground's knowledge; None if it executes none."""
+        begun = next((record for record in reversed(self.chain) if record.begun), None)
+        return None if begun is None or begun.ended else begun
+
+    @property
     def pending(self) -> list[PlannedSample]:
         """Samples of the chain that are still to come."""
         return [planned for record in self.chain for planned in record.pending]
@@ -90,8 +96,7 @@ class RoundLog:
 
     def note_place(self, place_m: Place) -> None:
         """Note a place of the rover, which shows its progress in the present round."""
-        executing = next((record for record in reversed(self.chain) if record.begun), None)
-        if executing is not None and not executing.ended:
+        if (executing := self.executing) is not None:
             executing.note_place(place_m)
 
     def paths(self) -> tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]]:

@@ -36,6 +36,11 @@ class StatusReporter:
         self._rover_made_at: MissionTime | None = None
         self._sent: GroundStatus | None = None
 
+    @property
+    def rover(self) -> RoverState | None:
+        """The rover's newest state; None if there is none."""
+        return self._rover
+
     def heard(self, state: RoverState, made_at: MissionTime) -> None:
         """Note the rover's state; an older one does not replace a newer one."""
         if self._rover_made_at is None or made_at >= self._rover_made_at:

@@ -122,6 +122,17 @@ class GroundTerrain:
             been_on_open = been_on_open or is_open
         return None
 
+    def closed_on(self, path_m: Sequence[Place]) -> int:
+        """How many closed cells the polyline leads over."""
+        step_m = _BOUNDARY_STEP_CELLS * self.grid.resolution_m
+        on_site = np.array(list(along(path_m, step_m)), dtype=np.float64)
+        on_site = on_site[self.grid.contains(on_site)]
+        if not len(on_site):
+            return 0
+        rows, columns = self.grid.cells_of(on_site)
+        cells = np.unique(np.column_stack((rows, columns)), axis=0)
+        return int((~self._open[cells[:, 0], cells[:, 1]]).sum())
+
     def open_from(self, start_m: Place, came_by_m: Sequence[Place] = ()) -> BoolArray:
         """(rows, columns), read-only: where the rover may go from the place where it stands.
 

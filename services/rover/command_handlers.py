@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from he3.track import return_path
 from schemas.commands import CommandKind, CommandStage, Telecommand
 from services.mission.mission_time import MissionTime
 from services.rover.activities import Activity, Leg
 from services.rover.admission import outside
 from services.rover.command_registry import MAX_WAITING, CommandRegistry, is_past
 from services.rover.states import Hold
-from services.rover.track import return_path
 from services.runtime.node import Effect, Level, LogRecord
 
 if TYPE_CHECKING:

@@ -120,6 +120,12 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
         assert astray.returncode == 2
         assert "expected a target within" in astray.stderr
 
+        preview = json.loads(he3_here("command", "go-to", "130", "340", "--preview", "--json", env=environment).stdout)
+        assert preview["drive_m"] > 0
+        light_ns = round(1.282e9)
+        assert preview["word_back_at"] - light_ns == preview["received_at"] == preview["at"] + light_ns
+        assert he3_here("commands", env=environment).stdout == "no commands yet\n"
+
         changed = he3_here("link", "set", "--direction", "down", "--light-time", "2.5", "--json", env=environment)
         conditions = json.loads(changed.stdout)["conditions"]
         assert (conditions["down"]["one_way_light_time_s"], conditions["up"]["one_way_light_time_s"]) == (2.5, 1.282)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,12 +27,15 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from schemas.commands import CommandStage, CommandStatus
+    from services.console.client.mission_client import MissionClient
+    from services.console.client.previews import CommandOutlook
 
 EXAMPLES = """\b
 Examples:
   he3 command pause
   he3 command resume --wait completed
-  he3 command go-to 120 340 --expires-in 3600
+  he3 command go-to 120 340 --preview      what it would do; nothing is sent
+  he3 command go-to 120 340 --expires-in 3600 --yes
   he3 command keep-out crater 100,100 150,100 125,150
   he3 command keep-out crater              removes that area
   he3 commands
@@ -75,6 +80,12 @@ Timeout = Annotated[
     typer.Option("--timeout", metavar="S", help="Longest time to wait [s of wall time].",
                  callback=within(0, MAX_WAIT_S)),
 ]  # fmt: skip
+Preview = Annotated[
+    bool, typer.Option("--preview", help="Only say what it would do: drive, energy, rounds lost, when; send nothing.")
+]
+Yes = Annotated[
+    bool, typer.Option("--yes", "-y", help="Send it without a question. Without a terminal there is none in any case.")
+]
 Area = Annotated[str, typer.Argument(metavar="AREA", help="Name of the area.", callback=checked(_identifier))]
 
 _PLAIN = {
@@ -97,9 +108,12 @@ def _plain(word: str, about: str) -> None:
         expires_in: ExpiresIn = None,
         wait: Wait = None,
         timeout: Timeout = 60.0,
+        preview: Preview = False,
+        yes: Yes = False,
         json: AsJson = False,
     ) -> None:
-        _issue(word, {}, mission, earth, identity, insecure, as_name, command_id, expires_in, wait, timeout, json)
+        session = _Session(mission, earth, identity, insecure, as_name)
+        _issue(session, word, {}, _Sending(command_id, expires_in, wait, timeout, preview, yes, json))
 
     app.command(word, help=about, epilog=EXAMPLES)(issue)
 
@@ -121,23 +135,14 @@ def go_to(
     expires_in: ExpiresIn = None,
     wait: Wait = None,
     timeout: Timeout = 60.0,
+    preview: Preview = False,
+    yes: Yes = False,
     json: AsJson = False,
 ) -> None:
     """Drive to a place, and wait there for the next plan."""
-    _issue(
-        "go-to",
-        {"target_m": (x, y)},
-        mission,
-        earth,
-        identity,
-        insecure,
-        as_name,
-        command_id,
-        expires_in,
-        wait,
-        timeout,
-        json,
-    )
+    session = _Session(mission, earth, identity, insecure, as_name)
+    sending = _Sending(command_id, expires_in, wait, timeout, preview, yes, json)
+    _issue(session, "go-to", {"target_m": (x, y)}, sending)
 
 
 @app.command(
@@ -155,40 +160,100 @@ def keep_out(
     expires_in: ExpiresIn = None,
     wait: Wait = None,
     timeout: Timeout = 60.0,
+    preview: Preview = False,
+    yes: Yes = False,
     json: AsJson = False,
 ) -> None:
     """Close an area to the rover; without corners, open it again."""
     what: dict[str, Any] = {"area_id": area}
     if corners:
         what["polygon_m"] = polygon(corners)
-    _issue(
-        "set-keep-out", what, mission, earth, identity, insecure, as_name, command_id, expires_in, wait, timeout, json
-    )
+    session = _Session(mission, earth, identity, insecure, as_name)
+    _issue(session, "set-keep-out", what, _Sending(command_id, expires_in, wait, timeout, preview, yes, json))
 
 
-def _issue(
-    kind: str,
-    what: dict[str, Any],
-    mission: str | None,
-    earth: str | None,
-    identity: Path | None,
-    insecure: bool,
-    as_name: str | None,
-    command_id: str | None,
-    expires_in: float | None,
-    wait: str | None,
-    timeout_s: float,
-    json: bool,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class _Session:
+    """The mission that is commanded, and who commands it."""
+
+    mission: str | None
+    earth: str | None
+    identity: Path | None
+    insecure: bool
+    as_name: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Sending:
+    """How a command is sent, and what is shown of it."""
+
+    command_id: str | None
+    expires_in: float | None
+    wait: str | None
+    timeout_s: float
+    preview: bool
+    yes: bool
+    json: bool
+
+
+def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) -> None:
     from schemas.commands import CommandStage
     from services.console.client.mission_client import MissionClient
 
-    stage = None if wait is None else CommandStage(wait)
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
-        issued = client.command(kind, expires_in_s=expires_in, command_id=command_id, **what)
-        status = issued.status if stage is None else issued.wait(stage, timeout_s)
-    typer.echo(status.model_dump_json(indent=2) if json else "\n".join(command_lines([status])))
+    stage = None if how.wait is None else CommandStage(how.wait)
+    with MissionClient(
+        session.earth,
+        session.mission,
+        identity=session.identity,
+        insecure=session.insecure,
+        as_name=session.as_name,
+    ) as client:
+        if how.preview:
+            _show(client, client.preview(kind, **what), json=how.json)
+            return
+        if not how.yes and sys.stdin.isatty() and not _confirmed(client, client.preview(kind, **what)):
+            typer.echo("he3: nothing was sent", err=True)
+            raise typer.Exit(1)
+        issued = client.command(kind, expires_in_s=how.expires_in, command_id=how.command_id, **what)
+        status = issued.status if stage is None else issued.wait(stage, how.timeout_s)
+    typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(command_lines([status])))
     fail_if_it_failed(status, stage)
+
+
+def _show(client: MissionClient, outlook: CommandOutlook, *, json: bool) -> None:
+    """Print what the command would do; raises InvalidInput if the ground would refuse it."""
+    import json as json_format
+
+    from he3.errors import InvalidInput
+
+    typer.echo(json_format.dumps(outlook.document(), indent=2) if json else "\n".join(outlook_lines(client, outlook)))
+    if not outlook.sound:
+        raise InvalidInput(outlook.preview.objection)
+
+
+def _confirmed(client: MissionClient, outlook: CommandOutlook) -> bool:
+    """Whether the operator at the terminal sends the command that would do this: Enter does, any other answer not.
+
+    Raises InvalidInput for a command that the ground would refuse: there is nothing to ask.
+    """
+    from he3.errors import InvalidInput
+
+    if not outlook.sound:
+        raise InvalidInput(outlook.preview.objection)
+    typer.echo("\n".join(outlook_lines(client, outlook)), err=True)
+    typer.echo("Enter sends it, any other answer does not: ", nl=False, err=True)
+    return sends(sys.stdin.readline())
+
+
+def sends(answer: str) -> bool:
+    """Whether that line of an operator sends the command: Enter alone and yes do, the end of the input does not."""
+    return answer.endswith("\n") and answer.strip() in ("", "y", "yes")
+
+
+def outlook_lines(client: MissionClient, outlook: CommandOutlook) -> list[str]:
+    """What a command would do in aligned lines of plain text; the mission that it goes to comes first."""
+    rows = [("mission", f"{client.mission} at {client.earth}"), *outlook.rows()]
+    return [f"{name:<10} {text}" for name, text in rows]
 
 
 def fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None:

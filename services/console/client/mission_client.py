@@ -8,6 +8,7 @@
         rich = mission.layer("exceedance", threshold=9)
         mission.samples()                                 # a NumPy record array, a row a measurement
         mission.resource([(100, 100), (200, 100), (150, 200)], cutoff_ppb=9)
+        mission.preview("go-to", target_m=(120, 340)).rows()  # what it would do; nothing is sent
         mission.command("pause").wait("completed")        # staged acknowledgement, light time included
         for news in mission.live(timeout_s=60):           # status, samples, events, command stages
             ...
@@ -26,13 +27,12 @@ from typing import TYPE_CHECKING, Self
 
 from he3.errors import PeerUnreachable
 from schemas.topics import GROUND_STATUS, Side, Topic
-from services.console.client.commands import Commanding
 from services.console.client.credentials import credentials_for
 from services.console.client.feed import MapFeed
-from services.console.client.link import LinkControl
 from services.console.client.live import LiveNews
 from services.console.client.map_files import MapFiles
 from services.console.client.mission_state import MissionState
+from services.console.client.previews import Previewing
 from services.console.client.run_file import find
 from services.runtime.transport.client import Client
 from services.runtime.transport.opening import SilenceReport, WhileWaiting
@@ -45,7 +45,7 @@ REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 
-class MissionClient(MapFiles, Commanding, LinkControl, LiveNews, MapFeed):
+class MissionClient(MapFiles, Previewing, LiveNews, MapFeed):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
     def __init__(

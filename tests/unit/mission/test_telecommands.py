@@ -12,11 +12,30 @@ from he3.errors import He3Error
 from he3.frames import SiteGrid
 from he3.reference import Region
 from schemas.codec import decode, encode
-from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
+from schemas.commands import (
+    CommandKind,
+    CommandList,
+    CommandPreview,
+    CommandStage,
+    CommandStatus,
+    NoParameters,
+    Telecommand,
+)
 from schemas.ground import MissionPhase
 from schemas.link import AtEdge, LinkChange
 from schemas.telemetry import EventKind, RoverMode, RoverState
-from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, STATE, TRACK, Side, Topic
+from schemas.topics import (
+    COMMAND,
+    EVENT,
+    ISSUE_COMMAND,
+    LINK_SET,
+    LIST_COMMANDS,
+    PREVIEW_COMMAND,
+    STATE,
+    TRACK,
+    Side,
+    Topic,
+)
 from schemas.wire import Header
 from services.console.cli.command import command_lines
 from services.field.node import build_node as build_field
@@ -28,6 +47,7 @@ from services.mission.in_process import InProcessMission
 from services.mission.mission_time import SECOND
 from services.mission.scenario import Scenario, checked_scenario
 from services.rover.node import build_node as build_rover
+from services.runtime.host import EventSink
 from services.runtime.journal import identity_of
 
 LIGHT_TIME_S = 1.282
@@ -67,6 +87,7 @@ class Flown:
         truth: Region | None = None,
         known: Region | None = None,
         unknown_keep_outs: Sequence[Sequence[tuple[float, float]]] = (),
+        event_sink: EventSink | None = None,
         **sections: Any,
     ) -> None:
         """truth: the real terrain; known: the ground's map of it; unknown_keep_outs: those that only the rover has."""
@@ -86,7 +107,9 @@ class Flown:
             "link": lambda: build_link(self.scenario),
             "ground": lambda: build_ground(self.scenario, known or truth, around),
         }
-        self.mission = InProcessMission(self.scenario, nodes=[build() for build in self._builds.values()])
+        self.mission = InProcessMission(
+            self.scenario, event_sink=event_sink, nodes=[build() for build in self._builds.values()]
+        )
         self.simulation = self.mission.simulation
         self.simulation.keep_journals(("rover", "ground"), identity_of(self.scenario))
         self.events: list[EventKind] = []
@@ -362,6 +385,72 @@ def test_what_can_be_seen_to_be_wrong_on_earth_is_refused_there_and_never_goes_u
     flown.simulation.run_for(100.0)
 
     assert flown.sent_up == []
+
+
+# --- previewed -----------------------------------------------------------------------------------------------------
+
+
+def previewed(flown: Flown, kind: str, **more: Any) -> CommandPreview:
+    asked = Telecommand(command_id="what-if", kind=CommandKind(kind), **more)
+    preview: CommandPreview = flown.simulation.ask(PREVIEW_COMMAND, asked)
+    return preview
+
+
+def test_a_preview_says_what_then_happens() -> None:
+    flown = Flown()
+    flown.until(RoverMode.DRILLING)
+    flown.simulation.run_for(LIGHT_TIME_S + 1.0)
+    said = previewed(flown, "go_to", target_m=(30.0, 20.0))
+    before = flown.mission.status
+    assert before is not None
+    assert before.rover is not None
+    assert said.path_m == ((before.rover.x_m, before.rover.y_m), (30.0, 20.0))
+    assert (said.objection, said.warning, said.closed_cells) == ("", "", 0)
+    assert said.rounds_given_up == (1,)
+    assert said.samples_given_up == 2
+    flown.command("go_to", target_m=(30.0, 20.0))
+    flown.simulation.run(until=flown.simulation.now + 20_000 * SECOND, stop=lambda: "completed" in flown.stages())
+    status = flown.status()
+    took_s = (at(status, CommandStage.COMPLETED) - at(status, CommandStage.STARTED)) / SECOND
+    assert said.drive_s is not None
+    assert took_s == pytest.approx(said.drive_s, rel=0.02)
+    assert EventKind.ROUND_ABORTED in flown.events
+    assert flown.mission.status is not None
+    assert flown.mission.status.driven_m - before.driven_m == pytest.approx(said.drive_m, abs=0.01)
+    flown.completes()
+
+
+def test_a_preview_names_objections_of_the_ground_and_doubts_about_the_rover() -> None:
+    flown = Flown(ground={"keep_outs_m": [SQUARE]})
+    assert "nothing was heard of the rover yet" in previewed(flown, "resume").warning
+    flown.until(RoverMode.DRIVING)
+    flown.simulation.run_for(100.0)
+    assert "expected a target on open ground" in previewed(flown, "go_to", target_m=(7.0, 62.0)).objection
+    assert "expected a target within" in previewed(flown, "go_to", target_m=(500.0, 1.0)).objection
+    assert "expected a rover that is paused" in previewed(flown, "resume").warning
+    assert "no keep-out c to remove" in previewed(flown, "set_keep_out", area_id="c").warning
+    removal = previewed(flown, "set_keep_out", area_id="scenario-1")
+    assert (removal.warning, removal.cells_to_close, removal.cells_to_open) == ("", 0, 25)
+    ahead = previewed(flown, "set_keep_out", area_id="a", polygon_m=((60.0, 60.0), (64.0, 60.0), (64.0, 64.0)))
+    assert (ahead.rounds_given_up, ahead.cells_to_close) == ((1,), 15)
+    home = previewed(flown, "return_to_start")
+    assert home.path_m[-1] == (40.0, 40.0)
+    assert home.drive_m == pytest.approx(np.hypot(*(np.subtract(home.path_m[0], home.path_m[-1]))))
+
+
+def test_previews_leave_no_trace_in_the_mission() -> None:
+    def log(asks: bool) -> list[str]:
+        lines: list[str] = []
+        flown = Flown(event_sink=lambda now, node, what: lines.append(f"{now} {node} {what}"))
+        flown.until(RoverMode.DRIVING)
+        for kind in ("pause", "safe", "return_to_start", "abort_round") if asks else ():
+            previewed(flown, kind)
+        flown.completes()
+        return lines
+
+    undisturbed = log(asks=False)
+    assert undisturbed
+    assert log(asks=True) == undisturbed
 
 
 # --- expired, late, lost ------------------------------------------------------------------------------------------

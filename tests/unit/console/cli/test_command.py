@@ -7,7 +7,7 @@ import pytest
 from he3.errors import He3Error
 from schemas import commands
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
-from services.console.cli.command import fail_if_it_failed
+from services.console.cli.command import fail_if_it_failed, sends
 
 Stage = CommandStage
 ENDS = tuple(stage for stage in Stage if stage in commands.ENDS)
@@ -62,3 +62,8 @@ def test_a_reported_end_counts_before_the_assumption_that_the_command_is_lost() 
     assert late.end is not None
     assert late.end.stage is Stage.COMPLETED
     fail_if_it_failed(late, Stage.COMPLETED)
+
+
+def test_enter_sends_a_command_and_any_other_answer_does_not() -> None:
+    assert all(sends(answer) for answer in ("\n", "y\n", " yes \n"))
+    assert not any(sends(answer) for answer in ("", "\x1b\n", "n\n", "\x1b", "y"))

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from he3.track import return_path
 from services.rover.geometry import squared_distance
-from services.rover.track import return_path
 
 coordinates = st.floats(1, 99)
 places = st.tuples(coordinates, coordinates)
