@@ -48,6 +48,8 @@ def verify_(
 
     verdict = verify(file_lines(file), None if keys is None else _keys_of(keys))
     fault = verdict.fault
+    if fault is None and verdict.lines == 0:
+        fault = "expected at least the line with which every audit log begins, got none"
     if fault is None and head is not None and not (len(head) >= 8 and verdict.head.startswith(head.lower())):
         fault = f"it ends with {verdict.head}, not with {head[:64]}: its end is missing, or it has grown"
     if json:

@@ -64,3 +64,11 @@ def test_the_log_is_shown_with_who_did_what(log, capsys):
 def test_a_file_that_cannot_be_read_is_an_error_in_one_line(tmp_path, capsys):
     assert main(["audit", "verify", str(tmp_path / "none")]) == 2
     assert "cannot read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [b"", b"\n", b'{"number":0,"prev'])
+def test_a_log_that_was_emptied_is_not_called_whole(content, tmp_path, capsys):
+    log = tmp_path / "ground.jsonl"
+    log.write_bytes(content)
+    assert main(["audit", "verify", str(log)]) == 2
+    assert "whole" not in capsys.readouterr().out
