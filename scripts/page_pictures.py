@@ -38,7 +38,9 @@ HE3 = (sys.executable, "-m", "services.console")
 
 def he3(*words: str) -> str:
     """What the command prints; ends the script if it fails."""
-    return subprocess.run([*HE3, *words], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return subprocess.run(
+        [*HE3, *words], cwd=ROOT, check=True, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    ).stdout
 
 
 @contextmanager

@@ -31,6 +31,7 @@ from tests.waiting import PATIENCE_S, expect_within, until
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 IPV6 = Path("/proc/net/if_inet6").exists() and Path("/proc/net/if_inet6").read_text() != ""
+ENTER, ESCAPE = "\ue007", "\ue00c"
 RATE = 60.0
 LIGHT_TIME_S = 1.282
 FLAGS = (
@@ -400,6 +401,18 @@ def still(driver: Any) -> None:
     until(lambda: driver.execute_async_script(drawn), "the page to stand still")
 
 
+def decide(driver: Any, key: str) -> None:
+    """Press that key once the preview of a command can be sent."""
+    until(lambda: script(driver, "return document.activeElement.id") == "preview-send", "the preview")
+    driver.switch_to.active_element.send_keys(key)
+
+
+def order(driver: Any, css: str) -> None:
+    """Click that command, and send it by Enter."""
+    click(driver, css)
+    decide(driver, ENTER)
+
+
 def written(driver: Any, css: str) -> str:
     return str(script(driver, "return document.querySelector(arguments[0]).textContent", css))
 
@@ -449,7 +462,7 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     assert f"{point['mean_ppb']:.3f}" in script(browser, "return document.getElementById('place').textContent")
 
     # A command goes up, and its stages come back with the light time in them.
-    click(browser, "button[data-command=pause]")
+    order(browser, "button[data-command=pause]")
 
     def stages() -> dict[str, int]:
         found = script(browser, "return document.querySelector('#commands > li')?.dataset.stages || '[]'")
@@ -469,7 +482,7 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     assert written(browser, "#commands > li .by").endswith(" (unverified)")
 
     # An alarm stays until an operator has acknowledged it.
-    click(browser, "button[data-command=safe]")
+    order(browser, "button[data-command=safe]")
     alarm = ".alarm[data-kind=safe_mode]"
     until(lambda: browser.find_elements("css selector", f"{alarm} button"), "the alarm")
     click(browser, f"{alarm} button")
@@ -492,7 +505,7 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     draw_area(browser)
     click(browser, "#estimate")
     until(lambda: browser.find_elements("css selector", "#estimate-result td"), "the estimate")
-    click(browser, "#send-keepout")
+    order(browser, "#send-keepout")
     until(lambda: any(c.command.area_id == "area-1" for c in mission.commands()), "the keep-out at the ground")
 
     assert [entry for entry in browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")] == []
@@ -521,9 +534,11 @@ def test_a_double_click_sends_once_and_reaches_no_control_that_moves_under_the_p
     write(browser, "#area-name", "double")
     keep_out = browser.find_element("id", "send-keepout")
     deliberately(browser, ActionChains(browser).double_click(keep_out).perform)
+    decide(browser, ENTER)
     until(lambda: new() == ["set_keep_out"], "the keep-out at the ground")
     pause = browser.find_element("css selector", "[data-command=pause]")
     deliberately(browser, ActionChains(browser).double_click(pause).perform)
+    decide(browser, ENTER)
     until(lambda: new() == ["set_keep_out", "pause"], "one pause")
     # A click comes at a control that was moved in that moment: it is not sent, and the page says so.
     still(browser)
@@ -537,8 +552,27 @@ def test_a_double_click_sends_once_and_reaches_no_control_that_moves_under_the_p
         "return said",
     )
     assert "“Abort round” had just moved under the pointer: nothing was sent" in text
-    click(browser, "[data-command=resume]")
+    order(browser, "[data-command=resume]")
     until(lambda: new() == ["set_keep_out", "pause", "resume"], "the resume, and nothing else")
+
+
+def test_a_command_is_sent_only_when_its_preview_was_read_and_enter_pressed(
+    browser: Any, mission: MissionClient
+) -> None:
+    before = len(mission.commands())
+    script(browser, "document.activeElement.blur()")
+    click(browser, "[data-command=return_to_start]")
+    assert script(browser, "return document.getElementById('preview-send').disabled")
+    browser.switch_to.active_element.send_keys(ENTER)  # too early: it was not read yet
+    text = until(lambda: "word back" in written(browser, "#preview") and written(browser, "#preview"), "the preview")
+    assert all(word in text for word in ("the rover drives back", "drive", "energy", "rounds", "on rover"))
+    where = "return JSON.stringify(document.getElementById('preview-send').getBoundingClientRect())"
+    stands = script(browser, where)
+    until(lambda: script(browser, "return document.activeElement.id") == "preview-send", "the control to send")
+    assert script(browser, where) == stands
+    decide(browser, ESCAPE)
+    until(lambda: not script(browser, "return document.getElementById('preview').open"), "the end of the preview")
+    assert len(mission.commands()) == before
 
 
 def test_a_field_that_is_empty_or_out_of_range_sends_nothing(browser: Any, mission: MissionClient) -> None:

@@ -92,6 +92,7 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         get("/api/interest", partial(_interests, hub)),
         get("/api/map/export", partial(_export, hub, threading.Lock())),
         *(get(f"/api/map/{name}", partial(_ask, hub, topic)) for name, topic in ASKED.items()),
+        post("/api/preview", partial(_preview, hub), READ),
         post("/api/command", partial(_command, hub), COMMAND),
         post("/api/interest", partial(_interest, hub), COMMAND),
         post("/api/link", partial(_link, hub), CONTROL),
@@ -250,10 +251,27 @@ def _export(hub: Hub, at_work: threading.Lock, asked: Asked) -> Response:
     return Response(content.getvalue(), media_type="application/zip", headers=headers)
 
 
+def _taken(hub: Hub, wanted: CommandRequest) -> Response | None:
+    """The refusal of a keep-out under a name that is in use, unless it is to replace that one."""
+    if wanted.polygon_m is None or wanted.replace or wanted.area_id not in hub.keep_outs():
+        return None
+    return _error(TAKEN.format("keep-out", wanted.area_id), 409)
+
+
+def _preview(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(CommandRequest, asked.body)
+    if (refusal := _taken(hub, wanted)) is not None:
+        return refusal
+    outlook = hub.mission.preview(
+        wanted.kind, target_m=wanted.target_m, area_id=wanted.area_id, polygon_m=wanted.polygon_m
+    )
+    return JSONResponse(outlook.document(), headers=FRESH)
+
+
 def _command(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(CommandRequest, asked.body)
-    if wanted.polygon_m is not None and not wanted.replace and wanted.area_id in hub.keep_outs():
-        return _error(TAKEN.format("keep-out", wanted.area_id), 409)
+    if (refusal := _taken(hub, wanted)) is not None:
+        return refusal
     issued = hub.mission.command(
         wanted.kind,
         target_m=wanted.target_m,

@@ -2,6 +2,7 @@
 
 import { map } from "./layers.js";
 import { send } from "./net.js";
+import { isSent } from "./preview.js";
 import { $, attempt, numberIn, state } from "./state.js";
 import { duration, element, utc, words } from "./words.js";
 
@@ -11,10 +12,13 @@ const onCommands = []; // called when a command is new or has passed a stage
 
 export const whenCommandsChange = (callback) => onCommands.push(callback);
 
+// Previews a command and sends it if the operator says so; resolves with whether it was sent.
 export async function command(wanted) {
   const expires = $("expires");
   if (expires.value !== "" || expires.validity.badInput) wanted.expires_in_s = numberIn(expires);
+  if (!await isSent(wanted)) return false;
   takeCommand(await send("command", wanted));
+  return true;
 }
 
 export function takeCommand(status) {

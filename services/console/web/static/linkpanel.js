@@ -15,7 +15,7 @@ export function showLink() {
   picture.take(status);
   showContact();
   $("link-summary").textContent = describe(status);
-  const head = ["", "sent", "delivered", "in flight", "waiting", "lost"];
+  const head = ["messages", "sent", "delivered", "in flight", "waiting", "lost"];
   const row = (name, c) => [name, c.offered, c.delivered, c.in_flight, c.waiting, c.lost + c.dropped_out_of_contact + c.dropped_queue_full];
   const line = (cells, tag) => element("tr", {}, ...cells.map((cell, index) => element(index ? tag : "th", {}, String(cell))));
   $("counts").replaceChildren(line(head, "th"), line(row("up", status.up), "td"), line(row("down", status.down), "td"));

@@ -18,6 +18,7 @@ export class SiteMap {
     this.chosen = null;         // [x, y]
     this.cross = null;          // [x, y] while the keyboard leads
     this.draft = [];
+    this.preview = null;        // the way of a command that is not sent yet
     this.drawing = false;
     this.show = { paths: true, samples: true };
     this.listen();
@@ -133,6 +134,11 @@ export class SiteMap {
     for (const area of this.areas) this.area(context, area.corners, colour(area.kind === "keepout" ? "--keepout" : "--interest"), area.kind !== "keepout", area.name);
     if (this.track) this.mission(context, colour);
     if (this.draft.length) this.drafted(context, colour);
+    if (this.preview?.length) {
+      this.line(context, this.preview, 4.6, "rgb(0 0 0 / 70%)");
+      this.line(context, this.preview, 2.6, colour("--preview"), [3, 4]);
+      this.target(context, this.preview.at(-1), colour("--preview"));
+    }
     if (this.chosen) this.target(context, this.chosen, "#fff");
     if (this.cross) this.target(context, this.cross, colour("--planned"), true);
     if (this.rover) this.vehicle(context, colour);

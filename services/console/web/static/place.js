@@ -129,7 +129,7 @@ function sends(id, deliver) {
     if (!name.reportValidity() || name.value === "") throw new Error("name: expected letters, digits and _ . : -, beginning with a letter or digit");
     const area = { area_id: name.value, polygon_m: map.draft, replace: replaced === name.value };
     try {
-      await deliver(area);
+      if (await deliver(area) === false) return;
     } catch (error) {
       if (error.status === CONFLICT) { replaced = area.area_id; say(`Replace ${area.area_id}`); }
       throw error;
