@@ -16,10 +16,19 @@ if TYPE_CHECKING:
 
 
 def read_change(context: ProcessContext, topic: Topic, query: IncomingQuery) -> Any:
-    """The request of that query; raises InvalidInput with one line unless its sender may make the change."""
-    kept, actions = context.scheduler.host.admit(query_input(topic, query, 0), context.clock.latest)
+    """The request of that query; raises InvalidInput with one line, counted, unless its sender may make the change."""
+    try:
+        given = query_input(topic, query, 0)
+    except InvalidInput as error:
+        context.refused(str(error))
+        raise
+    kept, actions = context.scheduler.host.admit(given, context.clock.latest)
     for action in actions:
         context.perform(action)
     if kept is None:
         raise InvalidInput(next(action.why for action in actions if isinstance(action, ReplyError)))
-    return read_request(topic, query, context.mission)
+    try:
+        return read_request(topic, query, context.mission)
+    except InvalidInput as error:
+        context.refused(str(error))
+        raise

@@ -90,7 +90,6 @@ class ClockKeeper:
             change = read_change(self._context, CLOCK_SET, query)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
-            self._context.refused(str(error))
             return
         self._missing.clear()
         self._change_rate(change.rate)

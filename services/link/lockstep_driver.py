@@ -201,6 +201,7 @@ class TimeManagerDriver:
             obeys = self._manager.join(joining)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
+            self._context.refused(str(error))
             return
         if obeys:
             self._join_queries[joining.name] = (side, query)
@@ -252,7 +253,7 @@ class TimeManagerDriver:
         try:
             header, body = decode(topic, payload, self._context.mission)
         except Refused as refusal:
-            self._context.log.warning(f"refused: {refusal}")
+            self._context.refused(str(refusal))
             return
         self._signs.heard(header.source)
         match body:
@@ -288,6 +289,7 @@ class TimeManagerDriver:
             read_request(TIME_SHOW, query, self._context.mission)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
+            self._context.refused(str(error))
             return
         query.reply(encode_reply(query, self._io.header(), self._status()))
 

@@ -130,7 +130,7 @@ class LockstepDriver:
         try:
             _, grant = decode(grant_to(name, self._side), payload, self._context.mission)
         except Refused as refusal:
-            self._context.log.warning(f"refused: {refusal}")
+            self._context.refused(str(refusal))
             return
         if grant.process != self._io.process_id and grant.at >= participant.now:
             raise He3Error(f"another process has taken part as {name} since: {grant.process}")
