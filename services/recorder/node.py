@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Protocol
 
 from schemas.codec import encode
 from schemas.topics import TOPICS, Side, Topic
 from services.mission.mission_time import MissionTime, seconds
+from services.recorder.foxglove.derivation import Derivation, Derived
 from services.runtime.node import Effect, Event, Interface, Level, LogRecord, Received, SetTimer, Started, TimerFired
 
 if TYPE_CHECKING:
+    from schemas.wire import Header, Wire
     from services.mission.scenario import Scenario
 
 FLUSH = "flush"
@@ -18,6 +20,9 @@ FLUSH = "flush"
 
 RECORDED: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.recorded and Side.EARTH in topic.sides)
 """The topics that are recorded, as they are received on Earth."""
+
+Derive = Callable[[Topic, "Header", "Wire"], Iterable[Derived]]
+"""Makes messages in Foxglove's schemas of one of ours; it may raise anything."""
 
 
 class Sink(Protocol):
@@ -36,6 +41,9 @@ class Sink(Protocol):
     ) -> None:
         """Append one message."""
 
+    def write_derived(self, message: Derived, received_at: MissionTime) -> None:
+        """Append a message in a schema of Foxglove's, if that is possible now."""
+
     def flush(self) -> None:
         """Hand all messages to the operating system, so that they survive the end of this process."""
 
@@ -43,8 +51,11 @@ class Sink(Protocol):
 class RecorderNode:
     """Writes each message that it receives; it is safe after at most `flush_s` of mission time."""
 
-    def __init__(self, sink: Sink, flush_s: float) -> None:
+    def __init__(self, sink: Sink, flush_s: float, derive: Derive | None = None) -> None:
+        """derive: the messages in Foxglove's schemas that follow from one of ours; None: there are none."""
         self._sink = sink
+        self._derive = derive
+        self._derive_failed = False
         self._flush_after = seconds(flush_s)
         self._flush_pending = False
         self._failure: str | None = None
@@ -60,6 +71,7 @@ class RecorderNode:
                 yield LogRecord(Level.INFO, "recording", {"incarnation": incarnation, "topics": len(RECORDED)})
             case Received(topic, header, body):
                 self._sink.write(topic, encode(header, body), now, header.made_at, header.sequence)
+                yield from self._write_derived(topic, header, body, now)
             case TimerFired(timer) if timer == FLUSH:
                 self._flush_pending = False
                 self._sink.flush()
@@ -69,6 +81,24 @@ class RecorderNode:
         if not self._flush_pending and (isinstance(event, Received) or self._failure is not None):
             self._flush_pending = True
             yield SetTimer(FLUSH, now + self._flush_after)
+
+    def _write_derived(self, topic: Topic, header: Header, body: Wire, now: MissionTime) -> Iterable[Effect]:
+        """Write what follows from a message that is written already; a log record when that fails for the first time.
+
+        A recording without messages for Foxglove is a recording. So a fault in making them ends neither.
+        """
+        if self._derive is None:
+            return []
+        try:
+            for message in self._derive(topic, header, body):
+                self._sink.write_derived(message, now)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it concerns no message of ours
+            if self._derive_failed:
+                return []
+            self._derive_failed = True
+            text = f"messages for Foxglove are missing: {topic.name}: {type(error).__name__}: {error}"
+            return [LogRecord(Level.ERROR, text)]
+        return []
 
     def _report_failure(self) -> Iterable[Effect]:
         """A log record when writing begins to fail and when it succeeds again; otherwise none."""
@@ -84,4 +114,4 @@ class RecorderNode:
 
 def build_node(scenario: Scenario, sink: Sink, flush_s: float | None = None) -> RecorderNode:
     """The recorder of that scenario; by default it flushes messages every half second of wall time."""
-    return RecorderNode(sink, 0.5 * scenario.rate if flush_s is None else flush_s)
+    return RecorderNode(sink, 0.5 * scenario.rate if flush_s is None else flush_s, Derivation().of)

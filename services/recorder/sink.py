@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from schemas.topics import Topic
     from services.mission.mission_time import MissionTime
     from services.recorder.files import RecordingFile
+    from services.recorder.foxglove.derivation import Derived
 
 MAX_PENDING_BYTES: Final = 16 * 1024 * 1024  # of memory, for what the file does not take at present
 
@@ -80,6 +81,12 @@ class RecordingSink:
         self._mention_gap()
         self._writer.write(topic, payload, received_at, made_at, sequence)
         self._follow()
+
+    def write_derived(self, message: Derived, received_at: MissionTime) -> None:
+        """Append a message in a schema of Foxglove's; while the file takes nothing, it is left out, and not counted."""
+        if self._file.failure is None:
+            self._writer.write_derived(message, received_at)
+            self._follow()
 
     def flush(self) -> None:
         """Hand all messages to the operating system, at most once per `least_flush_s`."""

@@ -1,5 +1,7 @@
 """An MCAP recording: every message under the JSON Schema of its topic, readable even after the process was killed.
 
+Beside them are messages in Foxglove's schemas, which `foxglove` makes of them, for programs that do not know ours.
+
 Messages gather in a chunk. A chunk is written when it is large enough or when `flush` is called; a file that ends in
 the middle of a chunk holds every chunk before it. Chunks, data and summary have checksums, and the topic of each
 channel is written twice: so `reader` can say what is damaged, and assign the messages that are whole.
@@ -17,10 +19,13 @@ from typing import IO, TYPE_CHECKING, Protocol, Self, cast
 from mcap.writer import CompressionType, Writer
 
 from schemas.wire import SCHEMA_VERSION, Envelope
+from services.recorder.foxglove.derivation import CHANNELS
+from services.recorder.foxglove.schemas import ENCODING, PACKAGE, descriptors
 
 if TYPE_CHECKING:
     from schemas.topics import Topic
     from services.mission.mission_time import MissionTime
+    from services.recorder.foxglove.derivation import Derived
 
 CHUNK_BYTES = 65_536
 """Uncompressed size at which a chunk is written: without a flush, a kill loses at most this much."""
@@ -68,6 +73,7 @@ class RecordingWriter:
         self._flushed_at = -math.inf
         self._mission = mission
         self._channels: dict[str, int] = {}
+        self._derived: dict[str, int] = {}
         self._writer = mcap_writer(stream)
         self._writer.start(profile=PROFILE, library=PROFILE)
         self._writer.add_metadata(MISSION_RECORD, {"mission": mission, "schema_version": str(SCHEMA_VERSION)})
@@ -91,6 +97,18 @@ class RecordingWriter:
             channel, log_time=received_at, data=payload, publish_time=made_at, sequence=sequence & 0xFFFFFFFF
         )
         self.messages += 1
+        if self._stream.tell() > before:
+            self.stored = self.messages
+
+    def write_derived(self, message: Derived, received_at: MissionTime) -> None:
+        """Append a message in a schema of Foxglove's; it is not counted among the messages."""
+        channel = self._derived.get(message.topic)
+        if channel is None:
+            name = CHANNELS[message.topic]
+            schema = self._writer.register_schema(f"{PACKAGE}.{name}", ENCODING, descriptors(name))
+            channel = self._derived[message.topic] = self._writer.register_channel(message.topic, ENCODING, schema)
+        before = self._stream.tell()
+        self._writer.add_message(channel, received_at, message.payload, message.made_at)
         if self._stream.tell() > before:
             self.stored = self.messages
 

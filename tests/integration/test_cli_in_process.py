@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import math
 import os
 import sys
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from schemas.report import MissionReport
+from schemas.topics import STATE
 from services.console.__main__ import main
-from services.recorder.reader import Recording
+from services.recorder.foxglove.derivation import CHANNELS, STEP_PPB
+from services.recorder.reader import Recorded, Recording
 from services.recorder.writer import RecordingWriter
 from tests.processes import run
 
@@ -176,3 +184,64 @@ def test_a_mission_whose_contact_ends_has_its_report_and_is_a_failure(
     assert "the last contact window closed 1800 s after the mission began" in made.detail
     assert f"ended         NOT COMPLETED: {made.detail}" in said.out.splitlines()
     assert said.err == f"he3: the mission failed {made.mission_time_s:.0f} s after its beginning: {made.detail}\n"
+
+
+def test_a_reader_that_knows_protobuf_alone_finds_map_samples_path_and_times(first: Path) -> None:
+    """The schemas are in the file: nothing of this project, and nothing of Foxglove's, decodes it."""
+    ours: dict[str, list[Recorded]] = {}
+    for message in Recording(first / "mission.mcap").messages():
+        ours.setdefault(message.topic.name, []).append(message)
+    found: dict[str, list[tuple[int, int, Any]]] = {}
+    with (first / "mission.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages(topics=list(CHANNELS)):
+            assert schema is not None
+            assert schema.name == decoded.DESCRIPTOR.full_name == f"foxglove.{CHANNELS[channel.topic]}"
+            found.setdefault(channel.topic, []).append((message.log_time, message.publish_time, decoded))
+    assert set(found) == set(CHANNELS)
+
+    overviews = ours["earth/map/overview"]
+    assert len(found["/map/mean"]) == len(overviews)
+    for (log, publish, grid), overview in zip(found["/map/mean"], overviews, strict=True):
+        assert (log, publish) == (overview.received_at, overview.header.made_at)
+        assert grid.cell_size.x == overview.body.step * overview.body.resolution_m
+        mean = np.frombuffer(base64.b64decode(overview.body.values.mean_base64), dtype="<f4")
+        assert np.abs(np.frombuffer(grid.data, dtype="<f4") - mean).max() <= STEP_PPB / 2
+
+    made = report(first)
+    places = sorted((each.x_m, each.y_m, each.helium3_ppb) for each in made.sample_table)
+    points = np.frombuffer(found["/samples"][-1][2].data, dtype="<f4").reshape(-1, 4)
+    assert np.array(sorted(points[:, [0, 1, 3]].tolist())) == pytest.approx(np.array(places), abs=1e-3)
+
+    turns = [(log, publish, each.translation.x, each.translation.y) for log, publish, each in found["/tf/rover"]]
+    states = [(each.received_at, each.header.made_at, each.body.x_m, each.body.y_m) for each in ours["tm/state"]]
+    assert turns == states
+    path = [(point.x, point.y) for point in found["/rover/path"][-1][2].entities[0].lines[0].points]
+    path += [(point.x, point.y) for point in found["/rover"][-1][2].entities[0].lines[0].points]
+    length = sum(math.dist(a, b) for a, b in pairwise(path))
+    assert length == pytest.approx(made.path_length_m, rel=0.05)  # corners between two reports are cut
+    for x, y, _ in places:
+        detours = [math.dist(a, (x, y)) + math.dist((x, y), b) - math.dist(a, b) for a, b in pairwise(path)]
+        assert min(detours) < 1e-4
+    fixes = np.array([(fix.latitude, fix.longitude) for _, _, fix in found["/rover/position"]])
+    assert np.abs(fixes - (20.19, 30.77)).max() < 0.02  # Taurus-Littrow
+
+
+def test_rerun_finds_grid_path_samples_and_rover(first: Path) -> None:
+    chunk = pytest.importorskip("rerun.chunk")
+    columns: dict[str, Any] = {}
+    for each in chunk.McapReader(first / "mission.mcap").stream():
+        batch = each.to_record_batch()
+        columns |= {f"{each.entity_path} {name}": batch.column(name) for name in batch.schema.names}
+    made = report(first)
+    points = columns["/samples Points3D:positions"][-1].as_py()
+    places = [[each.x_m, each.y_m] for each in made.sample_table]
+    assert np.array(sorted(p[:2] for p in points)) == pytest.approx(np.array(sorted(places)), abs=1e-3)
+    (last,) = columns["/tf/rover Transform3D:translation"][-1].as_py()
+    states = [each for each in Recording(first / "mission.mcap").messages() if each.topic is STATE]
+    assert last[:2] == pytest.approx([states[-1].body.x_m, states[-1].body.y_m], abs=1e-3)
+    (grid,) = columns["/map/mean foxglove.Grid:message"][-1].as_py()
+    assert len(grid["data"]) == 4 * grid["column_count"] ** 2
+    (scene,) = columns["/rover/path foxglove.SceneUpdate:message"][-1].as_py()
+    assert len(scene["entities"][0]["lines"][0]["points"]) > 1
+    assert {name.split(" ")[1] for name in columns} >= {"GeoPoints:positions", "TextLog:text", "EncodedImage:blob"}
