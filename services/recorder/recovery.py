@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from mmap import mmap
+from mmap import MADV_DONTNEED, PAGESIZE, mmap
 from typing import Any, Final
 
 import zstandard
@@ -24,6 +24,8 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 MAX_RECORD_BYTES: Final = 64 * 1024 * 1024  # of a record, and of the content of a chunk; ours have less than 1 MB
+
+BLOCK_BYTES: Final = 16 * 1024 * 1024  # of a file that are held in memory while it is read, and not more by much
 
 _FRAME: Final = struct.Struct("<BQ")  # opcode and length, before the content of each record
 _FOOTER: Final = struct.Struct("<BQQQI")  # a whole record: opcode, length, summary start, offset start, checksum
@@ -112,8 +114,10 @@ def read_records(data: bytes | mmap) -> Iterator[Content | Fault]:
 
 def _read_data_section(data: bytes | mmap, summary: _Summary | None) -> Iterator[Content | Fault]:
     end = len(data) if summary is None else summary.start
-    position, whole = len(MAGIC), True
+    position, released, whole = len(MAGIC), 0, True
     while position < end:
+        if position - released >= BLOCK_BYTES:
+            released = _release(data, released, position)
         record, behind = _record_at(data, position, end)
         if isinstance(record, records.DataEnd):
             if whole and record.data_section_crc not in (0, _checksum(data, 0, position)):
@@ -254,5 +258,18 @@ def _read_summary(data: bytes | mmap) -> _Summary | None:
 
 
 def _checksum(data: bytes | mmap, start: int, end: int) -> int:
-    with memoryview(data) as view, view[start:end] as part:
-        return zlib.crc32(part)
+    checksum = 0
+    for begin in range(start, end, BLOCK_BYTES):
+        stop = min(begin + BLOCK_BYTES, end)
+        with memoryview(data) as view, view[begin:stop] as part:
+            checksum = zlib.crc32(part, checksum)
+        _release(data, begin, stop)
+    return checksum
+
+
+def _release(data: bytes | mmap, start: int, end: int) -> int:
+    """Let go of the memory of that part of a file, which is read again if it is needed; the end of what is let go."""
+    start, end = -(-start // PAGESIZE) * PAGESIZE, end // PAGESIZE * PAGESIZE
+    if isinstance(data, mmap) and end > start:
+        data.madvise(MADV_DONTNEED, start, end - start)
+    return max(start, end)

@@ -19,8 +19,6 @@ from typing import IO, TYPE_CHECKING, Protocol, Self, cast
 from mcap.writer import CompressionType, Writer
 
 from schemas.wire import SCHEMA_VERSION, Envelope
-from services.recorder.foxglove.derivation import CHANNELS
-from services.recorder.foxglove.schemas import ENCODING, PACKAGE, descriptors
 
 if TYPE_CHECKING:
     from schemas.topics import Topic
@@ -104,9 +102,7 @@ class RecordingWriter:
         """Append a message in a schema of Foxglove's; it is not counted among the messages."""
         channel = self._derived.get(message.topic)
         if channel is None:
-            name = CHANNELS[message.topic]
-            schema = self._writer.register_schema(f"{PACKAGE}.{name}", ENCODING, descriptors(name))
-            channel = self._derived[message.topic] = self._writer.register_channel(message.topic, ENCODING, schema)
+            channel = self._derived[message.topic] = register_derived(self._writer, message.topic)
         before = self._stream.tell()
         self._writer.add_message(channel, received_at, message.payload, message.made_at)
         if self._stream.tell() > before:
@@ -161,3 +157,13 @@ def register(writer: Writer, topic: Topic, mission: str) -> int:
     )
     writer.add_metadata(CHANNEL_RECORD, {"id": str(channel), "topic": topic.name})
     return channel
+
+
+def register_derived(writer: Writer, topic: str) -> int:
+    """The new channel of that topic, under its schema of Foxglove's."""
+    # Imported here, as those who only read a recording do without protobuf.
+    from services.recorder.foxglove.derivation import CHANNELS
+    from services.recorder.foxglove.schemas import ENCODING, PACKAGE, descriptors
+
+    schema = writer.register_schema(f"{PACKAGE}.{CHANNELS[topic]}", ENCODING, descriptors(CHANNELS[topic]))
+    return writer.register_channel(topic, ENCODING, schema)

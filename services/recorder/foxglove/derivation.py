@@ -47,7 +47,7 @@ CHANNELS: Final[dict[str, str]] = {
     "/rover": "SceneUpdate",
     "/rover/path": "SceneUpdate",
     "/rover/position": "LocationFix",
-    "/tf/site": "FrameTransform",
+    "/tf/moon": "FrameTransform",
     "/tf/rover": "FrameTransform",
     "/log": "Log",
 }
@@ -254,10 +254,11 @@ class Derivation:
         if self._site is not None or latitude is None or longitude is None:
             return
         self._site = Site(latitude, longitude, overview.rows * overview.resolution_m)
-        yield _derived("/tf/site", made_at, {
-            "timestamp": scene.timestamp(made_at), "parent_frame_id": MOON, "child_frame_id": scene.SITE,
-            "translation": dict(zip("xyz", self._site.origin_m, strict=True)),
-            "rotation": dict(zip("xyzw", self._site.orientation, strict=True)),
+        # The site is the root of the frames, so that a viewer begins there, and not in the middle of the Moon.
+        yield _derived("/tf/moon", made_at, {
+            "timestamp": scene.timestamp(made_at), "parent_frame_id": scene.SITE, "child_frame_id": MOON,
+            "translation": dict(zip("xyz", self._site.moon_centre_m, strict=True)),
+            "rotation": dict(zip("xyzw", self._site.moon_turn, strict=True)),
         })  # fmt: skip
 
     # --- the log -----------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Places of the site on the Moon: latitude and longitude, and the site's frame in the frame that turns with the Moon.
+"""Places of the site on the Moon: latitude and longitude, and the frame that turns with the Moon in the site's frame.
 
 Latitudes and longitudes are planetocentric, east positive, on the sphere of 1737.4 km (IAU_2015:30100). The site's
 plane is taken for the projection in which regions are made: equirectangular, true to scale at the latitude of the
@@ -50,19 +50,21 @@ class Site:
         return math.degrees(found), _turned(self.longitude_deg + math.degrees(math.atan2(x, south)))
 
     @property
-    def origin_m(self) -> Vector:
-        """The south-west corner from the Moon's centre [m]: x towards (0, 0), z towards the north pole."""
-        latitude, longitude = math.radians(self.latitude_deg), math.radians(self.longitude_deg)
-        across = MOON_RADIUS_M * math.cos(latitude)
-        return across * math.cos(longitude), across * math.sin(longitude), MOON_RADIUS_M * math.sin(latitude)
+    def moon_centre_m(self) -> Vector:
+        """The Moon's centre in the site's frame [m]: straight below the south-west corner."""
+        return 0.0, 0.0, -MOON_RADIUS_M
 
     @property
-    def orientation(self) -> Quaternion:
-        """The rotation that turns the Moon's axes into east, north and up of the south-west corner."""
+    def moon_turn(self) -> Quaternion:
+        """The rotation of the Moon's axes (x towards (0, 0), z towards the north pole) in the site's frame.
+
+        East, north and up of the corner follow from the Moon's axes by a turn of 90 deg + longitude about z, and then
+        of 90 deg - latitude about the new x; this is the inverse.
+        """
         about_z = math.radians(self.longitude_deg + 90.0) / 2
         about_x = math.radians(90.0 - self.latitude_deg) / 2
         cz, sz, cx, sx = math.cos(about_z), math.sin(about_z), math.cos(about_x), math.sin(about_x)
-        return cz * sx, sz * sx, sz * cx, cz * cx
+        return -cz * sx, -sz * sx, -sz * cx, cz * cx
 
 
 def _turned(longitude_deg: float) -> float:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -113,6 +115,16 @@ def test_the_schemas_are_those_of_foxgloves_own_package(name: str) -> None:
     assert descriptors(name) == getattr(messages, name).get_schema().data
 
 
+def test_the_documentation_has_every_topic_with_its_schema_and_the_layout_no_other() -> None:
+    docs = Path(__file__).parents[3] / "docs"
+    rows = [line.split("|")[1:3] for line in (docs / "recordings.md").read_text().splitlines() if "foxglove." in line]
+    table = {topic: row[1].strip(" `") for row in rows for topic in re.findall(r"`(/[\w/]+)`", row[0])}
+    assert table == {topic: f"{PACKAGE}.{name}" for topic, name in CHANNELS.items()}
+    layout = (docs / "foxglove-layout.json").read_text()
+    assert set(re.findall(r'"(/[\w/]+)"', layout)) <= set(CHANNELS)
+    assert json.loads(layout)["version"] == 1
+
+
 def test_every_message_is_of_the_schema_of_its_topic_with_both_its_times() -> None:
     corners = ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))
     found = derived_from(
@@ -163,7 +175,7 @@ def test_a_site_without_a_place_has_no_position_on_the_moon() -> None:
     found = derived_from(
         (MAP_OVERVIEW, header(1, "ground"), overview(origin=False)), (STATE, header(2), state(1.0, 2.0))
     )
-    assert not {"/tf/site", "/rover/position"} & set(found)
+    assert not {"/tf/moon", "/rover/position"} & set(found)
 
 
 def test_repeated_and_overtaken_messages_add_nothing() -> None:
@@ -249,9 +261,11 @@ def test_positions_are_those_of_the_exported_maps(latitude: float, longitude: fl
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [(0.0, 0.0), (20.0, 30.0), (-89.0, -120.0)])
-def test_the_frame_of_the_site_points_east_north_and_up_from_its_corner(latitude: float, longitude: float) -> None:
+def test_the_moons_frame_lies_in_the_sites_so_that_the_corner_has_its_place_on_the_sphere(
+    latitude: float, longitude: float
+) -> None:
     site = Site(latitude, longitude, 500.0)
-    x, y, z, w = site.orientation
+    x, y, z, w = site.moon_turn
     turned = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -259,10 +273,11 @@ def test_the_frame_of_the_site_points_east_north_and_up_from_its_corner(latitude
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-    up = np.array(site.origin_m) / np.linalg.norm(site.origin_m)
-    east = np.array([-math.sin(math.radians(longitude)), math.cos(math.radians(longitude)), 0.0])
-    assert np.linalg.norm(site.origin_m) == pytest.approx(1_737_400.0)
-    assert turned == pytest.approx(np.column_stack((east, np.cross(up, east), up)))
+    phi, lam = math.radians(latitude), math.radians(longitude)
+    up = np.array([math.cos(phi) * math.cos(lam), math.cos(phi) * math.sin(lam), math.sin(phi)])
+    east = np.array([-math.sin(lam), math.cos(lam), 0.0])
+    assert turned @ (1_737_400.0 * up) + site.moon_centre_m == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert turned @ np.column_stack((east, np.cross(up, east), up)) == pytest.approx(np.eye(3), abs=1e-12)
 
 
 # --- the picture ------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from schemas.codec import encode
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
 from schemas.topics import EVENT, GROUND_STATUS, PLAN, SAMPLE, STATE, Topic
 from schemas.wire import Header, Wire
+from services.recorder import recovery
 from services.recorder.node import RECORDED, RecorderNode
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
@@ -162,3 +163,17 @@ def test_the_recorder_subscribes_to_every_recorded_topic_on_earth_and_to_no_othe
     interface = RecorderNode(Kept(), 1.0).interface
     assert not interface.custody
     assert interface.serves == ()
+
+
+def test_a_recording_that_is_read_in_parts_is_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory of the parts behind is let go while the file is read."""
+    stream = io.BytesIO()
+    with RecordingWriter(stream, MISSION) as writer:
+        for number in range(500):
+            writer.write(STATE, encode(header(number), state(number)), 2000 + number, 1000 + number, number)
+            writer.flush(now=True)
+    assert len(stream.getvalue()) > 100_000
+    monkeypatch.setattr(recovery, "BLOCK_BYTES", 8192)
+    recording = saved(tmp_path, stream.getvalue())
+    assert [message.header.sequence for message in recording.messages()] == list(range(500))
+    assert recording.whole
