@@ -37,6 +37,7 @@ _DERIVED = (
     LayerOrigin(layer="traversable", kind=OriginKind.DERIVED, source="from slope and relief"),
 )
 _ORBITAL_FOOTPRINT_M = METRES_PER_DEGREE / constants.ORBITAL_PIXELS_PER_DEGREE  # m, side of an orbital pixel
+_FOOTPRINT_CELLS = 4  # side of the smallest footprint; with that of a cell, the orbital map would be the field itself
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -194,8 +195,9 @@ def orbital_view(he3_ppb: FloatArray, grid: SiteGrid, footprint_m: float = _ORBI
 
     Block means over footprints of ``footprint_m``, resampled by bicubic splines: for fields given as finished arrays,
     without the coarse map that they were made from. At the edge of the field a footprint covers less of it, and
-    nothing is extrapolated. Where cells are larger than a footprint, each is its own block.
+    nothing is extrapolated. A footprint is at least 4 cells wide, so that the view never is the field that is sought.
     """
+    footprint_m = max(footprint_m, _FOOTPRINT_CELLS * grid.resolution_m)
     coarse, centres = he3_ppb, []
     for axis, cells in enumerate(grid.shape):
         blocks = min(cells, max(1, round(cells * grid.resolution_m / footprint_m)))

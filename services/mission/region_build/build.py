@@ -87,7 +87,6 @@ def build_region(
     if filled.any():
         maps["filled"] = filled
         origins.append(LayerOrigin(layer="filled", kind=OriginKind.DERIVED, source="cells that rest on filled holes"))
-    origins.append(LayerOrigin(layer="orbital_ppb", kind=OriginKind.DERIVED, source="as he3_ppb, without variation"))
     document = _document(recipe, plane, tuple(origins))
     progress(f"writing {out}")
     corner = plane.x_m, plane.y_m + grid.height_m

@@ -13,7 +13,7 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.provenance import LayerOrigin, OriginKind
 from he3.randomfield import correlated, layer_correlation, unit_fields
-from he3.reference import METRES_PER_DEGREE, OrbitalWindow, resample
+from he3.reference import METRES_PER_DEGREE, OrbitalWindow, orbital_view, resample
 from he3.regolith import RegolithModel, solar_wind_flux
 from services.mission.region_build.recipe import ChemistryTable
 
@@ -24,6 +24,10 @@ _RELATIONS: Final = {
         "TiO2 = 10^(0.0816 FeO - 0.441), a fit to the soils of Apollo 17 in the Lunar Sample Compendium",
     ),
 }
+_COARSE: Final = LayerOrigin(layer="orbital_ppb", kind=OriginKind.DERIVED, source="as he3_ppb, without variation")
+_SEEN_FROM_ORBIT: Final = LayerOrigin(
+    layer="orbital_ppb", kind=OriginKind.DERIVED, source="he3_ppb in means over footprints of 59 m or 4 cells"
+)
 _STANDIN_USABLE_M: Final = 1400.0  # m, width of a stand-in's window without what bicubic resampling needs around
 
 
@@ -50,7 +54,7 @@ def chemistry_of(
     """
     if "he3_ppb" in measured:
         field = np.clip(measured["he3_ppb"], 0.0, constants.HELIUM3_MAX_PPB)
-        return Chemistry(he3_ppb=field, orbital_ppb=field.copy(), layers={}, origins=())
+        return Chemistry(he3_ppb=field, orbital_ppb=orbital_view(field, grid), layers={}, origins=(_SEEN_FROM_ORBIT,))
     origins: list[LayerOrigin] = []
     model, relation = _RELATIONS[table.titanium]
     iron = measured.get("iron_wt")
@@ -80,10 +84,12 @@ def chemistry_of(
     origins.append(LayerOrigin(layer="he3_ppb", kind=OriginKind.DERIVED,
                                source=f"from TiO2, OMAT and a solar-wind flux of {flux:.3g}{within}"))  # fmt: skip
     layers = {"maturity": maturity, "titanium_wt": titanium if titanium is not None else model.titanium_wt(base)}
-    return Chemistry(
-        he3_ppb=helium(factors[0], factors[1]), orbital_ppb=helium(1.0, 1.0),
-        layers=layers | ({} if iron is None else {"iron_wt": iron}), origins=tuple(origins),
-    )  # fmt: skip
+    field = helium(factors[0], factors[1])
+    # Without variation, the map of the pixels would be the field itself, which a rover is to find.
+    orbital = helium(1.0, 1.0) if perturbed else orbital_view(field, grid)
+    origins.append(_COARSE if perturbed else _SEEN_FROM_ORBIT)
+    layers |= {} if iron is None else {"iron_wt": iron}
+    return Chemistry(he3_ppb=field, orbital_ppb=orbital, layers=layers, origins=tuple(origins))
 
 
 def laid_over(window: OrbitalWindow, grid: SiteGrid) -> tuple[dict[str, FloatArray], tuple[LayerOrigin, ...], float]:

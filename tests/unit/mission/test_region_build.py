@@ -326,6 +326,19 @@ def test_chemistry_of_another_resolution_is_measured_where_it_can_be_and_named_w
     assert region.he3_ppb.mean() == pytest.approx(0.56 * 0.1 * iron[48, 48] * 0.5 / 0.2 + 1.62, rel=0.01)
 
 
+def test_the_map_from_orbit_does_not_hold_the_field_that_a_rover_is_to_find(tmp_path: Path) -> None:
+    """A field given as finished values, and FeO in pixels as small as the cells: rough ones, which an orbiter blurs."""
+    plain(tmp_path)
+    plain(tmp_path, np.random.default_rng(4).uniform(12, 18, (96, 96)), name="rough.tif")
+    terrain, given = {"file": "dem.tif", "source": "x"}, {"file": "rough.tif", "source": "x"}
+    chemistry = {"assumed_maturity": 0.2, "solar_wind_flux": 0.5}
+    for layer, table in (("he3_ppb", {}), ("iron_wt", chemistry)):
+        layers = {"elevation_m": terrain, layer: given}
+        region = build(recipe(LAT, LON, layers=layers, chemistry=table, resolution_m=20.0, rows=40, columns=40), tmp_path)
+        assert np.corrcoef(region.orbital_ppb.ravel(), region.he3_ppb.ravel())[0, 1] < 0.6
+        assert {origin.layer: origin.source for origin in region.layers}["orbital_ppb"].startswith("he3_ppb in means")
+
+
 def test_a_stand_ins_chemistry_is_named_as_one(tmp_path: Path) -> None:
     plain(tmp_path)
     region = build(recipe(LAT, LON), tmp_path)
