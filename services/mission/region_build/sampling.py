@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from he3.errors import InvalidInput
-from he3.frames import BoolArray, FloatArray
+from he3.frames import BoolArray, FloatArray, IntArray
 from he3.nodata import cells_where
 from he3.terrain import slope_deg
 from services.mission.region_build.geo import rasterio
@@ -34,7 +34,7 @@ class Sampled:
     filled: BoolArray
     """Cells that rest on filled holes."""
     source_slope_deg: FloatArray | None
-    """For elevation: the slope [deg] of the raster itself in the pixel of each cell."""
+    """For elevation: the slope [deg] of the raster itself in the pixels that each cell touches."""
     pixel_m: float
     """Size of a pixel on the ground [m], northward."""
     window: str
@@ -54,7 +54,7 @@ def sample(source: Source, plane: SitePlane, margin: int = 0, *, slopes: bool = 
     rows, columns = rows - row - 0.5, columns - column - 0.5
     step = _pixels_a_cell(rows, columns)
     pixel_m = plane.grid.resolution_m / step[0], plane.grid.resolution_m / step[1]
-    steep = _source_slopes(values, pixel_m, rows, columns, step) if slopes else None
+    steep = source_slopes(values, pixel_m, rows, columns) if slopes else None
     factors = max(1, int(step[0] + 1e-6)), max(1, int(step[1] + 1e-6))
     values = _averaged(values, factors)
     rows, columns = (rows + 0.5) / factors[0] - 0.5, (columns + 0.5) / factors[1] - 0.5
@@ -136,10 +136,13 @@ def _averaged(values: FloatArray, factors: tuple[int, int]) -> FloatArray:
     return blocks
 
 
-def _source_slopes(
-    values: FloatArray, pixel_m: tuple[float, float], rows: FloatArray, columns: FloatArray, step: tuple[float, float]
+def source_slopes(
+    values: FloatArray, pixel_m: tuple[float, float], rows: FloatArray, columns: FloatArray
 ) -> FloatArray:
-    """Slope [deg] of the raster itself at each cell: the steepest of the pixels that the cell covers."""
+    """Slope [deg] of the raster itself at each cell: the steepest of all pixels that the cell touches.
+
+    A path may lead through any part of a cell, so the pixel at its centre is not enough.
+    """
     known = np.where(np.isnan(values), np.nanmean(values) if np.isfinite(values).any() else 0.0, values)
     square = known if abs(pixel_m[0] / pixel_m[1] - 1) < 1e-3 else None
     if square is not None:
@@ -147,13 +150,28 @@ def _source_slopes(
     else:
         down, right = np.gradient(known, pixel_m[0], pixel_m[1])
         slope = np.degrees(np.arctan(np.hypot(down, right)))
-    size = math.ceil(step[0]), math.ceil(step[1])
-    if max(size) > 1:
-        slope = ndimage.maximum_filter(slope, size=size, mode="nearest")
-    r = np.clip(np.rint(rows).astype(np.intp), 0, values.shape[0] - 1)
-    c = np.clip(np.rint(columns).astype(np.intp), 0, values.shape[1] - 1)
-    found: FloatArray = slope[r, c]
+    reach = _extent(rows) / 2, _extent(columns) / 2
+    # Windows of this size at both ends of a cell's extent cover it, and reach no further than the pixels it touches.
+    size = tuple(max(1, math.ceil(2 * half - 1e-6)) for half in reach)
+    steepest = ndimage.maximum_filter(slope, size=size, mode="nearest", origin=tuple(-(n // 2) for n in size))
+    found: FloatArray = np.zeros(rows.shape)
+    for r in _ends(rows, reach[0], size[0], slope.shape[0]):
+        for c in _ends(columns, reach[1], size[1], slope.shape[1]):
+            found = np.maximum(found, steepest[r, c])
     return found
+
+
+def _extent(places: FloatArray) -> float:
+    """How many pixels a cell in the middle of the site extends over along one axis, its corners included."""
+    r, c = places.shape[0] // 2, places.shape[1] // 2
+    return float(abs(places[r, c] - places[r - 1, c]) + abs(places[r, c] - places[r, c - 1]))
+
+
+def _ends(places: FloatArray, reach: float, size: int, count: int) -> tuple[IntArray, IntArray]:
+    """First pixels of the window at the beginning and of the one at the end of each cell's extent along one axis."""
+    first = np.rint(places - reach + 1e-6).astype(np.intp)
+    last = np.rint(places + reach - 1e-6).astype(np.intp) - size + 1
+    return np.clip(first, 0, count - 1), np.clip(last, 0, count - 1)
 
 
 def _filled(values: FloatArray, missing: BoolArray, source: Source) -> FloatArray:

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from he3.errors import He3Error, InvalidInput
 from he3.reference import Region
+from he3.terrain import slope_deg
 from services.mission.region_build.build import build_region
 from services.mission.region_build.recipe import Recipe
+from services.mission.region_build.sampling import source_slopes
 from services.mission.region_build.templates import TEMPLATES
 from services.mission.region_folder import checked, load_toml, read_document
 from services.mission.regions import load_region
@@ -326,6 +328,21 @@ def test_chemistry_of_another_resolution_is_measured_where_it_can_be_and_named_w
     assert region.he3_ppb.mean() == pytest.approx(0.56 * 0.1 * iron[48, 48] * 0.5 / 0.2 + 1.62, rel=0.01)
 
 
+@pytest.mark.parametrize("cell", [0.3, 1.0, 1.3, 2.7])
+@pytest.mark.parametrize("shift", [0.0, 0.5, -0.2])
+def test_the_slope_of_a_cell_is_the_steepest_of_all_pixels_that_it_touches(cell: float, shift: float) -> None:
+    """Cells of that many pixels, their centres shifted against those of the pixels; compared one by one."""
+    heights = np.random.default_rng(0).uniform(0, 3, (40, 40))
+    slopes = slope_deg(heights, 5.0)
+    centres = np.arange(int(24 / cell)) * cell + 8 + shift
+    touched = [
+        slice(math.floor(at - cell / 2 + 0.5 + 1e-5), math.ceil(at + cell / 2 - 0.5 - 1e-5) + 1) for at in centres
+    ]
+    expected = [[slopes[down, across].max() for across in touched] for down in touched]
+    rows, columns = np.meshgrid(centres, centres, indexing="ij")
+    assert np.array_equal(source_slopes(heights, (5.0, 5.0), rows, columns), expected)
+
+
 def test_the_map_from_orbit_does_not_hold_the_field_that_a_rover_is_to_find(tmp_path: Path) -> None:
     """A field given as finished values, and FeO in pixels as small as the cells: rough ones, which an orbiter blurs."""
     plain(tmp_path)
@@ -334,7 +351,9 @@ def test_the_map_from_orbit_does_not_hold_the_field_that_a_rover_is_to_find(tmp_
     chemistry = {"assumed_maturity": 0.2, "solar_wind_flux": 0.5}
     for layer, table in (("he3_ppb", {}), ("iron_wt", chemistry)):
         layers = {"elevation_m": terrain, layer: given}
-        region = build(recipe(LAT, LON, layers=layers, chemistry=table, resolution_m=20.0, rows=40, columns=40), tmp_path)
+        region = build(
+            recipe(LAT, LON, layers=layers, chemistry=table, resolution_m=20.0, rows=40, columns=40), tmp_path
+        )
         assert np.corrcoef(region.orbital_ppb.ravel(), region.he3_ppb.ravel())[0, 1] < 0.6
         assert {origin.layer: origin.source for origin in region.layers}["orbital_ppb"].startswith("he3_ppb in means")
 
