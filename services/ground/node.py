@@ -53,6 +53,7 @@ from services.ground.status import StatusReporter
 from services.ground.telecommands import LOOK_QUERY, LOOK_TIMER, LOST_TIMER, TelecommandHandler
 from services.ground.terrain import (
     GroundTerrain,
+    enclosure,
     interest_area_objection,
     interest_objection,
     interest_weights,
@@ -106,8 +107,9 @@ class GroundNode:
         silence: SilenceWatch,
         stall: StallGuard,
         status_period_s: float,
+        note: str = "",
     ) -> None:
-        """status_period_s: how often the status is sent when nothing changes [s]."""
+        """status_period_s: how often the status is sent when nothing changes [s]. note: a warning at the beginning."""
         self._terrain = terrain
         self._director = director
         self._interests = interests
@@ -119,6 +121,7 @@ class GroundNode:
         self._silence = silence
         self._stall = stall
         self._status_period = seconds(status_period_s)
+        self._note = note
         self._begun = False
         self._stateful: dict[str, Stateful] = {
             "director": director,
@@ -215,6 +218,8 @@ class GroundNode:
         yield SetTimer(STATUS_TIMER, now + self._status_period)
         if not self._begun:
             self._begun = True
+            if self._note:
+                yield LogRecord(Level.WARNING, self._note)
             yield from self._director.go_on(now)
 
     def _receive(self, event: Received, now: MissionTime) -> Iterable[Effect]:
@@ -331,6 +336,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     round_trip_s = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
     authority = CommandAuthority()
     history = CommandHistory(grid, round_trip_s)
+    note = enclosure(terrain, scenario.start_m)
     return GroundNode(
         terrain=terrain,
         director=director,
@@ -339,10 +345,11 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
         previews=CommandPreviews(history, terrain, round_log, execution, budget),
         authority=authority,
         publisher=publisher,
-        status=StatusReporter(scenario, belief, director, publisher, silence),
+        status=StatusReporter(scenario, belief, director, publisher, silence, note),
         silence=silence,
         stall=StallGuard(StallWatch(scenario), director, silence),
         status_period_s=ground.status_period_s,
+        note=note,
     )
 
 

@@ -25,13 +25,21 @@ class StatusReporter:
     """Sends the status whenever it has changed, and once per period."""
 
     def __init__(
-        self, scenario: Scenario, belief: Belief, director: Director, publisher: MapPublisher, silence: SilenceWatch
+        self,
+        scenario: Scenario,
+        belief: Belief,
+        director: Director,
+        publisher: MapPublisher,
+        silence: SilenceWatch,
+        note: str = "",
     ) -> None:
+        """note: what the operator sees as long as there is nothing else to say."""
         self._scenario = scenario
         self._belief = belief
         self._director = director
         self._publisher = publisher
         self._silence = silence
+        self._note = note
         self._rover: RoverState | None = None
         self._rover_made_at: MissionTime | None = None
         self._sent: GroundStatus | None = None
@@ -83,9 +91,10 @@ class StatusReporter:
         return MissionPhase.EXECUTING if progress.executing else MissionPhase.PLANNING
 
     def _detail(self, progress: MissionProgress) -> str:
+        detail = progress.detail or self._note
         if self._silence.silent and progress.ended is None:
-            return f"the rover is silent; {progress.detail}" if progress.detail else "the rover is silent"
-        return progress.detail
+            return f"the rover is silent; {detail}" if detail else "the rover is silent"
+        return detail
 
     def checkpoint(self) -> SavedState:
         """The whole state, as named parts."""

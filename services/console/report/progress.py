@@ -98,7 +98,7 @@ class Progress(Protocol):
 
 @dataclass
 class PlainProgress:
-    """A line a round, and one every `every_s` in between."""
+    """A line a round, and one every `every_s` in between; below it, what is new to say."""
 
     stream: TextIO = field(default_factory=lambda: sys.stderr)
     clock: Callable[[], float] = time.monotonic
@@ -107,6 +107,7 @@ class PlainProgress:
     def __enter__(self) -> Self:
         self._began = self._drawn = self._looked = self.clock()
         self._round = 0
+        self._said = ""
         self._last: Callable[[], Moment] | None = None
         return self
 
@@ -130,6 +131,9 @@ class PlainProgress:
     def _write(self, moment: Moment, at: float) -> None:
         self._round, self._drawn = moment.round, at
         self.stream.write(plain_line(moment, at - self._began) + "\n")
+        if moment.detail != self._said:
+            self._said = moment.detail
+            self.stream.write(f"  {moment.detail}\n" if moment.detail else "")
         self.stream.flush()
 
 

@@ -584,6 +584,14 @@ def test_a_start_outside_the_region_is_refused_before_anything_begins() -> None:
         build_node(scenario(top={"start_m": [80.0, 5.0]}), region())
 
 
+def test_a_start_from_which_most_open_ground_is_out_of_reach_is_said_from_the_first_status_on() -> None:
+    mission = Mission(scenario(), site=region(closed=lambda x, y: (x > 20) & (x < 22)))
+    said = "from the start (5, 5) m only 33.9% of the open ground can be reached; from (23.5, 4.5) m it is 66.1%"
+    mission.simulation.run(until=mission.simulation.now + SECOND)
+    assert mission.statuses[0].detail == said
+    assert mission.warnings()[0] == said
+
+
 IN_DEGREES = ((-30.76, 20.19), (-30.72, 20.19), (-30.72, 20.21))
 IN_ONE_LINE = ((10.0, 10.0), (20.0, 20.0), (40.0, 40.0))
 SPECK = ((10.1, 10.1), (10.3, 10.1), (10.3, 10.3))

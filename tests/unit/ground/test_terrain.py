@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
-from services.ground.terrain import GroundTerrain, cells_inside, cells_touched, interest_weights
+from services.ground.terrain import GroundTerrain, cells_inside, cells_touched, enclosure, interest_weights
 
 GRID = SiteGrid(40, 50)
 ALL_OPEN = np.ones(GRID.shape, dtype=np.bool_)
@@ -184,3 +184,19 @@ def test_interest_is_one_everywhere_but_in_its_regions_and_the_last_of_them_coun
     weights = interest_weights(GRID, [(box, 3.0), (TRIANGLE, 0.5)])
     assert weights is not None
     assert (weights[2, 2], weights[12, 18], weights[35, 35]) == (3.0, 0.5, 1.0)
+
+
+def test_a_start_from_which_little_can_be_reached_is_named_with_a_better_one() -> None:
+    walled = ALL_OPEN.copy()
+    walled[:, 10] = False  # 400 cells to the west of the wall, 1560 to the east
+    assert enclosure(GroundTerrain(GRID, walled), (20.0, 20.0)) == ""
+    said = enclosure(GroundTerrain(GRID, walled), (5.0, 20.0))
+    assert said == (
+        "from the start (5, 20) m only 20.4% of the open ground can be reached; from (11.5, 19.5) m it is 79.6%"
+    )
+    pieces = ALL_OPEN.copy()
+    pieces[::4] = False  # ten strips alike, of three rows each
+    said = enclosure(GroundTerrain(GRID, pieces), (5.0, 6.0))
+    assert said.endswith(
+        "only 10.0% of the open ground can be reached, the largest of 10 parts that closed ground keeps apart"
+    )

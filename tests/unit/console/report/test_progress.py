@@ -55,6 +55,17 @@ def test_a_line_is_written_for_each_round_and_now_and_then_in_between() -> None:
     assert rounds == ["1/0", "1/0", "2/0"]
 
 
+def test_what_is_new_to_say_is_below_a_line_once() -> None:
+    times = iter(range(10))
+    stream = io.StringIO()
+    with PlainProgress(stream, clock=lambda: float(next(times))) as progress:
+        for number, detail in ((1, "walled in"), (2, "walled in"), (3, ""), (4, "blocked")):
+            progress.show(lambda number=number, detail=detail: Moment(round=number, detail=detail))
+    assert [line.strip() for line in stream.getvalue().splitlines() if not line.startswith("round")] == [
+        "walled in", "blocked",
+    ]  # fmt: skip
+
+
 def test_the_panel_draws_on_any_terminal_and_shows_the_figures() -> None:
     stream = io.StringIO()
     Console(file=stream, width=100, force_terminal=False).print(panel("title", "note", MOMENT, 10.0, [1.2, 1.0, 0.9]))
