@@ -79,7 +79,7 @@ def informative(request: PlanningRequest) -> PlannedRound:
     ground = OpenGround(request.grid, request.traversable)
     start = ground.footing(request.start_m)
     lead_m = path_length(np.array([request.start_m, start]))
-    growth = GrowthSettings(step_m=options.step_m, rewire_scale_m=settings["rewire_scale_m"])
+    growth = GrowthSettings(rewire_scale_m=settings["rewire_scale_m"]).coarser(options.step_m)
     iterations = min(int(settings["iterations"]), options.max_iterations)
     tree = exploration_tree(ground, start, iterations=iterations, seed=request.seed, growth=growth)
     away_m = np.hypot(*(tree.nodes_m - start).T)

@@ -56,7 +56,7 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
     ground = OpenGround(request.grid, request.traversable)
     start = ground.footing(request.start_m)
     limit_m = min(request.budget_m, MAX_SHARE_RATIO * share_m) - path_length(np.array([request.start_m, start]))
-    growth = GrowthSettings(step_m=options.step_m, goal_tolerance_m=options.goal_tolerance_m)
+    growth = GrowthSettings(goal_tolerance_m=options.goal_tolerance_m).coarser(options.step_m)
     rng = np.random.default_rng(request.seed)
     candidates = _candidates(request, ground.connected_to(start), start, share_m)
     best = np.array([start])

@@ -64,6 +64,19 @@ class GrowthSettings:
     rewire_scale_m: float = 150.0
     """The radius shrinks as rewire_scale_m sqrt(log n / n) once the tree has n nodes [m]."""
 
+    def coarser(self, step_m: float) -> GrowthSettings:
+        """These settings for a longer step [m], as cells of many metres need: the radii grow in proportion.
+
+        Radii below the step would let RRT* rewire nothing.
+        """
+        factor = max(1.0, step_m / self.step_m)
+        return replace(
+            self,
+            step_m=step_m,
+            rewire_most_m=self.rewire_most_m * factor,
+            rewire_scale_m=self.rewire_scale_m * factor,
+        )
+
 
 def tree_path(
     ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, iterations: int, refine: int, seed: int,

@@ -50,6 +50,16 @@ def test_rrt_extends_by_the_step_and_rrtstar_rewires_within_fifty_metres(ground)
     assert np.hypot(*np.diff(near, axis=0).T).max() <= 15.0
 
 
+def test_over_cells_twenty_times_as_large_a_tree_is_the_same_but_for_its_size(ground):
+    fine, _ = grown(ground, optimal=True)
+    coarse, reached = tree_path(
+        OpenGround(SiteGrid(300, 300, 20.0), ground.open), (400.0, 400.0), (5600.0, 400.0), optimal=True,
+        iterations=5000, refine=0, seed=1, growth=GrowthSettings(goal_tolerance_m=200.0).coarser(200.0),
+    )  # fmt: skip
+    assert reached
+    np.testing.assert_allclose(coarse, 20.0 * fine, atol=1e-6)
+
+
 def test_rewiring_and_further_growth_make_paths_shorter(ground):
     def mean_length(**how):
         return np.mean([path_length(grown(ground, seed=seed, **how)[0]) for seed in range(6)])
