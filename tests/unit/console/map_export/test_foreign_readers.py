@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import math
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -190,18 +191,65 @@ def test_a_raster_says_what_it_is_and_where_it_comes_from(tmp_path: Path) -> Non
         assert (colours[0], colours[1]) == ((0x5B, 0x2C, 0x2C, 255), (0xD9, 0xD4, 0xC7, 255))
 
 
+def printed_by(*command: str | Path) -> str:
+    return subprocess.run(list(map(str, command)), capture_output=True, text=True, check=True, timeout=120).stdout
+
+
 def test_gdals_own_programs_read_what_is_meant(tmp_path: Path) -> None:
     if shutil.which("gdalinfo") is None:
         pytest.skip("gdalinfo is not installed (Debian: gdal-bin)")
     account = region(30, 40, 2.0, origin_lat_deg=ORIGIN[0], origin_lon_deg=ORIGIN[1])
-    exported(contents(account), tmp_path / "out")
-    done = subprocess.run(
-        ["gdalinfo", "-json", str(tmp_path / "out" / "mean.tif")], capture_output=True, text=True, check=True
+    what = contents(account)
+    exported(what, tmp_path / "out")
+    mean = what.layers[0].values.astype(np.float64)
+    found = json.loads(printed_by("gdalinfo", "-json", tmp_path / "out" / "mean.tif"))
+    band = found["bands"][0]
+    assert (found["size"], band["unit"], band["noDataValue"]) == (
+        [40, 30],
+        "ppb",
+        pytest.approx(-3.4028226550889045e38),
     )
-    found = json.loads(done.stdout)
-    assert found["bands"][0]["unit"] == "ppb"
-    corner = found["wgs84Extent"]["coordinates"][0][1] if "wgs84Extent" in found else None
-    assert corner is None or corner == pytest.approx(degrees_of(account, 0.0, 0.0), abs=1e-6)
+    statistics = [float(band["metadata"][""][f"STATISTICS_{name}"]) for name in ("MINIMUM", "MAXIMUM", "MEAN")]
+    assert statistics == pytest.approx([mean.min(), mean.max(), mean.mean()])
+    (x0, width, _, y0, _, height) = found["geoTransform"]
+    assert (width, height) == (2.0, -2.0)
+    assert "1737400" in found["coordinateSystem"]["wkt"]
+    value = printed_by("gdallocationinfo", "-valonly", "-geoloc", tmp_path / "out" / "mean.tif", x0 + 21.0, y0 - 51.0)
+    assert float(value) == mean[4, 10]
+    layers = printed_by("ogrinfo", "-so", "-al", tmp_path / "out" / "map.gpkg")
+    assert "Layer name: samples" in layers
+    assert "Feature Count: 2" in layers
+
+
+def test_qgis_reads_what_is_meant(tmp_path: Path) -> None:
+    """By QGIS's own library, in an interpreter that has it."""
+    python = os.environ.get("HE3_QGIS_PYTHON", "/usr/bin/python3")
+    try:
+        printed_by(python, "-c", "import qgis.core")
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("QGIS is not installed (Debian: qgis; HE3_QGIS_PYTHON names an interpreter that has it)")
+    account = region(30, 40, 2.0, origin_lat_deg=ORIGIN[0], origin_lon_deg=ORIGIN[1])
+    what = contents(account)
+    exported(what, tmp_path / "out")
+    place = degrees_of(account, 21.0, 9.0)
+    found = json.loads(printed_by(python, Path(__file__).with_name("qgis_reader.py"), tmp_path / "out", *place))
+    for layer in what.layers:
+        raster, values = found["rasters"][layer.name], layer.values.astype(np.float64)
+        assert raster["valid"]
+        assert raster["size"] == [30, 40]
+        assert raster["extent_m"][2] - raster["extent_m"][0] == pytest.approx(80.0)
+        assert raster["value"] == values[4, 10]
+        assert raster["statistics"] == pytest.approx(
+            [values.min(), values.max(), values.mean(), values.std()], rel=1e-3
+        )
+        assert raster["style"]
+    assert found["rasters"]["mean"]["renderer"] == "singlebandpseudocolor"
+    samples = found["vectors"]["samples"]
+    assert all(each["valid"] for each in found["vectors"].values())
+    assert samples["fields"]["helium3_ppb"] == [9.0, 10.0]
+    for index, report in enumerate(what.track.samples):
+        where = degrees_of(account, report.x_m, report.y_m)
+        assert samples["first_vertices_deg"][index] == pytest.approx(where, abs=1e-9)
 
 
 def test_a_geopackage_has_samples_paths_and_areas_in_the_projection_of_the_rasters(tmp_path: Path) -> None:
