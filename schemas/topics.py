@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 
 from schemas.authority import AuthorityChange, AuthorityState
+from schemas.claims import RoleClaim, RoleHolder
 from schemas.commands import CommandList, CommandPreview, CommandReport, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestChange, InterestList, MapOverview, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
@@ -230,6 +231,9 @@ TERRAIN = Topic(
 )
 MOON_CLOCK = Topic("moon/clock", ClockState, _kept(Role.LINK, _ON_MOON, _ON_MOON))
 MOON_PRESENCE = Topic("moon/presence", Presence, _published((Role.LINK, *_ON_MOON), (Role.LINK,)))
+MOON_CLAIM = Topic(
+    "moon/claim", RoleClaim, _queried(_ON_MOON, Role.LINK), service=Query(observes=True), reply=RoleHolder
+)
 
 EARTH_CLOCK = Topic(
     "earth/clock",
@@ -239,6 +243,13 @@ EARTH_CLOCK = Topic(
 )
 EARTH_PRESENCE = Topic(
     "earth/presence", Presence, _published((Role.LINK, Role.GROUND, Role.RECORDER), (Role.LINK, *_READERS))
+)
+EARTH_CLAIM = Topic(
+    "earth/claim",
+    RoleClaim,
+    _queried((Role.GROUND, Role.RECORDER), Role.LINK),
+    service=Query(observes=True),
+    reply=RoleHolder,
 )
 CLOCK_SET = Topic(
     "earth/clock/set",
@@ -407,8 +418,10 @@ TOPICS: tuple[Topic, ...] = (
     TERRAIN,
     MOON_CLOCK,
     MOON_PRESENCE,
+    MOON_CLAIM,
     EARTH_CLOCK,
     EARTH_PRESENCE,
+    EARTH_CLAIM,
     CLOCK_SET,
     LINK_STATUS,
     LINK_SET,
@@ -469,6 +482,9 @@ MEMBERS = "member"
 """Liveliness group of the participants in lockstep; each start of a process has a token of its own."""
 ONLOOKERS = "onlooker"
 """Liveliness group of the processes for which virtual time never waits."""
+
+HOLDERS = "holder"
+"""Liveliness group of the processes that claim the role of their name; each start has a token of its own."""
 
 
 def liveliness_key(mission: str, side: Side, name: str, group: str = ALIVE) -> str:

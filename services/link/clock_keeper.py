@@ -16,6 +16,7 @@ from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
 from services.link.changes import read_change
 from services.link.kept_clock import KeptClock, keep, kept_clock
+from services.link.role_holders import judge_claims
 from services.runtime.clock import at_rate, started
 from services.runtime.machine_time import this_machine
 from services.runtime.process_clock import CLOCKS
@@ -56,6 +57,7 @@ class ClockKeeper:
             if not kept.waits:
                 self._missing.clear()
         self._clock.follow(state)
+        judge_claims(context)
         inbox = context.inbox
         for side, session in context.sessions.items():
             session.serve(CLOCKS[side], lambda query: query.reply(encode(*self._message())))

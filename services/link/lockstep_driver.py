@@ -18,6 +18,7 @@ from schemas.lockstep import Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.topics import MEMBERS, ONLOOKERS, TIME_CONTROL, TIME_SHOW, Side, Topic
 from services.link.changes import read_change
 from services.link.late import SignsOfLife
+from services.link.role_holders import judge_claims
 from services.runtime.heartbeat import TOPICS as HEARTBEATS
 from services.runtime.lockstep.pace import Pace
 from services.runtime.lockstep.participant_io import ParticipantIO
@@ -74,6 +75,7 @@ class TimeManagerDriver:
             participant.joined(manager.answer(joining, admitted=True))
         self._io.start(context.incarnation)
         self._publish_time()
+        judge_claims(context)
         inbox = context.inbox
         for side, session in context.sessions.items():
             session.serve(CLOCKS[side], lambda query: inbox.put(partial(self._tell_time, query)))

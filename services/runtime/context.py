@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from services.runtime.options import Options
     from services.runtime.process_clock import ProcessClock
     from services.runtime.queries.process import QueryProcess
+    from services.runtime.role_claim import ClaimedRole
     from services.runtime.scheduler import NodeScheduler
     from services.runtime.transport.session import IncomingQuery, Session
 
@@ -109,6 +110,8 @@ class ProcessContext:
     set_aside: SetAsideFile = field(default_factory=lambda: SetAsideFile(None))
     manager: ServiceManager = field(default_factory=ServiceManager)
     """The service manager that started this process, if one did."""
+    role: ClaimedRole | None = None
+    """The claim of this process; None for the link, which judges the claims."""
 
     @property
     def name(self) -> str:
@@ -119,8 +122,10 @@ class ProcessContext:
         return self.options.scenario.name
 
     def beat(self, monotonic_s: float) -> None:
-        """Publish a heartbeat if it is due, and tell the service manager that the main loop turns."""
+        """Publish a heartbeat if it is due, and tell the service manager and the link that the main loop turns."""
         self.manager.alive()
+        if self.role is not None:
+            self.role.keep(monotonic_s)
         self.heartbeat.beat(monotonic_s, self.clock.latest)
 
     def perform(self, action: Action) -> None:

@@ -37,6 +37,7 @@ from services.runtime.log import Log
 from services.runtime.options import Options, parse_options
 from services.runtime.process_clock import ProcessClock
 from services.runtime.queries.process import QueryProcess
+from services.runtime.role_claim import ClaimedRole
 from services.runtime.scheduler import Executor, InlineExecutor, NodeScheduler
 from services.runtime.set_aside import SetAsideFile
 from services.runtime.transport.opening import connect_client
@@ -65,9 +66,14 @@ OpenSide = Callable[[ProcessContext, Side, str], Session | None]
 
 
 def connect_side(context: ProcessContext, side: Side, endpoint: str) -> Session | None:
-    """A client session on that side, once its router answers."""
+    """A client session on that side, once its router answers and this process holds its role."""
     identity = context.options.identity
-    return connect_client(side, endpoint, context.mission, context.inbox.stopped, context.log.warning, identity)
+    session = connect_client(side, endpoint, context.mission, context.inbox.stopped, context.log.warning, identity)
+    if session is None:
+        return None
+    context.sessions[side] = session
+    context.role = ClaimedRole(context.name, context.mission, side, session, context.inbox)
+    return session if context.role.take(context.log.warning) else None
 
 
 def serve(
@@ -227,6 +233,8 @@ def _join(service: Service, context: ProcessContext, driver: Driver, open_side: 
             return False
         context.sessions[side] = session
         _subscribe(service, context, driver, side)
+    if context.query_process is not None:
+        context.query_process.begin()
     if not driver.begin():
         return False
     if context.query_process is not None and not context.resume:

@@ -12,6 +12,7 @@ import pytest
 
 from services.console.__main__ import main
 from services.console.report.outputs import Outputs, claimed
+from tests.waiting import until
 
 
 def test_a_second_service_on_the_same_journal_is_refused_until_the_first_is_gone(missions, tmp_path):
@@ -30,6 +31,30 @@ def test_a_second_service_on_the_same_journal_is_refused_until_the_first_is_gone
     first["rover"].kill()
     second.start("rover", flags=journal)
     second["rover"].line("restarted from its journal")
+
+
+def test_of_two_processes_of_one_role_the_second_is_refused_until_the_first_is_gone(missions):
+    first, second = missions("short"), missions("short")
+    second.moon, second.earth = first.moon, first.earth
+    first.start("link", "ground", "field")
+    second.start("field")  # at once
+    first.ready("ground")
+    fields = [first["field"], second["field"]]
+    refused = until(lambda: next((each for each in fields if not each.running), None), "one field to be refused")
+    (holder,) = (each for each in fields if each is not refused)
+    assert refused.end() == 2
+    only = "expected to be the only {} of mission 'short', got another one that takes part: process {} on "
+    assert refused.text.splitlines()[-1].startswith(f"he3 field: {only.format('field', holder.pid)}")
+    assert " ready" not in refused.text
+    holder.line(" ready")
+
+    second.start("ground")
+    assert second["ground"].end() == 2
+    assert only.format("ground", first["ground"].pid) in second["ground"].text
+
+    holder.kill()
+    second.start("field")
+    second["field"].line(" ready")
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,9 @@
 """The protocol of the pipes between a service's process, the owner, and its query process.
 
-The owner writes snapshots, numbered and pickled. The query process writes lines: that it is ready, which snapshot it
-answers from, and, every second, that it lives. The pipes join two processes of one program and one user: no other
-program or user has access to them.
+The owner writes snapshots, numbered from 1 and pickled. The query process connects at the first one, or at an empty one
+with number 0: by then the owner has its role in the mission. The query process writes lines: that it is ready, which
+snapshot it answers from, and, every second, that it lives. The pipes join two processes of one program and one user: no
+other program or user has access to them.
 """
 
 from __future__ import annotations

@@ -68,10 +68,13 @@ def serve_from_pipe(
         publisher.begin(session)
         say(READY)
 
-    threading.Thread(target=connect, name="connect", daemon=True).start()
+    connecting = threading.Thread(target=connect, name="connect", daemon=True)
     while (given := read_snapshot(sys.stdin.buffer)) is not None:
         number, snapshot = given
-        publisher.show(server.show(snapshot))
+        if connecting.ident is None:
+            connecting.start()
+        if number > 0:
+            publisher.show(server.show(snapshot))
         say(b"%d\n" % number)
     ended.set()
     publisher.end()

@@ -54,6 +54,7 @@ class QueryProcess:
         self._changed = threading.Condition()
         self._newest: tuple[int, Any] = (0, None)
         self._answered_from = 0
+        self._begun = False
         self._ready = False
         self._died_early: str | None = None
         self._heard_at_s = time.monotonic()
@@ -67,6 +68,12 @@ class QueryProcess:
     def pid(self) -> int | None:
         """Process id of the query process; None before the first was started."""
         return None if self._process is None else self._process.pid
+
+    def begin(self) -> None:
+        """Let it connect and answer queries; before, its owner may not be the one that is to answer them."""
+        with self._changed:
+            self._begun = True
+            self._changed.notify_all()
 
     def show(self, snapshot: object) -> None:
         """Have queries answered from that snapshot from now on."""
@@ -176,10 +183,10 @@ class QueryProcess:
 
     def _write_snapshots(self, process: subprocess.Popen[bytes]) -> None:
         """Write each new snapshot, until this end is closed; raises OSError when the query process is gone."""
-        written = 0
+        written = -1
         while True:
             with self._changed:
-                while self._newest[0] == written and not self._closed:
+                while not (self._newest[0] > max(0, written) or (self._begun and written < 0) or self._closed):
                     # A query process that is gone is noticed even when there is nothing to write.
                     self._changed.wait(START_AGAIN_S)
                     if process.poll() is not None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from schemas.roles import PERSON_ROLES, PROCESS_ROLES, Role
 from schemas.topics import (
     ALIVE,
+    HOLDERS,
     MEMBERS,
     ONLOOKERS,
     SIDES,
@@ -84,13 +85,15 @@ def allowed_keys(side: Side, mission: str) -> dict[Role, Keys]:
     for role in PROCESS_ROLES:
         if side in SIDES[role]:
             allow(Right.APPEAR, (role,), liveliness_key(mission, side, role.value, ALIVE))
+            if role is not Role.LINK:
+                allow(Right.APPEAR, (role,), liveliness_key(mission, side, f"{role.value}.$*", HOLDERS))
             if role in PARTICIPANTS:  # a name, a process id and a random number
                 allow(Right.APPEAR, (role,), liveliness_key(mission, side, f"{role.value}.$*", MEMBERS))
             else:
                 allow(Right.APPEAR, (role,), liveliness_key(mission, side, role.value, ONLOOKERS))
     watchers = tuple(role for role in (Role.LINK, *PERSON_ROLES) if side in SIDES[role])
     allow(Right.WATCH, watchers, liveliness_key(mission, side, "*", ALIVE))
-    for group in (MEMBERS, ONLOOKERS):
+    for group in (MEMBERS, ONLOOKERS, HOLDERS):
         allow(Right.WATCH, (Role.LINK,), liveliness_key(mission, side, "*", group))
     return {role: {right: tuple(keys) for right, keys in rights.items()} for role, rights in found.items() if rights}
 
