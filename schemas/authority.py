@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
 
-from pydantic import Field
-
-from schemas.wire import MissionTimeNs, Text, Wire
-
-PersonName = Annotated[Text, Field(min_length=1, max_length=100)]
-"""Who commands: the common name of an identity, or a user and a machine, which nothing proves."""
+from schemas.wire import MissionTimeNs, PersonName, Wire
 
 
 class AuthorityAction(StrEnum):

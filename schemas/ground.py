@@ -63,6 +63,8 @@ class GroundStatus(Wire):
     rover_made_at: MissionTimeNs | None
     """Mission time at which the rover reported its last state; None if it has reported none."""
     detail: Text = ""
+    proposal: Count | None = Field(default=None, exclude_if=_is_none)
+    """Number of the plan that waits for the operator's approval; None if none does."""
 
     @property
     def is_over(self) -> bool:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from schemas.wire import MAX_COUNT, Count, Identifier, MissionTimeNs, PositionM, Wire
+from schemas.wire import MAX_COUNT, Count, Identifier, MissionTimeNs, PersonName, PositionM, Text, Wire
 
 Waypoint = tuple[PositionM, PositionM]
 
@@ -51,4 +52,50 @@ class MissionPlan(Wire):
         ids = [sample.sample_id for planned in self.rounds for sample in planned.samples]
         if len(set(ids)) != len(ids):
             raise ValueError("expected every sample id once")
+        return self
+
+
+class PlanProposal(Wire):
+    """A round that is planned and waits for the operator (`ground.approval = "operator"`)."""
+
+    proposal: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+    """Number of the proposal; every one has another."""
+    plan: RoundPlan
+    length_m: Annotated[float, Field(ge=0)]
+    """Length of its path."""
+    lasts_s: Annotated[float, Field(ge=0)] | None
+    """Expected duration, charging included; None: the sun never charges the rover enough."""
+    last: bool
+    """Whether no round follows it."""
+    proposed_at: MissionTimeNs
+
+
+class PlanReview(Wire):
+    """What waits for the operator's approval."""
+
+    proposal: PlanProposal | None = None
+
+
+class PlanVerdict(StrEnum):
+    APPROVE = "approve"
+    SEND_BACK = "send_back"
+
+
+class PlanDecision(Wire):
+    """The operator's decision on a proposal."""
+
+    proposal: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+    """The proposal that it is about; a decision on another one than that which waits is refused."""
+    verdict: PlanVerdict
+    by: PersonName
+    """Who decides; in a mission with keys, the signer of the request."""
+    drop: Annotated[tuple[Identifier, ...], Field(max_length=256)] = ()
+    """Samples that are not taken (`approve` only); the rover drives by their places."""
+    why: Text = ""
+    """A note for the log."""
+
+    @model_validator(mode="after")
+    def _drops_of_what_is_approved(self) -> PlanDecision:
+        if self.drop and self.verdict is not PlanVerdict.APPROVE:
+            raise ValueError("expected samples to drop with approve only, got some with send_back")
         return self

@@ -26,7 +26,7 @@ from schemas.maps import (
     ResourceQuery,
 )
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
-from schemas.plans import MissionPlan
+from schemas.plans import MissionPlan, PlanDecision, PlanReview
 from schemas.roles import PERSON_ROLES, Role
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
 from schemas.wire import Wire
@@ -347,6 +347,21 @@ SHOW_AUTHORITY = Topic(
     service=Query(observes=True),
     reply=AuthorityState,
 )
+DECIDE_PLAN = Topic(
+    "earth/ground/plan/decide",
+    PlanDecision,
+    _queried((Role.OPERATOR,), Role.GROUND),
+    service=Query(),
+    reply=PlanReview,
+    signed=True,
+)
+SHOW_PLAN = Topic(
+    "earth/ground/plan/show",
+    NoParameters,
+    _queried(_READERS, Role.GROUND),
+    service=Query(observes=True),
+    reply=PlanReview,
+)
 COMMAND_STATUS = Topic(
     "earth/ground/command-status",
     CommandStatus,
@@ -434,6 +449,8 @@ TOPICS: tuple[Topic, ...] = (
     LIST_INTERESTS,
     SET_AUTHORITY,
     SHOW_AUTHORITY,
+    DECIDE_PLAN,
+    SHOW_PLAN,
     COMMAND_STATUS,
     MAP_POINT,
     MAP_LAYER,

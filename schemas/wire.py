@@ -58,6 +58,9 @@ def _harmless(text: str) -> str:
 Text = Annotated[str, Field(max_length=MAX_TEXT), AfterValidator(_harmless)]
 """A text for people. Characters that control a terminal or the writing direction are escaped in all input."""
 
+PersonName = Annotated[Text, Field(min_length=1, max_length=100)]
+"""Who commands: the common name of an identity, or a user and a machine, which nothing proves."""
+
 Provenance = Annotated[str, Field(max_length=MAX_PROVENANCE), AfterValidator(_harmless)]
 """A text for people on the origin of data, such as a product or a citation."""
 

@@ -7,11 +7,13 @@ until `take`, each sender of a command becomes the holder. The command `safe` is
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from he3.errors import InvalidInput
 from schemas.authority import AuthorityAction, AuthorityChange, AuthorityState
 from schemas.commands import CommandKind, Telecommand
+from services.runtime.node import Effect, Level, LogRecord, RefuseQuery, SendReply
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
@@ -29,15 +31,17 @@ class CommandAuthority:
 
     def objection(self, command: Telecommand) -> str | None:
         """One line on why the sender of this command may not command now; None if they may."""
-        holder, name = self.state.holder, name_of(command)
-        firm = self.state.explicit or self._proven
-        if holder is None or name == holder or not firm or command.kind is CommandKind.SAFE:
+        if command.kind is CommandKind.SAFE:
             return None
-        sender = name or "a sender without a name"
-        return (
-            f"command {command.command_id} of {sender}: expected the holder of command authority, {holder} "
-            f"({RELEASE_HINT} {holder})"
-        )
+        name = name_of(command)
+        return self.objection_to(name, f"command {command.command_id} of {name or 'a sender without a name'}")
+
+    def objection_to(self, name: str, what: str) -> str | None:
+        """One line on why a person of that name may not do that now; None if they may."""
+        holder, firm = self.state.holder, self.state.explicit or self._proven
+        if holder is None or name == holder or not firm:
+            return None
+        return f"{what}: expected the holder of command authority, {holder} ({RELEASE_HINT} {holder})"
 
     def commanded(self, command: Telecommand, now: MissionTime) -> None:
         """Note a command that was sent. Its sender becomes the holder, unless the present one keeps others out."""
@@ -46,6 +50,18 @@ class CommandAuthority:
         if name and name != holder and (holder is None or not firm):
             self.state = AuthorityState(holder=name, since=now)
             self._proven = command.authorization is not None
+
+    def answer(self, change: AuthorityChange, token: int, now: MissionTime) -> Iterable[Effect]:
+        """Make the change, and answer the query for it with the state after it, or with a refusal."""
+        earlier = self.state.holder
+        try:
+            state = self.change(change, now)
+        except InvalidInput as error:
+            yield RefuseQuery(token, str(error))
+            return
+        yield SendReply(token, state)
+        fields = {"holder": state.holder or "nobody", "earlier": earlier or "nobody"}
+        yield LogRecord(Level.INFO, "command authority", fields)
 
     def change(self, change: AuthorityChange, now: MissionTime) -> AuthorityState:
         """The state after that change; raises InvalidInput, in one line, for one that is not to be made."""

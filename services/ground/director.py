@@ -29,6 +29,7 @@ from services.runtime.node import Effect, Finish, Level, LogRecord, Send, SetTim
 if TYPE_CHECKING:
     from he3.frames import Place
     from schemas.ground import InterestChange
+    from schemas.plans import RoundPlan
     from services.ground.belief import Belief
     from services.ground.budget import Budget, RemainingBudget
     from services.ground.execution import ExecutionMonitor, Outcome
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from services.ground.planning import RoundPlanning
     from services.ground.refits import RefitSchedule
     from services.ground.round_log import RoundLog
-    from services.ground.round_plans import PlanningTask
+    from services.ground.round_plans import PlanningTask, ProposedRound
     from services.ground.round_record import RoundRecord
     from services.mission.scenario import Scenario
     from services.runtime.node import SavedState, Stateful
@@ -57,7 +58,9 @@ class MissionProgress:
     driven_m: float
     plan_revision: int
     planning: bool
-    """Whether a round is being planned."""
+    """Whether a round is being planned, or waits for approval."""
+    proposed: ProposedRound | None
+    """The round that waits for the operator's approval."""
     executing: bool
     """Whether samples of a round that was sent are still to come."""
     detail: str
@@ -130,6 +133,7 @@ class Director:
             driven_m=self._execution.driven_m,
             plan_revision=self._planning.revision,
             planning=self._planning.busy,
+            proposed=self._planning.proposed,
             executing=bool(self._round_log.open_rounds),
             detail=self._execution.detail if finish is None else finish.why,
             ended=finish,
@@ -237,6 +241,11 @@ class Director:
                 self._next_start_m = self._execution.place_m
         return self._advance(now)
 
+    def send_back(self, now: MissionTime) -> list[Effect]:
+        """Plan the round again whose plan the operator does not approve."""
+        self._planning.send_back()
+        return self._advance(now)
+
     # --- plans ------------------------------------------------------------------------------------------------------
 
     def _follow(self, outcome: Outcome, now: MissionTime) -> list[Effect]:
@@ -322,8 +331,15 @@ class Director:
         return remaining.why or f"{fruitless} rounds in a row brought no sample, of {number - 1}"
 
     def _plan_made(self, task: PlanningTask, planned: PlannedRound, now: MissionTime) -> list[Effect]:
-        round_plan = self._planning.plan_of(task, planned)
-        revision = self._planning.revision
+        proposed = self._planning.propose(task, planned, now)
+        if self._scenario.ground.approval == "operator":
+            return self._advance(now)
+        return self.send_plan(proposed, proposed.plan, now)
+
+    def send_plan(self, proposed: ProposedRound, round_plan: RoundPlan, now: MissionTime) -> list[Effect]:
+        """Send the proposed round, as it was or as the operator has edited it."""
+        task = proposed.task
+        revision = self._planning.approve(proposed)
         self._round_log.append(round_plan, revision)
         self._next_start_m = None
         last = task.samples_left <= len(round_plan.samples)

@@ -14,9 +14,11 @@ from schemas.authority import AuthorityChange
 from schemas.commands import CommandReport, NoParameters, Telecommand
 from schemas.ground import InterestChange
 from schemas.link import LinkStatus
+from schemas.plans import PlanDecision
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
 from schemas.topics import (
     COMMAND_REPORT,
+    DECIDE_PLAN,
     EVENT,
     ISSUE_COMMAND,
     LIST_COMMANDS,
@@ -26,6 +28,7 @@ from schemas.topics import (
     SET_AUTHORITY,
     SET_INTEREST,
     SHOW_AUTHORITY,
+    SHOW_PLAN,
     STATE,
     Side,
 )
@@ -39,6 +42,7 @@ from services.ground.interests import InterestAreas
 from services.ground.map.publisher import MapPublisher
 from services.ground.map.region_account import region_account
 from services.ground.map.service import MAP_TOPICS, answer
+from services.ground.plan_review import PlanReviewer
 from services.ground.planning import RoundPlanning
 from services.ground.previews import CommandPreviews
 from services.ground.refits import RefitSchedule
@@ -101,6 +105,7 @@ class GroundNode:
         interests: InterestAreas,
         telecommands: TelecommandHandler,
         previews: CommandPreviews,
+        reviewer: PlanReviewer,
         authority: CommandAuthority,
         publisher: MapPublisher,
         status: StatusReporter,
@@ -115,6 +120,7 @@ class GroundNode:
         self._interests = interests
         self._telecommands = telecommands
         self._previews = previews
+        self._reviewer = reviewer
         self._authority = authority
         self._publisher = publisher
         self._status = status
@@ -148,6 +154,8 @@ class GroundNode:
                 LIST_INTERESTS,
                 SET_AUTHORITY,
                 SHOW_AUTHORITY,
+                DECIDE_PLAN,
+                SHOW_PLAN,
                 *MAP_TOPICS,
             ),
         )
@@ -189,9 +197,14 @@ class GroundNode:
             case QueryReceived(topic, NoParameters(), token) if topic is LIST_INTERESTS:
                 yield SendReply(token, self._interests.listed())
             case QueryReceived(topic, AuthorityChange() as change, token) if topic is SET_AUTHORITY:
-                yield from self._change_authority(change, token, now)
+                yield from self._authority.answer(change, token, now)
             case QueryReceived(topic, _, token) if topic is SHOW_AUTHORITY:
                 yield SendReply(token, self._authority.state)
+            case QueryReceived(topic, PlanDecision() as decision, token) if topic is DECIDE_PLAN:
+                self._stall.progress(now)
+                yield from self._reviewer.decide(decision, token, now)
+            case QueryReceived(topic, _, token) if topic is SHOW_PLAN:
+                yield SendReply(token, self._reviewer.shown())
             case TimerFired(timer) if timer == STATUS_TIMER:
                 yield SetTimer(STATUS_TIMER, now + self._status_period)
                 yield from self._silence.check(now)
@@ -263,17 +276,6 @@ class GroundNode:
         yield SendReply(token, self._interests.listed())
         yield from effects
 
-    def _change_authority(self, change: AuthorityChange, token: int, now: MissionTime) -> Iterable[Effect]:
-        earlier = self._authority.state.holder
-        try:
-            state = self._authority.change(change, now)
-        except InvalidInput as error:
-            yield RefuseQuery(token, str(error))
-            return
-        yield SendReply(token, state)
-        fields = {"holder": state.holder or "nobody", "earlier": earlier or "nobody"}
-        yield LogRecord(Level.INFO, "command authority", fields)
-
     # --- checkpoints ------------------------------------------------------------------------------------------------
 
     @property
@@ -343,6 +345,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
         interests=interests,
         telecommands=TelecommandHandler(scenario, NAME, history, director, authority),
         previews=CommandPreviews(history, terrain, round_log, execution, budget),
+        reviewer=PlanReviewer(planning, budget, director, authority),
         authority=authority,
         publisher=publisher,
         status=StatusReporter(scenario, belief, director, publisher, silence, note),

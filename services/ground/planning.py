@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from he3.errors import InvalidInput
+from he3.information import information_gain
 from he3.posterior.grid import GridPosterior
 from services.ground.bounded_task import BoundedTask
 from services.ground.planners import planner_named
 from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningRequest
 from services.ground.planners.validation import checked_answer
-from services.ground.round_plans import PlanningTask, round_plan, sample_id
+from services.ground.round_plans import PlanningTask, ProposedRound, round_plan, sample_id
 from services.runtime.node import Compute
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from services.ground.round_log import RoundLog
     from services.ground.round_record import RoundRecord
     from services.ground.terrain import GroundTerrain
+    from services.mission.mission_time import MissionTime
     from services.mission.scenario import Scenario
     from services.runtime.node import SavedState
 
@@ -64,6 +67,9 @@ class RoundPlanning:
         self._task: PlanningTask | None = None
         self._tasks = 0
         self._attempt = 0
+        self._sent_back = 0
+        self.proposed: ProposedRound | None = None
+        """The round that waits for the operator's approval."""
         self._outlook_m: FloatArray | None = None
 
     @property
@@ -74,8 +80,8 @@ class RoundPlanning:
 
     @property
     def busy(self) -> bool:
-        """Whether a round is being planned."""
-        return self._task is not None
+        """Whether a round is being planned, or waits for approval."""
+        return self._task is not None or self.proposed is not None
 
     def start(self, number: int, start_m: Place, remaining: RemainingBudget) -> Compute:
         """Plan the round of that number from that place, within the remaining budget."""
@@ -107,7 +113,8 @@ class RoundPlanning:
             clearance_m=ground.clearance_m,
             information_exponent=ground.information_exponent,
         )
-        seed = np.random.SeedSequence((self._scenario.seed, _SEED, number, self.revision + 1, self._attempt))
+        choices = (self._scenario.seed, _SEED, number, self.revision + 1, self._attempt)
+        seed = np.random.SeedSequence((*choices, self._sent_back) if self._sent_back else choices)
         return PlanningRequest(
             grid=self._grid,
             traversable=self._terrain.open_from(start_m, self._round_log.paths()[0][-MAX_BACK:]),
@@ -125,15 +132,16 @@ class RoundPlanning:
         )
 
     def cancel(self) -> None:
-        """Cancel the round being planned; its answer is dropped when it arrives."""
+        """Cancel the round that is being planned or waits for approval; an answer is dropped when it arrives."""
         self._task = None
+        self.proposed = None
 
     def take_back(self, records: Iterable[RoundRecord]) -> None:
         """Take back rounds that are to be planned again; their places join the outlook."""
         if self._outlook_m is not None:
             samples = [planned for record in records for planned in record.plan.samples]
             self._outlook_m = np.vstack((_places(samples), self._outlook_m))
-        self._task = None
+        self.cancel()
         self._attempt = 0
 
     def answered(self, job: str) -> PlanningTask | None:
@@ -143,16 +151,43 @@ class RoundPlanning:
         task, self._task = self._task, None
         return task
 
-    def plan_of(self, task: PlanningTask, planned: PlannedRound) -> RoundPlan:
-        """The plan message for the planned round, with a new revision."""
+    def propose(self, task: PlanningTask, planned: PlannedRound, now: MissionTime) -> ProposedRound:
+        """The planned round as a proposal: it waits in `proposed` for approval."""
         # The first plan of a round has the plain ids; they are never used for another place.
         known = self._round_log.of_sample(sample_id(task.number, "", 1)) is not None
         version = f"v{self.revision + 1}" if known else ""
         plan = round_plan(task.number, planned, version, self._scenario.sample_depth_m)
+        self.proposed = ProposedRound(self._tasks, task, plan, planned.outlook_m, now)
+        return self.proposed
+
+    def edited(self, proposed: ProposedRound, drop: Sequence[str]) -> RoundPlan:
+        """The proposed round without these samples; raises InvalidInput for others, and unless one is left."""
+        names = [planned.sample_id for planned in proposed.plan.samples]
+        strange = next((name for name in drop if name not in names), None)
+        if strange is not None:
+            raise InvalidInput(f"plan: expected samples among {', '.join(names)}, got {strange}")
+        if not drop:
+            return proposed.plan
+        kept = tuple(planned for planned in proposed.plan.samples if planned.sample_id not in drop)
+        if not kept:
+            raise InvalidInput("plan: expected at least one sample that is kept, got none: send the plan back instead")
+        known = self._belief.process.condition_on_places(_places(self._round_log.pending))
+        noise = self._belief.hyperparameters.noise_variance_ppb2
+        nats = information_gain(known.posterior_covariance(_places(kept)), noise)
+        return proposed.plan.model_copy(update={"samples": kept, "information_nats": max(0.0, nats)})
+
+    def approve(self, proposed: ProposedRound) -> int:
+        """Note that this round is sent; returns the new plan's revision."""
+        self.cancel()
         self.revision += 1
-        self._outlook_m = planned.outlook_m
+        self._outlook_m = proposed.outlook_m
         self._attempt = 0
-        return plan
+        return self.revision
+
+    def send_back(self) -> None:
+        """Drop the proposed round; the round is planned again, with another seed."""
+        self.cancel()
+        self._sent_back += 1
 
     def failed(self, task: PlanningTask) -> bool:
         """Note that planning failed; returns whether to give up, else the round is planned again with another seed."""
@@ -169,6 +204,8 @@ class RoundPlanning:
             "task": self._task,
             "tasks": self._tasks,
             "attempt": self._attempt,
+            "sent_back": self._sent_back,
+            "proposed": self.proposed,
             "outlook_m": self._outlook_m,
         }
 
@@ -178,6 +215,7 @@ class RoundPlanning:
         self._task = state["task"]
         self._tasks = state["tasks"]
         self._attempt = state["attempt"]
+        self._sent_back, self.proposed = state["sent_back"], state["proposed"]
         self._outlook_m = state["outlook_m"]
 
 

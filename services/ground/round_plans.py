@@ -7,6 +7,8 @@ being planned, `RoundPlan` the message to the rover, `RoundRecord` the entry of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from math import dist
 from typing import TYPE_CHECKING
 
 from schemas.plans import PlannedSample, RoundPlan
@@ -14,6 +16,7 @@ from schemas.plans import PlannedSample, RoundPlan
 if TYPE_CHECKING:
     from he3.frames import FloatArray, Place
     from services.ground.planners.interface import PlannedRound
+    from services.mission.mission_time import MissionTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +35,19 @@ class PlanningTask:
     """Measurements in the map when planning began."""
     pending: tuple[str, ...]
     """Measurements under way that are counted in."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProposedRound:
+    """A round that is planned and waits for the operator's approval."""
+
+    number: int
+    """Number of the proposal."""
+    task: PlanningTask
+    plan: RoundPlan
+    outlook_m: FloatArray | None
+    """The planner's outlook, as in `PlannedRound`."""
+    proposed_at: MissionTime
 
 
 def round_plan(number: int, planned: PlannedRound, version: str, depth_m: float) -> RoundPlan:
@@ -53,6 +69,11 @@ def round_plan(number: int, planned: PlannedRound, version: str, depth_m: float)
         ),
         information_nats=planned.information_nats,
     )
+
+
+def path_length_m(plan: RoundPlan) -> float:
+    """Length of the round's path [m]."""
+    return sum(dist(a, b) for a, b in pairwise(plan.path_m))
 
 
 def sample_id(number: int, version: str, index: int) -> str:

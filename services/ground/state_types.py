@@ -24,7 +24,7 @@ from services.ground.fitting import FitRequest
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.observation import Observation
 from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
-from services.ground.round_plans import PlanningTask
+from services.ground.round_plans import PlanningTask, ProposedRound
 
 STATE_TYPES: Final[tuple[type, ...]] = (
     AuthorityState,
@@ -49,6 +49,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     PlanningRequest,
     PlanningTask,
     PosteriorMap,
+    ProposedRound,
     RoundPlan,
     RoverState,
     SampleReport,

@@ -81,6 +81,7 @@ class StatusReporter:
             rover=self._rover,
             rover_made_at=self._rover_made_at,
             detail=self._detail(progress)[:500],
+            proposal=None if progress.proposed is None else progress.proposed.number,
         )
 
     def _phase(self, progress: MissionProgress) -> MissionPhase:
@@ -91,10 +92,11 @@ class StatusReporter:
         return MissionPhase.EXECUTING if progress.executing else MissionPhase.PLANNING
 
     def _detail(self, progress: MissionProgress) -> str:
+        details = ["the rover is silent"] if self._silence.silent and progress.ended is None else []
+        if progress.proposed is not None:
+            details.append(f"the plan of round {progress.proposed.task.number} waits for approval")
         detail = progress.detail or self._note
-        if self._silence.silent and progress.ended is None:
-            return f"the rover is silent; {detail}" if detail else "the rover is silent"
-        return detail
+        return "; ".join((*details, detail) if detail else details)
 
     def checkpoint(self) -> SavedState:
         """The whole state, as named parts."""

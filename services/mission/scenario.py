@@ -156,6 +156,8 @@ class GroundConfig(Section):
     """Time limit of a plug-in planner [s of wall-clock time]; it is ended then and counts as failed."""
     pipeline: Annotated[int, Field(ge=0, le=50)] = 0
     """Rounds on board in addition to the one in execution; 0 is stop-and-wait."""
+    approval: Literal["auto", "operator"] = "auto"
+    """Whether a plan goes to the rover at once, or waits until an operator approves it."""
     budget_m: Annotated[float, Field(gt=0, le=1e8)] | None = None
     """Most metres that the whole mission may drive [m]."""
     budget_h: Annotated[float, Field(gt=0, le=1e5)] | None = None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from he3.errors import He3Error
 from schemas.authority import AuthorityChange
 from schemas.commands import Telecommand
+from schemas.plans import PlanDecision
 from services.runtime.trust.audit import AuditKind
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def named_in(header: Header | None, body: Any) -> str:
     """Whom a message names as who wants what it says."""
     if isinstance(body, Telecommand) and body.by:
         return body.authorization.signer if body.authorization is not None else str(body.issued_by)
-    if isinstance(body, AuthorityChange):
+    if isinstance(body, AuthorityChange | PlanDecision):
         return body.by
     if header is None:
         return ""

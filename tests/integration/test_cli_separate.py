@@ -233,7 +233,8 @@ def test_services_that_are_up_stay_up_without_a_recorder_that_dies_and_report_on
     network = [
         f'network.{side}="tcp/127.0.0.1:{port}"' for side, port in zip(("moon", "earth"), free_ports(), strict=True)
     ]
-    settings = [word for setting in (*network, "rounds=1", "samples_per_round=2") for word in ("--set", setting)]
+    changes = (*network, "rounds=1", "samples_per_round=2", "ground.approval=operator")
+    settings = [word for setting in changes for word in ("--set", setting)]
     out = tmp_path / "out"
     with started(
         "up", "short", "--rate", "500", "--quiet", "--out", str(out), *settings, environment=environment
@@ -243,6 +244,8 @@ def test_services_that_are_up_stay_up_without_a_recorder_that_dies_and_report_on
         # On a busy machine it may first say that it still waits for the router.
         assert any("is up" in line for line in iter(process.stderr.readline, ""))
         os.kill(pids["recorder"], signal.SIGKILL)
+        assert until_answered(environment, "plan", "approve", "--why", "as it is").endswith("(round 1) approved\n")
+        assert he3_here("plan", "send-back", env=environment).stderr.endswith("no plan waits for approval\n")
         ended = "he3: the recorder service ended by itself, killed by SIGKILL; the mission continues without it\n"
         over = (
             f"he3: mission 'short' is over (completed): wrote {out / 'report.json'}, {out / 'map.png'}, "

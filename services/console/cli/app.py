@@ -14,6 +14,7 @@ from services.console.cli import (
     keys,
     link,
     map,
+    plan,
     recording,
     region,
     replay,
@@ -60,6 +61,7 @@ def build() -> typer.Typer:
         command.commands
     )
     app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
+    app.add_typer(plan.app, name="plan", help="The plan that waits for approval: show it, approve it, send it back.")
     app.add_typer(authority.app, name="authority", help="Who commands the rover: show it, take it, release it.")
     app.add_typer(audit.app, name="audit", help="The audit log: who did what.", epilog=audit.EXAMPLES)
     app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")

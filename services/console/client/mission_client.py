@@ -32,6 +32,7 @@ from services.console.client.feed import MapFeed
 from services.console.client.live import LiveNews
 from services.console.client.map_files import MapFiles
 from services.console.client.mission_state import MissionState
+from services.console.client.plan_review import PlanReviewing
 from services.console.client.previews import Previewing
 from services.console.client.run_file import find
 from services.runtime.transport.client import Client
@@ -45,7 +46,7 @@ REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 
-class MissionClient(MapFiles, Previewing, LiveNews, MapFeed):
+class MissionClient(MapFiles, PlanReviewing, Previewing, LiveNews, MapFeed):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
     def __init__(

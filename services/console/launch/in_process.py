@@ -7,6 +7,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from he3.errors import InvalidInput
 from schemas.commands import NoParameters
 from schemas.link import LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
@@ -31,6 +32,10 @@ def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, event
     """
     from services.mission.regions import load_region
 
+    if scenario.ground.approval == "operator":
+        raise InvalidInput(
+            'ground.approval: expected "auto" for a mission in one process, which no operator can reach, got "operator"'
+        )
     region = load_region(scenario.region, scenario.field.field_seed)
     nodes = build_nodes(scenario, region=region)
     with claimed(where, events):

@@ -16,12 +16,13 @@ from schemas.codec import decode, encode
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, NoParameters, Telecommand
 from schemas.ground import GroundStatus, InterestChange, MissionPhase
 from schemas.maps import MapPointQuery
-from schemas.plans import MissionPlan, PlannedSample, RoundPlan
+from schemas.plans import MissionPlan, PlanDecision, PlannedSample, PlanProposal, PlanReview, PlanVerdict, RoundPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
 from schemas.topics import (
     COMMAND,
     COMMAND_REPORT,
     COMMAND_STATUS,
+    DECIDE_PLAN,
     EVENT,
     GROUND_STATUS,
     ISSUE_COMMAND,
@@ -31,6 +32,7 @@ from schemas.topics import (
     PLAN,
     SAMPLE,
     SET_INTEREST,
+    SHOW_PLAN,
     STATE,
     TRACK,
     Side,
@@ -44,7 +46,20 @@ from services.ground.planners.traversability import OpenGround
 from services.mission.mission_time import SECOND, seconds
 from services.mission.scenario import Scenario
 from services.runtime.drivers.simulation import Simulation
-from services.runtime.node import Effect, Event, Finish, Interface, Level, Received, Send, SetTimer, TimerFired
+from services.runtime.node import (
+    Effect,
+    Event,
+    Finish,
+    Interface,
+    Level,
+    QueryReceived,
+    Received,
+    Send,
+    SendReply,
+    SetTimer,
+    TimerFired,
+)
+from services.runtime.state_codec import StateCodec
 
 GRID = SiteGrid(60, 60)
 START = (5.0, 5.0)
@@ -912,3 +927,111 @@ def test_a_published_map_never_changes() -> None:
     assert (shown.mean_ppb.tobytes(), shown.std_ppb.tobytes(), shown.traversable.tobytes(), shown.samples) == before
     with pytest.raises(ValueError, match="read-only"):
         shown.mean_ppb[0, 0] = 1.0
+
+
+# --- plan review ------------------------------------------------------------------------------------------------
+
+
+class Reviewed(Mission):
+    """A mission in which every plan waits for an operator."""
+
+    def __init__(self, **ground: object) -> None:
+        super().__init__(scenario(ground={"approval": "operator", **ground}))
+
+    def waits(self) -> PlanProposal:
+        """The plan that waits, once there is one."""
+        limit = self.simulation.now + seconds(10 * 3600.0)
+        self.simulation.run(until=limit, stop=lambda: self.shown() is not None)
+        proposal = self.shown()
+        assert proposal is not None
+        return proposal
+
+    def shown(self) -> PlanProposal | None:
+        review: PlanReview = self.simulation.ask(SHOW_PLAN, NoParameters())
+        return review.proposal
+
+    def decide(self, proposal: PlanProposal, verdict: str = "approve", drop: tuple[str, ...] = ()) -> PlanReview:
+        decision = PlanDecision(proposal=proposal.proposal, verdict=PlanVerdict(verdict), by="anna", drop=drop)
+        review: PlanReview = self.simulation.ask(DECIDE_PLAN, decision)
+        return review
+
+
+def test_a_plan_waits_for_its_approval_however_long_and_the_mission_says_so() -> None:
+    mission = Reviewed(patience_h=1.0)
+    proposal = mission.waits()
+    mission.simulation.run_for(20 * 3600.0)
+    assert mission.rover.plans == []
+    assert mission.shown() == proposal
+    assert mission.status.proposal == proposal.proposal
+    assert mission.status.detail == "the plan of round 1 waits for approval"
+    assert not mission.simulation.finished
+    assert mission.decide(proposal) == PlanReview()
+    mission.simulation.run_for(10.0)
+    assert [planned for _, plan in mission.rover.plans for planned in plan.rounds] == [proposal.plan]
+    while "ground" not in mission.simulation.finished:
+        mission.simulation.run_for(600.0)
+        if (following := mission.shown()) is not None:
+            mission.decide(following)
+    assert mission.simulation.finished["ground"] == Finish(True, "12 of 12 samples are in the map")
+    assert [plan.last for _, plan in mission.rover.plans] == [False, False, False, True]
+
+
+def test_dropped_samples_are_not_taken_and_others_replace_them_in_later_rounds() -> None:
+    mission = Reviewed()
+    proposal = mission.waits()
+    assert proposal.length_m == pytest.approx(float(np.hypot(*np.diff(proposal.plan.path_m, axis=0).T).sum()))
+    dropped = proposal.plan.samples[1].sample_id
+    for drop, complaint in (
+        (("r09s9",), "expected samples among r01s1, r01s2, r01s3, got r09s9"),
+        (tuple(sample.sample_id for sample in proposal.plan.samples), "at least one sample that is kept"),
+    ):
+        with pytest.raises(He3Error, match=complaint):
+            mission.decide(proposal, drop=drop)
+    mission.decide(proposal, drop=(dropped,))
+    mission.simulation.run_for(10.0)
+    sent = mission.rover.plans[0][1].rounds[0]
+    assert [sample.sample_id for sample in sent.samples] == ["r01s1", "r01s3"]
+    assert sent.path_m == proposal.plan.path_m
+    assert sent.information_nats > 0
+    rounds = 1
+    while "ground" not in mission.simulation.finished:
+        mission.simulation.run_for(600.0)
+        if (following := mission.shown()) is not None:
+            rounds += 1
+            mission.decide(following)
+    taken = [sample.sample_id for sample in mission.snapshot.samples]
+    assert (len(taken), dropped in taken, rounds) == (12, False, 5)
+
+
+def test_a_plan_that_is_sent_back_is_made_again_and_a_decision_on_the_former_one_is_refused() -> None:
+    mission = Reviewed()
+    first = mission.waits()
+    mission.decide(first, "send_back")
+    second = mission.waits()
+    assert second.plan.round == first.plan.round
+    assert second.plan.samples != first.plan.samples
+    with pytest.raises(He3Error, match=f"proposal {second.proposal} waits, got a decision on proposal"):
+        mission.decide(first)
+    mission.decide(second)
+    with pytest.raises(He3Error, match="no plan waits for approval"):
+        mission.decide(second)
+
+
+def test_a_plan_that_waits_is_made_again_when_its_ground_is_closed() -> None:
+    mission = Reviewed()
+    first = mission.waits()
+    x, y = first.plan.path_m[-1]
+    around_end = ((x - 1, y - 1), (x + 1, y - 1), (x + 1, y + 1), (x - 1, y + 1))
+    mission.simulation.ask(ISSUE_COMMAND, command(CommandKind.SET_KEEP_OUT, area_id="a", polygon_m=around_end))
+    assert mission.shown() is None
+    assert mission.waits().proposal != first.proposal
+
+
+def test_a_plan_that_waits_is_in_a_checkpoint() -> None:
+    mission = Reviewed()
+    proposal = mission.waits()
+    other = build_node(scenario(ground={"approval": "operator"}), mission.region, straight)
+    codec = StateCodec((*other.state_types, Finish), other.functions)
+    other.restore(codec.decode(codec.encode(mission.ground.checkpoint())))
+    effects = list(other.handle(QueryReceived(SHOW_PLAN, NoParameters(), 1), mission.simulation.now))
+    assert SendReply(1, PlanReview(proposal=proposal)) in effects

@@ -1,0 +1,118 @@
+"""``he3 plan``: the plan that waits for the operator's approval, and the decision on it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from services.console.cli.options import AsJson, AsName, Earth, IdentityFolder, Insecure, Mission
+
+if TYPE_CHECKING:
+    from schemas.plans import PlanProposal
+    from services.console.client.mission_client import MissionClient
+
+EXAMPLES = """\b
+Examples:
+  he3 up t1 --set ground.approval=operator &   a mission whose plans wait for approval
+  he3 plan show
+  he3 plan approve                             send the plan that waits to the rover
+  he3 plan approve --drop r07s2 --drop r07s3   without these samples; the rover drives by
+  he3 plan send-back --why "too close to the rim"
+"""
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+Why = Annotated[str, typer.Option("--why", metavar="TEXT", help="A note for the log of the ground station.")]
+Number = Annotated[
+    int | None,
+    typer.Option("--proposal", metavar="N", help="Only if this proposal still waits; without it, the one that waits."),
+]
+
+
+@app.command(epilog=EXAMPLES)
+def show(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
+    """Show the plan that waits for approval."""
+    from schemas.plans import PlanReview
+    from services.console.client.mission_client import MissionClient
+
+    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+        proposal = client.proposed_plan()
+    if json:
+        typer.echo(PlanReview(proposal=proposal).model_dump_json(indent=2))
+    else:
+        typer.echo("no plan waits for approval" if proposal is None else "\n".join(plan_lines(proposal)))
+
+
+@app.command(epilog=EXAMPLES)
+def approve(
+    drop: Annotated[
+        list[str] | None, typer.Option("--drop", metavar="SAMPLE", help="A sample that is not taken; repeatable.")
+    ] = None,
+    proposal: Number = None,
+    why: Why = "",
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    as_name: AsName = None,
+) -> None:
+    """Send the plan that waits to the rover."""
+    from services.console.client.mission_client import MissionClient
+
+    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+        number, about = _waiting(client, proposal)
+        client.approve_plan(number, drop or (), why)
+    dropped = f" without {', '.join(drop)}" if drop else ""
+    typer.echo(f"mission '{client.mission}': {about} approved{dropped}")
+
+
+@app.command("send-back", epilog=EXAMPLES)
+def send_back(
+    proposal: Number = None,
+    why: Why = "",
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    as_name: AsName = None,
+) -> None:
+    """Let the ground plan the round again."""
+    from services.console.client.mission_client import MissionClient
+
+    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+        number, about = _waiting(client, proposal)
+        client.send_plan_back(number, why)
+    typer.echo(f"mission '{client.mission}': {about} sent back")
+
+
+def _waiting(client: MissionClient, wanted: int | None) -> tuple[int, str]:
+    """The number of the proposal that is decided on, and its name in words; raises He3Error if none waits."""
+    from he3.errors import He3Error
+
+    waits = client.proposed_plan()
+    if waits is None:
+        raise He3Error(f"mission '{client.mission}': no plan waits for approval")
+    return wanted or waits.proposal, f"proposal {wanted or waits.proposal} (round {waits.plan.round})"
+
+
+def plan_lines(proposal: PlanProposal) -> list[str]:
+    """The plan in lines of plain text: its figures, and its samples in their order."""
+    from services.console.client.time_format import duration, utc
+
+    plan = proposal.plan
+    lasts = (
+        "never: the sun does not charge the rover enough" if proposal.lasts_s is None else duration(proposal.lasts_s)
+    )
+    last = ", the last one" if proposal.last else ""
+    return [
+        f"proposal {proposal.proposal}  round {plan.round}{last}, waits since {utc(proposal.proposed_at, 0)}",
+        f"    {proposal.length_m:,.1f} m, {len(plan.samples)} samples, {plan.information_nats:.2f} nat, takes {lasts}",
+        *(f"    {sample.sample_id:<10} ({sample.x_m:.1f}, {sample.y_m:.1f}) m" for sample in plan.samples),
+    ]

@@ -1,0 +1,45 @@
+"""Plan review: the plan that waits for the operator, and the operator's decision on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from he3.errors import InvalidInput
+from schemas.commands import NoParameters
+from schemas.plans import PlanDecision, PlanReview, PlanVerdict
+from schemas.topics import DECIDE_PLAN, SHOW_PLAN
+from schemas.validation import one_line
+from services.console.client.commands import Commanding
+
+if TYPE_CHECKING:
+    from schemas.plans import PlanProposal
+
+
+class PlanReviewing(Commanding):
+    """The part of `MissionClient` that reviews plans, in a mission with `ground.approval = "operator"`."""
+
+    def proposed_plan(self) -> PlanProposal | None:
+        """The plan that waits for approval; None if none does."""
+        review: PlanReview = self._session.query(SHOW_PLAN, NoParameters())
+        return review.proposal
+
+    def approve_plan(self, proposal: int, drop: Sequence[str] = (), why: str = "") -> None:
+        """Send the plan of that proposal to the rover, without the samples of these ids.
+
+        Raises InvalidInput, in one line, for a proposal that does not wait, and for samples that are not in it.
+        """
+        self._decide(proposal, PlanVerdict.APPROVE, tuple(drop), why)
+
+    def send_plan_back(self, proposal: int, why: str = "") -> None:
+        """Let the ground plan that round again. Raises InvalidInput for a proposal that does not wait."""
+        self._decide(proposal, PlanVerdict.SEND_BACK, (), why)
+
+    def _decide(self, proposal: int, verdict: PlanVerdict, drop: tuple[str, ...], why: str) -> None:
+        try:
+            decision = PlanDecision(proposal=proposal, verdict=verdict, by=self.person, drop=drop, why=why)
+        except ValidationError as error:
+            raise InvalidInput(f"plan: {one_line(error)}") from None
+        self._session.query(DECIDE_PLAN, decision)
