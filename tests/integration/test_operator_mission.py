@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message_factory import GetMessages
 
 from he3.errors import He3Error, InvalidInput
 from schemas.maps import MapAbout
@@ -22,7 +25,8 @@ from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import Endpoints, free_endpoints
 from services.console.launch.launcher import Launcher
 from services.runtime.transport.opening import open_client
-from tests.processes import he3_here
+from tests.processes import he3 as he3_command
+from tests.processes import he3_here, start
 from tests.waiting import PATIENCE_S, until
 
 MISSION, RATE = "t1-paper", 120.0
@@ -251,3 +255,67 @@ def test_a_query_process_that_is_killed_is_replaced_and_the_ground_goes_on(
     point = until(lambda: quietly(lambda: client.point(10.0, 20.0)), "an answer")
     assert point.samples >= 2
     launcher.check()
+
+
+def test_foxglove_gets_a_live_mission_whole_whenever_it_joins(
+    running: tuple[Launcher, Endpoints], client: MissionClient
+) -> None:
+    """A viewer that knows the protocol: it subscribes to all channels and decodes with their schemas alone."""
+    pytest.importorskip("foxglove")
+    websocket = pytest.importorskip("websocket")
+    known = {name: (x, y) for name, x, y in client.samples()[["sample_id", "x_m", "y_m"]]}
+    words = ("foxglove", "--port", "0", "--earth", running[1].earth, "--mission", MISSION)
+    with start(he3_command(*words), stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        address = process.stderr.readline().split(" at ")[1].split(" ")[0]
+        viewer = Viewer(websocket.create_connection(address, subprotocols=["foxglove.sdk.v1"], timeout=PATIENCE_S))
+        own = {f"he3/{MISSION}/earth/ground/status", f"he3/{MISSION}/tm/state", f"he3/{MISSION}/earth/map/overview"}
+        found = viewer.messages_of({"/map/mean", "/samples", "/samples/markers", "/plan", "/rover", "/tf/rover", *own})
+        viewer.close()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 130
+        assert process.stderr.read() == "he3: interrupted\n"
+    points = np.frombuffer(found["/samples"][-1].data, dtype="<f4").reshape(-1, 4)
+    for name, place in known.items():
+        assert np.abs(points[:, :2] - place).max(axis=1).min() < 1e-3, name
+    marked = {entity.id for update in found["/samples/markers"] for entity in update.entities}
+    assert marked >= {str(name) for name in known}
+    assert found["/map/mean"][-1].fields[0].name == "mean_ppb"
+    assert len(found["/plan"][-1].entities[0].lines[0].points) > 1
+    state = json.loads(found[f"he3/{MISSION}/tm/state"][-1])["body"]
+    assert 0 <= state["x_m"] <= 500
+
+
+class Viewer:
+    """A client of Foxglove's WebSocket protocol."""
+
+    def __init__(self, connection: Any) -> None:
+        self._connection = connection
+        self._channels: dict[int, dict[str, Any]] = {}
+
+    def messages_of(self, wanted: set[str]) -> dict[str, list[Any]]:
+        """All messages until each of those topics has one, decoded; fails after a time in which they do not come."""
+        found: dict[str, list[Any]] = {}
+        until(lambda: self._take(found) and wanted <= set(found), f"messages of {wanted}")
+        return found
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _take(self, found: dict[str, list[Any]]) -> bool:
+        kind, data = self._connection.recv_data()
+        if kind == 1:
+            self._subscribe(json.loads(data).get("channels", ()))
+        elif data[0] == 1:  # a message: subscription, log time, payload
+            channel = self._channels[int.from_bytes(data[1:5], "little")]
+            payload = data[13:]
+            if channel["encoding"] == "protobuf":
+                described = FileDescriptorSet.FromString(base64.b64decode(channel["schema"]))
+                payload = GetMessages(described.file)[channel["schemaName"]].FromString(payload)
+            found.setdefault(channel["topic"], []).append(payload)
+        return True
+
+    def _subscribe(self, channels: Iterable[dict[str, Any]]) -> None:
+        self._channels |= {channel["id"]: channel for channel in channels}
+        wanted = [{"id": channel["id"], "channelId": channel["id"]} for channel in channels]
+        self._connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))

@@ -11,6 +11,7 @@ from services.console.cli import (
     authority,
     bench,
     command,
+    foxglove,
     keys,
     link,
     map,
@@ -55,6 +56,7 @@ def build() -> typer.Typer:
     app.add_typer(
         time.app, name="time", help="Mission time: show it, pause it, step it, limit its speed.", epilog=time.EXAMPLES
     )
+    app.command("foxglove", short_help="Stream a mission to Foxglove.", epilog=foxglove.EXAMPLES)(foxglove.foxglove)
     app.add_typer(link.app, name="link", help="The link between Earth and Moon: show it, change it.")
     app.add_typer(command.app, name="command", help="Send the rover a telecommand.")
     app.command("commands", short_help="List the telecommands and their stages.", epilog=command.EXAMPLES)(

@@ -70,6 +70,10 @@ class LiveNews:
         """Subscribe: `on_message(header, body)` runs in another thread. Returns the function that ends it."""
         return self._session.subscribe(topic, on_message)
 
+    def latest(self, topic: Topic) -> tuple[Header, Any]:
+        """Header and body of the last message of a topic whose sender keeps it; raises PeerUnreachable if none does."""
+        return self._session.latest(topic)
+
     def alive_on_earth(self) -> tuple[str, ...]:
         """Names of the processes that are alive on the Earth side, in alphabetical order."""
         alive: dict[str, bool] = {}

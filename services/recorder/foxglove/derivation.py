@@ -27,7 +27,7 @@ from services.recorder.foxglove.schemas import encoded
 if TYPE_CHECKING:
     from he3.frames import Float32Array, Place
     from schemas.commands import CommandStatus
-    from schemas.ground import GroundStatus, KeepOutArea, MapOverview, MapValues
+    from schemas.ground import GroundStatus, KeepOutArea, MapOverview, MapValues, MissionTrack
     from schemas.link import LinkStatus
     from schemas.plans import MissionPlan
     from schemas.telemetry import RoverEvent, RoverState, SampleReport
@@ -123,6 +123,24 @@ class Derivation:
         made = self._makers.get(topic)
         return iter(()) if made is None else made(body, header)
 
+    def of_track(self, track: MissionTrack, made_at: MissionTime) -> Iterator[Derived]:
+        """The messages that follow from the ground's account of the mission so far: for a reader who joins late.
+
+        Its path stands for all reports before, if there were none yet; its plan takes the place of an earlier one.
+        """
+        if self._path.is_empty:
+            for number, place in enumerate(track.driven_path_m):  # before every report, whose times are in nanoseconds
+                self._path.add(number, place)
+            yield from self._whole_path(made_at)
+        new = [sample for sample in track.samples if sample.sample_id not in self._samples]
+        self._samples |= {sample.sample_id: sample for sample in new}
+        if new:
+            yield from self._cloud(made_at)
+            yield from (self._marker(sample, made_at) for sample in new)
+        line = scene.line(track.planned_path_m, _PLAN_UP_M, _PLANNED, _LINE_M)
+        planned = scene.entity("plan", made_at, lines=[line] if track.planned_path_m else [])
+        yield _derived("/plan", made_at, {"entities": [planned]})
+
     # --- the rover ---------------------------------------------------------------------------------------------------
 
     def _of_state(self, state: RoverState, header: Header) -> Iterator[Derived]:
@@ -164,6 +182,9 @@ class Derivation:
 
     def _drove(self, at: MissionTime, place: Place, made_at: MissionTime) -> Iterator[Derived]:
         self._path.add(at, place)
+        return self._whole_path(made_at)
+
+    def _whole_path(self, made_at: MissionTime) -> Iterator[Derived]:
         path = self._path.whole()
         if path is not None:
             line = scene.line(path, _PATH_UP_M, _PATH, _LINE_M)
@@ -173,19 +194,25 @@ class Derivation:
         if sample.sample_id in self._samples:
             return
         self._samples[sample.sample_id] = sample
-        made_at = header.made_at
+        yield from self._drove(sample.measured_at, (sample.x_m, sample.y_m), header.made_at)
+        yield from self._cloud(header.made_at)
+        yield self._marker(sample, header.made_at)
+
+    def _cloud(self, made_at: MissionTime) -> Iterator[Derived]:
         known = self._samples.values()
         places, values = [(each.x_m, each.y_m) for each in known], [each.helium3_ppb for each in known]
-        place = (sample.x_m, sample.y_m)
-        yield from self._drove(sample.measured_at, place, made_at)
         yield _derived("/samples", made_at, scene.cloud(made_at, places, _PATH_UP_M, "helium3_ppb", values))
-        ball = scene.sphere(place, _SAMPLE_M, scene.shade(sample.helium3_ppb, min(values), max(values), "viridis"))
+
+    def _marker(self, sample: SampleReport, made_at: MissionTime) -> Derived:
+        values = [each.helium3_ppb for each in self._samples.values()]
+        shade = scene.shade(sample.helium3_ppb, min(values), max(values), "viridis")
+        ball = scene.sphere((sample.x_m, sample.y_m), _SAMPLE_M, shade)
         about = {
             "helium3_ppb": f"{sample.helium3_ppb:.3f}", "noise_std_ppb": f"{sample.noise_std_ppb:g}",
             "depth_m": f"{sample.depth_m:g}", "round": sample.round, "measured_at_ns": sample.measured_at,
         }  # fmt: skip
         marker = scene.entity(sample.sample_id, made_at, about, spheres=[ball])
-        yield _derived("/samples/markers", made_at, {"entities": [marker]})
+        return _derived("/samples/markers", made_at, {"entities": [marker]})
 
     def _of_event(self, event: RoverEvent, header: Header) -> Iterator[Derived]:
         key = (header.incarnation, header.sequence)

@@ -37,6 +37,11 @@ class DrivenPath:
         self._places.insert(position, place_m)
 
     @property
+    def is_empty(self) -> bool:
+        """Whether no place was reported yet."""
+        return not self._places
+
+    @property
     def new(self) -> Sequence[Place]:
         """The corners of the path since it was last published, from the last place that was."""
         return _corners(self._places[max(0, self._published - 1) :])

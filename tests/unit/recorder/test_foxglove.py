@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from he3.errors import He3Error
-from schemas.ground import KeepOutArea, KernelParameters, MapOverview, MapValues
+from schemas.ground import KeepOutArea, KernelParameters, MapOverview, MapValues, MissionTrack
 from schemas.maps import MapRegion
 from schemas.plans import MissionPlan, PlannedSample, RoundPlan
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
@@ -100,12 +100,15 @@ def as_others_read(stream: io.BytesIO) -> dict[str, list[tuple[Any, Any]]]:
 
 def derived_from(*messages: tuple[Topic, Header, Wire]) -> dict[str, list[tuple[Any, Any]]]:
     """What other programs read of a recording of those messages, each received a second after it was made."""
-    stream = io.BytesIO()
     derivation = Derivation()
+    return read_back([made for message in messages for made in derivation.of(*message)])
+
+
+def read_back(messages: list[Derived]) -> dict[str, list[tuple[Any, Any]]]:
+    stream = io.BytesIO()
     with RecordingWriter(stream, "m") as writer:
-        for topic, head, body in messages:
-            for message in derivation.of(topic, head, body):
-                writer.write_derived(message, head.made_at + 10**9)
+        for message in messages:
+            writer.write_derived(message, message.made_at + 10**9)
     return as_others_read(stream)
 
 
@@ -353,3 +356,25 @@ def test_while_the_disk_is_full_foxgloves_messages_are_left_out_and_ours_wait(tm
     assert len(list(recording.messages())) == 5
     assert recording.foreign["/rover"] < 5
     assert recording.whole
+
+
+def test_who_joins_late_gets_the_samples_the_path_and_the_plan_of_the_grounds_account() -> None:
+    track = MissionTrack(
+        samples=(sample(1, 10.0, 5.0, 7.0), sample(2, 20.0, 5.0, 8.0)),
+        driven_path_m=((0.0, 0.0), (10.0, 5.0), (20.0, 5.0)), planned_path_m=((20.0, 5.0), (30.0, 9.0)),
+        score_history=(),
+    )  # fmt: skip
+    derivation = Derivation()
+    first = [*derivation.of_track(track, START), *derivation.of(STATE, header(9), state(25.0, 7.0))]
+    found = read_back(first)
+    assert len(np.frombuffer(found["/samples"][-1][1].data, dtype="<f4")) == 8
+    assert len(found["/samples/markers"]) == 2
+    assert points_of(found["/rover/path"][-1][1]) == [(0.0, 0.0), (10.0, 5.0), (20.0, 5.0)]
+    assert points_of(found["/rover"][-1][1]) == [(20.0, 5.0), (25.0, 7.0)]
+    assert points_of(found["/plan"][-1][1]) == [(20.0, 5.0), (30.0, 9.0)]
+    again = read_back(list(derivation.of_track(track, START)))
+    assert set(again) == {"/plan"}
+
+
+def points_of(update: Any) -> list[tuple[float, float]]:
+    return [(point.x, point.y) for point in update.entities[0].lines[0].points]
