@@ -639,6 +639,27 @@ def test_the_page_says_who_is_silent_and_greys_what_is_no_longer_known(browser: 
     assert script(browser, old) == []
 
 
+@pytest.mark.exhaustive
+def test_a_plan_waits_on_the_page_until_it_is_approved_without_a_sample(browser: Any, tmp_path: Path) -> None:
+    endpoints = free_endpoints()
+    scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "short.toml"
+    flags = ("--rate", str(RATE), "--set", "ground.approval=operator")
+    with (
+        Launcher(scenario, endpoints, flags, logs=tmp_path) as launcher,
+        MissionClient.when_up(endpoints.earth, "short", launcher.check) as other,
+        Served(other, "--authority") as where,
+    ):
+        proposal = until(other.proposed_plan, "a plan")
+        browser.get(where)
+        until(lambda: "waits for approval" in written(browser, "#plan-title"), "the plan on the page")
+        click(browser, "#plan-samples li:nth-child(2) input")
+        click(browser, "#plan-approve")
+        until(lambda: other.proposed_plan() is None, "the decision")
+        until(lambda: script(browser, "return document.getElementById('plan-card').hidden"), "the end of the review")
+        dropped = proposal.plan.samples[1].sample_id
+        assert f"Plan approved without {dropped}" in written(browser, "#toast")
+
+
 def test_the_page_fits_a_phone_in_light_and_dark(browser: Any) -> None:
     for scheme in ("light", "dark"):
         browser.execute_cdp_cmd(

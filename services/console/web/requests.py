@@ -9,8 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from he3.errors import InvalidInput
 from schemas.commands import CommandKind  # of a model's field: pydantic reads it
+from schemas.plans import PlanVerdict
 from schemas.validation import one_line
-from schemas.wire import Identifier, PositionM
+from schemas.wire import MAX_COUNT, Identifier, PositionM
 from services.console.client.commands import MAX_EXPIRY_S
 
 Place = tuple[PositionM, PositionM]
@@ -45,6 +46,15 @@ class InterestRequest(PageRequest):
     weight: Annotated[float, Field(ge=0, le=1000)] = 2.0
     replace: bool = False
     """Whether an area of interest of that name may be replaced."""
+
+
+class PlanRequest(PageRequest):
+    """A decision on the plan that waits for approval."""
+
+    proposal: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+    verdict: PlanVerdict
+    drop: Annotated[tuple[Identifier, ...], Field(max_length=256)] = ()
+    """Samples that are not taken."""
 
 
 class AcknowledgeRequest(PageRequest):

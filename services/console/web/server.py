@@ -32,6 +32,7 @@ from starlette.types import ASGIApp
 
 from he3.colour_maps import OF_LAYER, stops
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.plans import PlanVerdict
 from schemas.roles import Role
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, TRACK, Topic
 from services.console.client.link import link_change
@@ -40,7 +41,14 @@ from services.console.web.access import ACT, COMMAND, CONTROL, READ, Access, Cal
 from services.console.web.connections import PEER
 from services.console.web.guard import Guard
 from services.console.web.hub import Hub, Viewer, command_document
-from services.console.web.requests import AcknowledgeRequest, CommandRequest, InterestRequest, document, parsed
+from services.console.web.requests import (
+    AcknowledgeRequest,
+    CommandRequest,
+    InterestRequest,
+    PlanRequest,
+    document,
+    parsed,
+)
 
 STATIC = Path(__file__).parent / "static"
 KEEP_ALIVE_S = 15.0
@@ -94,6 +102,8 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         *(get(f"/api/map/{name}", partial(_ask, hub, topic)) for name, topic in ASKED.items()),
         post("/api/preview", partial(_preview, hub), READ),
         post("/api/command", partial(_command, hub), COMMAND),
+        get("/api/plan", partial(_plan, hub)),
+        post("/api/plan", partial(_decide, hub), COMMAND),
         post("/api/interest", partial(_interest, hub), COMMAND),
         post("/api/link", partial(_link, hub), CONTROL),
         post("/api/acknowledge", partial(_acknowledge, hub), ACT),
@@ -280,6 +290,20 @@ def _command(hub: Hub, asked: Asked) -> Response:
         expires_in_s=wanted.expires_in_s,
     )
     return JSONResponse(command_document(issued.status))
+
+
+def _plan(hub: Hub, _: Asked) -> Response:
+    proposal = hub.mission.proposed_plan()
+    return JSONResponse({"proposal": None if proposal is None else proposal.model_dump(mode="json")}, headers=FRESH)
+
+
+def _decide(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(PlanRequest, asked.body)
+    if wanted.verdict is PlanVerdict.APPROVE:
+        hub.mission.approve_plan(wanted.proposal, wanted.drop)
+    else:
+        hub.mission.send_plan_back(wanted.proposal)
+    return _plan(hub, asked)
 
 
 def _link(hub: Hub, asked: Asked) -> Response:

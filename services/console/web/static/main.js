@@ -9,6 +9,7 @@ import "./deliberate.js";
 import { heard, isTimeKnown, showLiveness } from "./liveness.js";
 import { askJson, listen } from "./net.js";
 import { mapIsAt, showAreas, takeInterests } from "./place.js";
+import { showPlan } from "./planreview.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
 import { elapsed, grouped, utc } from "./words.js";
@@ -77,6 +78,7 @@ function takeClock(clock) {
 function showStatus() {
   const status = state.status;
   showPhase();
+  showPlan();
   if (!status) return;
   $("progress").textContent = `${status.samples} of ${status.samples_total}`;
   $("progress-bar").style.width = `${(100 * status.samples) / Math.max(1, status.samples_total)}%`;

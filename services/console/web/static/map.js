@@ -19,6 +19,7 @@ export class SiteMap {
     this.cross = null;          // [x, y] while the keyboard leads
     this.draft = [];
     this.preview = null;        // the way of a command that is not sent yet
+    this.proposal = null;       // { path, samples, dropped } of the plan that waits for approval
     this.drawing = false;
     this.show = { paths: true, samples: true };
     this.listen();
@@ -134,9 +135,9 @@ export class SiteMap {
     for (const area of this.areas) this.area(context, area.corners, colour(area.kind === "keepout" ? "--keepout" : "--interest"), area.kind !== "keepout", area.name);
     if (this.track) this.mission(context, colour);
     if (this.draft.length) this.drafted(context, colour);
+    if (this.proposal) this.proposed(context, colour);
     if (this.preview?.length) {
-      this.line(context, this.preview, 4.6, "rgb(0 0 0 / 70%)");
-      this.line(context, this.preview, 2.6, colour("--preview"), [3, 4]);
+      this.undecided(context, colour, this.preview);
       this.target(context, this.preview.at(-1), colour("--preview"));
     }
     if (this.chosen) this.target(context, this.chosen, "#fff");
@@ -202,6 +203,23 @@ export class SiteMap {
       context.lineWidth = .8;
       context.strokeStyle = "rgb(0 0 0 / 70%)";
       context.stroke();
+    }
+  }
+
+  undecided(context, colour, path) {
+    this.line(context, path, 4.6, "rgb(0 0 0 / 70%)");
+    this.line(context, path, 2.6, colour("--preview"), [3, 4]);
+  }
+
+  proposed(context, colour) {
+    this.undecided(context, colour, this.proposal.path);
+    for (const { sample_id, x_m, y_m } of this.proposal.samples) {
+      const [x, y] = this.at(x_m, y_m), dropped = this.proposal.dropped.has(sample_id);
+      context.fillStyle = dropped ? "rgb(0 0 0 / 70%)" : colour("--preview");
+      context.strokeStyle = dropped ? colour("--preview") : "#000";
+      context.lineWidth = 1.4;
+      context.fillRect(x - 4.5, y - 4.5, 9, 9);
+      context.strokeRect(x - 4.5, y - 4.5, 9, 9);
     }
   }
 
