@@ -47,8 +47,11 @@ def unit_fields(
     amplitude = _torus_amplitude(shape, spacing_m, length_m)
     fields = np.empty((count, rows, columns))
     for first in range(0, count, 2):  # a complex transform yields two independent fields
-        noise = random.standard_normal((2, *amplitude.shape))
-        torus = fft.fft2(amplitude * (noise[0] + 1j * noise[1]))
+        torus = np.empty(amplitude.shape, dtype=np.complex128)
+        torus.real = random.standard_normal(amplitude.shape)
+        torus.imag = random.standard_normal(amplitude.shape)
+        torus *= amplitude
+        torus = fft.fft2(torus, overwrite_x=True)  # in place: a site of a million cells has a torus of four million
         fields[first] = torus.real[:rows, :columns]
         if first + 1 < count:
             fields[first + 1] = torus.imag[:rows, :columns]
@@ -97,7 +100,8 @@ def _torus_amplitude(shape: tuple[int, int], spacing_m: tuple[float, float], len
             break
         lags = [np.minimum(np.arange(n), n - np.arange(n)) * d for n, d in zip(sizes, spacing_m, strict=True)]
         covariance = exponential_covariance(np.hypot(lags[0][:, None], lags[1][None, :]), length_m)
-        eigenvalues = fft.fft2(covariance).real
+        eigenvalues = fft.fft2(covariance).real.copy()
+        del covariance  # and the complex transform with it: see above
         clipped = float(-eigenvalues[eigenvalues < 0].sum() / eigenvalues.size)
         if clipped <= _MAX_CLIPPED_VARIANCE:
             amplitude: FloatArray = np.sqrt(np.maximum(eigenvalues, 0.0) / eigenvalues.size)
