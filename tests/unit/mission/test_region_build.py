@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -96,7 +95,7 @@ def expect_agreement(region: Region, truth: Array, tolerance_m: float) -> None:
     assert np.abs(error).max() < tolerance_m
 
 
-def pds3(folder: Path, sample_type: str, dtype: str, words: str, values: Array, north: float, west: float) -> None:
+def pds3(folder: Path, sample_type: str, dtype: str, words: str, values: Array, projection: str) -> None:
     """An image with its detached label; the image begins after two records of other bytes."""
     rows, columns = values.shape
     record = columns * np.dtype(dtype).itemsize
@@ -117,26 +116,46 @@ OBJECT = IMAGE
 {words}
 END_OBJECT = IMAGE
 OBJECT = IMAGE_MAP_PROJECTION
-  MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"
-  MAP_RESOLUTION = 512 <pix/deg>
   A_AXIS_RADIUS = 1737.4 <km>
   B_AXIS_RADIUS = 1737.4 <km>
   C_AXIS_RADIUS = 1737.4 <km>
   COORDINATE_SYSTEM_NAME = "MEAN EARTH/POLAR AXIS OF DE421"
   POSITIVE_LONGITUDE_DIRECTION = "EAST"
-  CENTER_LATITUDE = 0 <deg>
-  CENTER_LONGITUDE = 180 <deg>
-  MAP_SCALE = {math.radians(1) * 1737.4 / 512!r} <km/pix>
-  MAXIMUM_LATITUDE = {north!r} <deg>
-  MINIMUM_LATITUDE = {north - rows / 512!r} <deg>
-  WESTERNMOST_LONGITUDE = {west!r} <deg>
-  EASTERNMOST_LONGITUDE = {west + columns / 512!r} <deg>
-  LINE_PROJECTION_OFFSET = {north * 512 - 0.5!r} <pix>
-  SAMPLE_PROJECTION_OFFSET = {(180 - west) * 512 - 0.5!r} <pix>
+{projection}
 END_OBJECT = IMAGE_MAP_PROJECTION
 END
 """
     )
+
+
+def cylindrical(north: float, west: float, pixels: int) -> str:
+    """The projection of a PDS3 label of 512 pixels a degree, as SLDEM2015's; a square of that many pixels."""
+    return f"""  MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"
+  MAP_RESOLUTION = 512 <pix/deg>
+  CENTER_LATITUDE = 0 <deg>
+  CENTER_LONGITUDE = 180 <deg>
+  MAP_SCALE = {math.radians(1) * 1737.4 / 512!r} <km/pix>
+  MAXIMUM_LATITUDE = {north!r} <deg>
+  MINIMUM_LATITUDE = {north - pixels / 512!r} <deg>
+  WESTERNMOST_LONGITUDE = {west!r} <deg>
+  EASTERNMOST_LONGITUDE = {west + pixels / 512!r} <deg>
+  LINE_PROJECTION_OFFSET = {north * 512 - 0.5!r} <pix>
+  SAMPLE_PROJECTION_OFFSET = {(180 - west) * 512 - 0.5!r} <pix>"""
+
+
+def polar(x0: float, y0: float, cell: float) -> str:
+    """The projection of a PDS3 label of the south pole, as LOLA's, for that outer north-west corner [m]."""
+    return f"""  MAP_PROJECTION_TYPE = "POLAR STEREOGRAPHIC"
+  MAP_RESOLUTION = {math.radians(1) * R / cell!r} <pix/deg>
+  CENTER_LATITUDE = -90 <deg>
+  CENTER_LONGITUDE = 0 <deg>
+  MAP_SCALE = {cell!r} <m/pix>
+  MAXIMUM_LATITUDE = -80 <deg>
+  MINIMUM_LATITUDE = -90 <deg>
+  WESTERNMOST_LONGITUDE = 0 <deg>
+  EASTERNMOST_LONGITUDE = 360 <deg>
+  LINE_PROJECTION_OFFSET = {y0 / cell - 0.5!r} <pix>
+  SAMPLE_PROJECTION_OFFSET = {-x0 / cell - 0.5!r} <pix>"""
 
 
 RADII = "  UNIT = METER\n  SCALING_FACTOR = 0.01\n  OFFSET = 1735900"
@@ -156,7 +175,7 @@ def test_a_pds3_image_is_read_by_its_label_in_its_byte_order_unit_and_place(
     tmp_path: Path, sample_type: str, dtype: str, words: str, encode: Callable[[Array], Array]
 ) -> None:
     lats, lons, north, west = degrees_grid(LAT, LON, 512)
-    pds3(tmp_path, sample_type, dtype, words, encode(heights(lats, lons)), north, west)
+    pds3(tmp_path, sample_type, dtype, words, encode(heights(lats, lons)), cylindrical(north, west, len(lats)))
     layer = {"elevation_m": {"file": "DEM.IMG", "source": "analytic"}}
     region = build(recipe(LAT, LON, layers=layer), tmp_path)
     expect_agreement(region, expected(region, LAT), 0.03)
@@ -165,19 +184,35 @@ def test_a_pds3_image_is_read_by_its_label_in_its_byte_order_unit_and_place(
 
 def test_a_pds3_label_whose_offsets_and_bounds_disagree_is_refused(tmp_path: Path) -> None:
     lats, lons, north, west = degrees_grid(LAT, LON, 512)
-    pds3(tmp_path, "PC_REAL", "<f4", "  UNIT = METER", heights(lats, lons), north, west)
+    pds3(tmp_path, "PC_REAL", "<f4", "  UNIT = METER", heights(lats, lons), cylindrical(north, west, len(lats)))
     label = tmp_path / "DEM.LBL"
     label.write_text(label.read_text().replace(f"= {north * 512 - 0.5!r} <pix>", f"= {north * 512 + 1.5!r} <pix>"))
     with pytest.raises(InvalidInput, match=r"DEM\.LBL: expected offsets that agree with MAXIMUM_LATITUDE"):
         build(recipe(LAT, LON, layers={"elevation_m": {"file": "DEM.IMG", "source": "x"}}), tmp_path)
 
 
-def test_a_pds4_label_leads_to_its_image(tmp_path: Path) -> None:
+@pytest.mark.parametrize("in_the_archives_way", [False, True])
+def test_a_pds4_label_leads_to_its_image(tmp_path: Path, in_the_archives_way: bool) -> None:
+    """Also to one of the other byte order, behind a header, in scaled integers of kilometres."""
     lats, lons, north, west = degrees_grid(LAT, LON, 512)
     transform, moon = from_origin(west, north, 1 / 512, 1 / 512), "+proj=longlat +R=1737400 +no_defs"
     geotiff(tmp_path / "dem.xml", heights(lats, lons), moon, transform, driver="PDS4", nodata=NO_DATA)
+    if in_the_archives_way:
+        numbers = np.rint((heights(lats, lons) + 1500) * 100).astype(">i2")
+        (tmp_path / "dem.img").write_bytes(b"\x7f" * 100 + numbers.tobytes())
+        label = (tmp_path / "dem.xml").read_text()
+        for old, new in (
+            ('<offset unit="byte">0<', '<offset unit="byte">100<'),
+            ("<data_type>IEEE754LSBSingle</data_type>",
+             "<data_type>SignedMSB2</data_type><unit>km</unit><scaling_factor>1e-5</scaling_factor>"
+             "<value_offset>-1.5</value_offset>"),
+            ("<missing_constant>-3.4028226550889045e+38<", "<missing_constant>-32768<"),
+        ):  # fmt: skip
+            assert old in label
+            label = label.replace(old, new)
+        (tmp_path / "dem.xml").write_text(label)
     region = build(recipe(LAT, LON, layers={"elevation_m": {"file": "dem.xml", "source": "x"}}), tmp_path)
-    expect_agreement(region, expected(region, LAT), 0.02)
+    expect_agreement(region, expected(region, LAT), 0.03)
 
 
 @pytest.mark.parametrize(("lon", "raster_lon"), [(LON, LON), (LON - 360, LON), (LON, LON - 360)])
@@ -240,6 +275,38 @@ def test_a_polar_stereographic_raster_is_placed_near_its_pole_and_over_it(
     assert (region.origin_lat_deg is None) == across
     if not across:  # the corner's meridian is the site's north
         assert region.origin_x_m == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_pds3_image_of_the_south_pole_in_scaled_radii_is_placed_by_its_label(tmp_path: Path) -> None:
+    """As LOLA's LDEM_80S_20M: 16 bits, polar stereographic, heights as radii; in finer steps, so that a shift shows."""
+    lat, lon, cell = -88.7, 123.4, 20.0
+    rho = 2 * R * math.tan(math.radians(90 + lat) / 2)
+    x0 = math.floor(rho * math.sin(math.radians(lon)) / cell) * cell - 50 * cell
+    y0 = math.floor(rho * math.cos(math.radians(lon)) / cell) * cell + 50 * cell
+    x, y = np.meshgrid(x0 + (np.arange(100) + 0.5) * cell, y0 - (np.arange(100) + 0.5) * cell)
+    lats = -90 + 2 * np.degrees(np.arctan(np.hypot(x, y) / (2 * R)))
+    values = np.rint(heights(lats, np.degrees(np.arctan2(x, y))) / 0.05)
+    words = "  UNIT = METER\n  SCALING_FACTOR = 0.05\n  OFFSET = 1737400"
+    pds3(tmp_path, "LSB_INTEGER", "<i2", words, values, polar(x0, y0, cell))
+    region = build(recipe(lat, lon, layers={"elevation_m": {"file": "DEM.IMG", "source": "analytic"}}), tmp_path)
+    expect_agreement(region, polar_truth(region, -1.0), 0.06)
+
+
+def test_iron_and_maturity_at_the_grid_of_their_mosaics_agree_with_their_fields(tmp_path: Path) -> None:
+    """Of 512 pixels a degree, as Kaguya's, below terrain of 20 m; varied by nothing, so that the field is known."""
+    plain(tmp_path)
+    lats, lons, _, _ = degrees_grid(LAT, LON, 512, 96)
+    iron, maturity = 15 + 0.05 * (heights(lats, lons) + 1500), 0.2 + 0.001 * (heights(lats, lons) + 1500)
+    plain(tmp_path, iron, 512, name="iron.tif", nodata=NO_DATA)
+    plain(tmp_path, maturity, 512, name="maturity.tif", nodata=NO_DATA)
+    layers = {"elevation_m": {"file": "dem.tif", "source": "x"}, "iron_wt": {"file": "iron.tif", "source": "FeO"},
+              "maturity": {"file": "maturity.tif", "source": "OMAT"}}  # fmt: skip
+    chemistry = {"perturbation": 0.0, "solar_wind_flux": 0.5}
+    region = build(recipe(LAT, LON, layers=layers, chemistry=chemistry), tmp_path)
+    truth = expected(region, LAT) + 1500
+    titanium = 10 ** (0.06 * (15 + 0.05 * truth) - 0.54)
+    assert np.abs(region.he3_ppb - (0.56 * titanium * 0.5 / (0.2 + 0.001 * truth) + 1.62)).max() < 0.005
+    assert {origin.layer: origin.kind for origin in region.layers}["maturity"] == "real"
 
 
 @pytest.mark.parametrize("lon", [180.0, -179.999])
@@ -450,28 +517,12 @@ def test_without_the_extra_a_region_is_read_and_building_one_names_what_is_missi
 
 
 @pytest.mark.exhaustive
-def test_a_window_of_1_km_of_a_sparse_mosaic_of_3_gb_is_built_in_seconds_with_little_memory(tmp_path: Path) -> None:
-    import resource
+def test_a_window_of_1_km_of_a_sparse_mosaic_of_3_gb_is_built_in_seconds_with_little_memory() -> None:
+    """In a process of its own; held to processor time here, as other processes share the machine of a test."""
+    from benchmarks.mosaic import run
 
-    per_degree, rows, columns = 512, 5120, 160_000
-    path = tmp_path / "dem.tif"
-    with rasterio.open(
-        path, "w", driver="GTiff", height=rows, width=columns, count=1, dtype="float32", nodata=NO_DATA, tiled=True,
-        crs="IAU_2015:30100", transform=from_origin(-150, 25, 1 / per_degree, 1 / per_degree), sparse_ok=True,
-        bigtiff="yes",
-    ) as target:  # fmt: skip
-        row, column = int((25 - LAT) * per_degree) - 40, int((LON + 150) * per_degree) - 40
-        steps = (np.arange(80) + 0.5) / per_degree
-        lats, lons = np.meshgrid(25 - row / per_degree - steps, -150 + column / per_degree + steps, indexing="ij")
-        target.write(heights(lats, lons).astype("float32"), 1, window=rasterio.windows.Window(column, row, 80, 80))
-    with path.open("r+b") as stream:
-        stream.truncate(rows * columns * 4)  # as large as the whole mosaic, without its bytes on the disk
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    began = time.process_time()  # of this process, whatever else the machine does
-    document = recipe(LAT, LON, rows=1000, columns=1000, resolution_m=1.0)
-    build_region(checked(Recipe, document, tmp_path), tmp_path, tmp_path / "out")
-    seconds, grown_kb = time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    region = load_region(tmp_path / "out")
-    expect_agreement(region, expected(region, LAT), 0.02)
-    assert grown_kb < 500_000
-    assert seconds < 5
+    row = run(say=lambda line: None)
+    assert row["mosaic_bytes"] > 3e9
+    assert row["largest_error_m"] < 0.02
+    assert row["peak_mb"] < 500
+    assert row["processor_s"] < 5
