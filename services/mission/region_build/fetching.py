@@ -6,6 +6,7 @@ window. ``manifest.json`` names for each product the address, the ETag, the rang
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import warnings
@@ -59,6 +60,9 @@ def fetch_site(
         (out / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise He3Error(f"{out}: cannot write what is fetched: {error.strerror or error}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            out.rmdir()  # if nothing has arrived
     return build_region(recipe, out, out, progress)
 
 

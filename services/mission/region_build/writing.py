@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,10 @@ def write_folder(
     cell: float,
     descriptions: Mapping[str, str],
 ) -> RegionDocument:
-    """Write a region's folder, and return its document. The document comes last: without it there is no region.
+    """Write a region's folder, and return its document.
+
+    All is written beside the folder and moved into it at the end, the document last: without it there is no region. If
+    something cannot be written, an earlier region stays as it is.
 
     layers: each (rows, columns), row 0 south. west_north: the outer north-west corner in the projection; cell: size of
     a cell there. ``document`` has a table of each layer without file and checksum, which are filled in.
@@ -37,14 +41,19 @@ def write_folder(
         tables[name]["file"] = f"{name}.tif"
     checked(RegionDocument, {**document, "layers": tables}, folder / DOCUMENT)  # refused before anything is written
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / DOCUMENT).unlink(missing_ok=True)
-        for name, values in layers.items():
-            path = folder / f"{name}.tif"
-            write_raster(path, values, crs, west_north, cell, descriptions.get(name, name))
-            tables[name]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
-        complete = {**document, "layers": tables}
-        (folder / DOCUMENT).write_text(to_toml(complete), encoding="utf-8")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
+            beside = Path(scratch)
+            for name, values in layers.items():
+                path = beside / f"{name}.tif"
+                write_raster(path, values, crs, west_north, cell, descriptions.get(name, name))
+                tables[name]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+            complete = {**document, "layers": tables}
+            (beside / DOCUMENT).write_text(to_toml(complete), encoding="utf-8")
+            folder.mkdir(exist_ok=True)
+            (folder / DOCUMENT).unlink(missing_ok=True)
+            for file in (*(f"{name}.tif" for name in layers), DOCUMENT):
+                (beside / file).replace(folder / file)
     except OSError as error:
         raise He3Error(f"{folder}: cannot write the region: {error.strerror or error}") from None
     return checked(RegionDocument, complete, folder / DOCUMENT)

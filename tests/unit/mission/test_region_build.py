@@ -470,6 +470,29 @@ def test_a_wrong_recipe_is_refused_in_one_line_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_region_that_cannot_be_written_leaves_the_earlier_one_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from services.mission.region_build import writing
+
+    plain(tmp_path)
+    build(recipe(LAT, LON, rows=20, columns=20), tmp_path)
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    written = writing.write_raster
+
+    def full_after_the_first(path: Path, *arguments: Any) -> None:
+        if path.name != "he3_ppb.tif":
+            raise OSError(28, "No space left on device")
+        written(path, *arguments)
+
+    monkeypatch.setattr(writing, "write_raster", full_after_the_first)
+    with pytest.raises(He3Error, match="out: cannot write the region: No space left on device"):
+        build(recipe(LAT, LON, rows=20, columns=30), tmp_path)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
 def test_a_raster_of_another_planet_is_refused(tmp_path: Path) -> None:
     lats, lons, north, west = degrees_grid(LAT, LON, 1516, 96)
     transform, mars = from_origin(west, north, 1 / 1516, 1 / 1516), "+proj=longlat +R=3396190 +no_defs"

@@ -236,6 +236,13 @@ def test_a_server_without_ranges_without_the_file_or_out_of_reach_is_one_line(se
     assert not (tmp_path / "b").exists()
 
 
+def test_a_site_of_which_nothing_arrives_leaves_no_folder(server: Server, site: Site, tmp_path: Path) -> None:
+    server.gone_after = 0
+    with pytest.raises(He3Error, match="cannot fetch: HTTP 503"):
+        fetch_site(site, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("code", [404, 503])
 def test_an_error_of_the_server_leaves_no_connection_open(code: int, server: Server, tmp_path: Path) -> None:
     (server.folder / "a").write_bytes(b"1" * 1000)
