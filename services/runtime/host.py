@@ -259,6 +259,25 @@ class Host:
             raise InvalidInput(f"{self._interface.name}: expected a node that names its state, got one that does not")
         return self._node
 
+    def reply_check(self, topic: Topic, now: MissionTime) -> Callable[[bytes], bool] | None:
+        """Gives whether a reply to a query of that topic counts, for any thread; None: each of the right form does.
+
+        `admit` checks the reply once more. now: when the query is sent.
+        """
+        gate = self._gate
+        if gate is None or not topic.signed:
+            return None
+
+        def counts(payload: bytes) -> bool:
+            try:
+                header, _ = decode_reply(topic, payload, self._mission)
+                gate.admit(Part.REPLY, topic, header, payload, now)
+            except Refused:
+                return False
+            return True
+
+        return counts
+
     # --- what a driver reports ----------------------------------------------------------------------------------
 
     def admit(self, given: Input, now: MissionTime) -> tuple[Input | None, list[Action]]:

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from datetime import timedelta
+from functools import partial
 from typing import NamedTuple
 
 import pytest
 import zenoh
 
-from he3.errors import NotAllowed, PeerUnreachable
+from he3.errors import He3Error, NotAllowed, PeerUnreachable
+from schemas.codec import encode
 from schemas.commands import CommandKind, Telecommand
+from schemas.link import DirectionCounts, LinkConditions, LinkStatus
 from schemas.roles import Role
-from schemas.topics import COMMAND, GROUND_STATUS, ISSUE_COMMAND, PLAN, Side, liveliness_key
+from schemas.signing import Part
+from schemas.topics import COMMAND, GROUND_STATUS, ISSUE_COMMAND, LINK_STATUS, PLAN, Side, liveliness_key
+from schemas.wire import Header
 from services.console.launch.endpoints import free_endpoints
 from services.link.routers import guard_of
 from services.runtime.transport.client import Client
@@ -23,6 +29,7 @@ from services.runtime.transport.opening import open_client, open_router
 from services.runtime.trust.authority import Authority
 from services.runtime.trust.certificates import Subject, utc_now
 from services.runtime.trust.identity import Identity, load_identity
+from services.runtime.trust.signing import Signer
 from tests.processes import he3, run
 from tests.waiting import until
 
@@ -123,6 +130,65 @@ def test_a_rival_that_claims_to_answer_everything_is_asked_nothing(site):
         assert set(asked) == {"ground"}
         assert list(site.session(ends, "viewer").get(key, timeout=5.0)) == []
         del held
+
+
+@pytest.mark.parametrize("rival_says", ["unsigned", "signed by another", "refused", "nothing"])
+def test_a_client_waits_for_the_genuine_answer_behind_that_of_a_rival(site, rival_says):
+    """The rival has the certificate of a link, so the router lets it answer; it says that it has all answers."""
+
+    def status(incarnation: int, who: str | None) -> bytes:
+        counts = DirectionCounts()
+        body = LinkStatus(conditions=LinkConditions(), contact=True, contact_changes_at=None, up=counts, down=counts,
+                          in_flight=(), incarnation=incarnation)  # fmt: skip
+        header = Header(mission=MISSION, source="link", incarnation=incarnation, sequence=0, made_at=5)
+        if who is None:
+            return encode(header, body)
+        signer = Signer(site.identities[who].common_name, site.identities[who].key, "run")
+        return encode(header, body, partial(signer.signed, Part.MESSAGE, LINK_STATUS.name))
+
+    def answer(query: zenoh.Query) -> None:
+        query.reply(query.key_expr, status(1, "link"))
+        query.drop()
+
+    def rival(query: zenoh.Query) -> None:
+        match rival_says:
+            case "unsigned":
+                query.reply(query.key_expr, status(9, None))
+            case "signed by another":
+                query.reply(query.key_expr, status(9, "viewer"))
+            case "refused":
+                query.reply_err(b"no")
+        if rival_says == "nothing":
+            silent.append(query)
+        else:
+            query.drop()
+            heard.set()
+
+    heard, silent = threading.Event(), []
+    key = LINK_STATUS.key(MISSION)
+    with ExitStack() as ends:
+        held = [site.session(ends, "link").declare_queryable(key, rival, complete=True)]
+        client = ends.enter_context(Client(site.endpoint, MISSION, identity=site.identities["operator"]))
+        if rival_says != "nothing":
+            until(lambda: _failure(client), "the rival to be asked")
+            assert "expected" in _failure(client) or _failure(client) == "no"
+        held.append(site.session(ends, "link").declare_queryable(key, answer))
+        until(lambda: _failure(client) is None, "the genuine answer")
+        for _ in range(20):  # whichever comes first
+            assert client.latest(LINK_STATUS)[1].incarnation == 1
+        assert heard.is_set() or silent
+        del held
+
+
+def _failure(client: Client) -> str | None:
+    """The line with which a query for the link's status fails; None if it has an answer that counts."""
+    try:
+        client.latest(LINK_STATUS, timeout_s=5.0)
+    except PeerUnreachable:
+        return ""
+    except He3Error as error:
+        return str(error)
+    return None
 
 
 def test_a_process_appears_under_its_own_name_alone(site):

@@ -182,7 +182,9 @@ class WallClockDriver:
                 case Publish(topic, side, payload):
                     context.sessions[side].publish(topic, payload)
                 case PutQuery(topic, side, payload, query, timeout_s):
-                    context.sessions[side].query(topic, payload, timeout_s, partial(self._on_outcome, query))
+                    counts = self._scheduler.host.reply_check(topic, self._clock.latest)
+                    on_end = partial(self._on_outcome, query)
+                    context.sessions[side].query(topic, payload, timeout_s, on_end, counts=counts)
                 case Reply(token, _, payload):
                     context.open_queries.reply(token, payload)
                 case ReplyError(token, _, why, code):

@@ -111,7 +111,8 @@ class ParticipantIO:
     def query(self, action: PutQuery, stamp: Stamp) -> None:
         on_end = partial(self._on_outcome, action.query, stamp)
         session = self._context.sessions[action.side]
-        session.query(action.topic, action.payload, NO_TIMEOUT_S, on_end, stamp.encode())
+        counts = self._context.scheduler.host.reply_check(action.topic, stamp.at)
+        session.query(action.topic, action.payload, NO_TIMEOUT_S, on_end, stamp.encode(), counts=counts)
 
     def reply(self, action: Reply | ReplyError, stamp: Stamp) -> None:
         match action:

@@ -27,7 +27,7 @@ from services.runtime.clock import mission_time
 from services.runtime.node import NoReply
 from services.runtime.refusals import error_of
 from services.runtime.transport.opening import WhileWaiting, open_client
-from services.runtime.transport.session import NotReplied, Outcome, Replied, Session
+from services.runtime.transport.session import Counts, NotReplied, Outcome, Replied, Session
 from services.runtime.trust.certificates import utc_now
 from services.runtime.trust.signing import REQUEST_VALID_NS, Signer, Verifier
 
@@ -88,23 +88,41 @@ class Client:
         """
         header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=0)
         if self._identity is None or not topic.signed:
-            payload, _ = self._reply(topic, encode(header, request), timeout_s)
+            message = encode(header, request)
         else:
             self._require_right(topic, topic.access_on(self._side).query)
-            payload, _ = self._reply(topic, self._signed(topic, header, request, self._identity), timeout_s)
+            message = self._signed(topic, header, request, self._identity)
+        return self._replied(topic, message, Part.REPLY, timeout_s)[1]
+
+    def _replied(self, topic: Topic, message: bytes, part: Part, timeout_s: float) -> tuple[Header, Any]:
+        """Header and body of the first reply that counts. part: REPLY, or MESSAGE for the last message of a topic."""
+        signed = self._identity is not None and topic.signed
+        counts = partial(self._counts, topic, part) if signed else None
+        payload, _ = self._reply(topic, message, timeout_s, counts=counts)
         try:
-            answer, body = decode_reply(topic, payload, self._mission)
-            if self._identity is not None and topic.signed:
-                self._verifier(self._identity, answer.instance).verify(
-                    Part.REPLY, topic.name, answer, body_of(payload), topic.access.answer, answer.made_at
-                )
+            return self._read(topic, part, payload)
         except Refused as refusal:
             raise He3Error(str(refusal)) from None
-        return body
+
+    def _counts(self, topic: Topic, part: Part, payload: bytes) -> bool:
+        try:
+            self._read(topic, part, payload)
+        except Refused:
+            return False
+        return True
+
+    def _read(self, topic: Topic, part: Part, payload: bytes) -> tuple[Header, Any]:
+        """Header and body of a reply; raises Refused for one that does not count."""
+        header, body = (decode_reply if part is Part.REPLY else decode)(topic, payload, self._mission)
+        if self._identity is not None and topic.signed:
+            roles = topic.access.answer if part is Part.REPLY else topic.access.publish
+            verifier = self._verifier(self._identity, header.instance)
+            verifier.verify(part, topic.name, header, body_of(payload), roles, header.made_at)
+        return header, body
 
     def _signed(self, topic: Topic, header: Header, request: Wire, identity: Identity) -> bytes:
         """The request, signed for the present run of the mission, with the consent to it if it is a command."""
-        instance, (now, valid_ns) = self._run_of(topic, identity), self._now()
+        instance, (now, valid_ns) = self._run_of(topic), self._now()
         signer = Signer(identity.common_name, identity.key, instance)
         if isinstance(request, Telecommand):
             expires_at = now + valid_ns if request.expires_at is None else max(now, request.expires_at)
@@ -114,17 +132,9 @@ class Client:
         )
         return encode(header, request, partial(signer.signed, Part.QUERY, topic.name))
 
-    def _run_of(self, topic: Topic, identity: Identity) -> str:
+    def _run_of(self, topic: Topic) -> str:
         """The present run of the mission, as the process that answers that topic has signed it in its status."""
-        status = LINK_STATUS if Role.LINK in topic.access.answer else GROUND_STATUS
-        payload, _ = self._reply(status, b"", QUERY_TIMEOUT_S)
-        try:
-            header, _ = decode(status, payload, self._mission)
-            verifier = self._verifier(identity, header.instance)
-            roles = status.access.publish
-            verifier.verify(Part.MESSAGE, status.name, header, body_of(payload), roles, header.made_at)
-        except Refused as refusal:
-            raise He3Error(str(refusal)) from None
+        header, _ = self.latest(LINK_STATUS if Role.LINK in topic.access.answer else GROUND_STATUS)
         return str(header.instance)
 
     def _verifier(self, identity: Identity, instance: str | None) -> Verifier:
@@ -151,13 +161,9 @@ class Client:
     def latest(self, topic: Topic, timeout_s: float = QUERY_TIMEOUT_S) -> tuple[Header, Any]:
         """Header and body of the last message of a topic whose sender keeps it, such as the clock.
 
-        Raises PeerUnreachable when there is no reply, He3Error for one of another version or form.
+        Raises PeerUnreachable when there is no reply, He3Error for one of another version or form, or not signed.
         """
-        payload, _ = self._reply(topic, b"", timeout_s)
-        try:
-            return decode(topic, payload, self._mission)
-        except Refused as refusal:
-            raise He3Error(str(refusal)) from None
+        return self._replied(topic, b"", Part.MESSAGE, timeout_s)
 
     def _require_right(self, topic: Topic, roles: tuple[Role, ...]) -> None:
         """Raise NotAllowed if the router would drop this without an answer."""
@@ -169,7 +175,12 @@ class Client:
             )
 
     def _reply(
-        self, topic: Topic, payload: bytes | None, timeout_s: float, parameters: str = ""
+        self,
+        topic: Topic,
+        payload: bytes | None,
+        timeout_s: float,
+        parameters: str = "",
+        counts: Counts | None = None,
     ) -> tuple[bytes, bytes]:
         self._require_right(topic, topic.access_on(self._side).query)
         ended = threading.Event()
@@ -179,7 +190,7 @@ class Client:
             outcomes.append(outcome)
             ended.set()
 
-        self._session.query(topic, payload, timeout_s, on_end, parameters=parameters)
+        self._session.query(topic, payload, timeout_s, on_end, parameters=parameters, counts=counts)
         key = topic.key(self._mission)
         if not ended.wait(timeout_s + 1.0):
             raise PeerUnreachable(f"{key}: no answer within {timeout_s:g} s")

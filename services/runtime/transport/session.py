@@ -26,6 +26,9 @@ JSON = "application/json"
 OnPayload = Callable[[bytes, bytes], None]
 """Called with payload and attachment (empty when there is none)."""
 
+Counts = Callable[[bytes], bool]
+"""Whether a reply counts, which one without the right signature does not. Called in Zenoh's threads."""
+
 
 @dataclass(frozen=True, slots=True)
 class Replied:
@@ -170,12 +173,15 @@ class Session:
         on_end: Callable[[Outcome], None],
         attachment: bytes | None = None,
         parameters: str = "",
+        counts: Counts | None = None,
     ) -> None:
         """Send a query; `on_end` is called exactly once.
 
-        parameters: the selector's, for a query that carries no message.
+        parameters: the selector's, for a query that carries no message. counts: every server is asked then, and a reply
+        that does not count, or a refusal, which nobody signs, is the outcome only if no reply follows that counts.
         """
         ended: list[bool] = []
+        doubtful: list[Outcome] = []
 
         def end(outcome: Outcome) -> None:
             if not ended:  # the first reply counts; a second server may take long to say that it has none
@@ -184,19 +190,33 @@ class Session:
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                end(Replied(reply.ok.payload.to_bytes(), _attachment(reply.ok)))
+                replied = Replied(reply.ok.payload.to_bytes(), _attachment(reply.ok))
+                if counts is None or counts(replied.payload):
+                    end(replied)
+                else:
+                    doubtful.append(replied)
                 return
             error = reply.err.payload.to_bytes() if reply.err is not None else b""
             if error == b"Timeout":
-                end(NotReplied(NoReply.TIMEOUT, f"within {timeout_s:g} s"))
+                end(doubtful[0] if doubtful else NotReplied(NoReply.TIMEOUT, f"within {timeout_s:g} s"))
                 return
             refusal = decode_refusal(error)
             stamp = b"" if refusal.stamp is None else refusal.stamp.encode()
-            end(NotReplied(NoReply.REFUSED, refusal.error, refusal.code, stamp))
+            refused = NotReplied(NoReply.REFUSED, refusal.error, refusal.code, stamp)
+            if counts is None:
+                end(refused)
+            else:
+                doubtful.append(refused)
+
+        def on_all() -> None:
+            end(doubtful[0] if doubtful else NotReplied(NoReply.NO_ROUTE))
 
         self._session.get(
             topic.key(self._mission) + (f"?{parameters}" if parameters else ""),
-            handler=zenoh.handlers.Callback(on_reply, lambda: end(NotReplied(NoReply.NO_ROUTE))),
+            handler=zenoh.handlers.Callback(on_reply, on_all),
+            # By default a server that claims to have all answers is asked alone, and of two replies one is dropped.
+            target=None if counts is None else zenoh.QueryTarget.ALL,
+            consolidation=None if counts is None else zenoh.ConsolidationMode.NONE,
             payload=payload,
             encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
             timeout=timeout_s,
