@@ -38,6 +38,7 @@ def signed_bytes(part: Part, topic: str, header: Header, body: bytes) -> bytes:
         header.sequence,
         header.made_at,
         header.expires_at,
+        header.start,
         header.signer,
     )
     return _PURPOSE + json.dumps(fields, separators=(",", ":")).encode() + b"\n" + body

@@ -95,6 +95,9 @@ class Header(Wire):
     """The run of the mission, in signed messages: one of an earlier run does not count in this one."""
     expires_at: MissionTimeNs | None = Field(default=None, exclude_if=_is_none)
     """When a signed request ends to count; None: never."""
+    start: Identifier | None = Field(default=None, exclude_if=_is_none)
+    """A random name of one start of a process: in its signed status its own, in a person's request to it the one for
+    which the request counts. So a request that was made for an earlier start is known for a replayed one."""
     signer: CommonName | None = Field(default=None, exclude_if=_is_none)
     """The identity that signed the message; None for one that is not signed."""
     signature: Signature | None = Field(default=None, exclude_if=_is_none)

@@ -122,20 +122,25 @@ class Client:
 
     def _signed(self, topic: Topic, header: Header, request: Wire, identity: Identity) -> bytes:
         """The request, signed for the present run of the mission, with the consent to it if it is a command."""
-        instance, (now, valid_ns) = self._run_of(topic), self._now()
+        status, (now, valid_ns) = self._status_of_server(topic), self._now()
+        instance = str(status.instance)
         signer = Signer(identity.common_name, identity.key, instance)
         if isinstance(request, Telecommand):
             expires_at = now + valid_ns if request.expires_at is None else max(now, request.expires_at)
             request = signer.authorized(request, self._mission, now, expires_at)
         header = header.model_copy(
-            update={"sequence": secrets.randbits(48), "made_at": now, "expires_at": now + REQUEST_VALID_NS}
+            update={
+                "sequence": secrets.randbits(48),
+                "made_at": now,
+                "expires_at": now + REQUEST_VALID_NS,
+                "start": status.start,
+            }
         )
         return encode(header, request, partial(signer.signed, Part.QUERY, topic.name))
 
-    def _run_of(self, topic: Topic) -> str:
-        """The present run of the mission, as the process that answers that topic has signed it in its status."""
-        header, _ = self.latest(LINK_STATUS if Role.LINK in topic.access.answer else GROUND_STATUS)
-        return str(header.instance)
+    def _status_of_server(self, topic: Topic) -> Header:
+        """Header of the signed status of the process that answers that topic: it names its run and its start."""
+        return self.latest(LINK_STATUS if Role.LINK in topic.access.answer else GROUND_STATUS)[0]
 
     def _verifier(self, identity: Identity, instance: str | None) -> Verifier:
         return Verifier(lambda: identity.roster, self._mission, str(instance), utc_now)

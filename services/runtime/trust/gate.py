@@ -5,6 +5,7 @@ A process asks it once about each thing that arrives, before the journal keeps i
 
 from __future__ import annotations
 
+import secrets
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,9 +28,27 @@ if TYPE_CHECKING:
     from services.runtime.trust.signing import Signer, Verifier
 
 MAX_SEEN: Final = 10_000
-"""Requests that are remembered, so that none counts twice; each is refused by its expiry, too."""
+"""Requests of one signer that are remembered, so that none counts twice; older ones than these are refused."""
 LOOK_AGAIN_S: Final = 1.0
 """Wall time between two looks whether the roster's file has changed."""
+
+
+class Requests:
+    """The requests of one signer that have come; of the oldest only the time is remembered."""
+
+    def __init__(self) -> None:
+        self._made_at: OrderedDict[str, int] = OrderedDict()
+        self._forgotten_until = -1
+
+    def is_new(self, signature: str, made_at: int) -> bool:
+        """Whether the request has not come before; it has from now on. made_at: mission time, as signed [ns]."""
+        if signature in self._made_at or made_at <= self._forgotten_until:
+            return False
+        self._made_at[signature] = made_at
+        if len(self._made_at) > MAX_SEEN:
+            _, forgotten = self._made_at.popitem(last=False)
+            self._forgotten_until = max(self._forgotten_until, forgotten)
+        return True
 
 
 @dataclass(slots=True)
@@ -38,12 +57,16 @@ class Gate:
 
     signer: Signer
     verifier: Verifier
-    _seen: OrderedDict[str, None] = field(default_factory=OrderedDict)
+    start: str = field(default_factory=lambda: secrets.token_hex(8))
+    """Names this start of the process. What it remembers ends with it, and requests to an earlier one do not count."""
+    _requests: dict[str, Requests] = field(default_factory=dict)
 
     def encode(self, part: Part, topic: Topic, header: Header, body: Wire) -> bytes:
-        """The message, signed if its topic is one whose messages are."""
+        """The message, signed if its topic is one whose messages are; a status that can be queried names the start."""
         if not topic.signed:
             return encode(header, body)
+        if part is Part.MESSAGE and topic.kept:
+            header = header.model_copy(update={"start": self.start})
         return encode(header, body, partial(self.signer.signed, part, topic.name))
 
     def admit(self, part: Part, topic: Topic, header: Header, payload: bytes, now: int) -> str:
@@ -69,15 +92,21 @@ class Gate:
             raise Refused(f"command {body.command_id} of {who.common_name}: brought by {header.signer}")
 
     def _require_first(self, topic: Topic, header: Header) -> None:
-        """Raise Refused for a request that has come before, or that never expires and so could come again."""
+        """Raise Refused for a request that has come before, to this start of the process or to an earlier one.
+
+        The queries of processes name no start: their answers change nothing, and a restarted process repeats its own.
+        """
+        what = f"{topic.name} of {header.signer}"
+        assert header.signer is not None, "it was verified"
         assert header.signature is not None, "it was verified"
         if header.expires_at is None:
-            raise Refused(f"{topic.name} of {header.signer}: expected a request with an expiry, got one without")
-        if header.signature in self._seen:
-            raise Refused(f"{topic.name} of {header.signer}: this very request has come before: replayed")
-        self._seen[header.signature] = None
-        if len(self._seen) > MAX_SEEN:
-            self._seen.popitem(last=False)
+            raise Refused(f"{what}: expected a request with an expiry, got one without")
+        if topic.sources is None and header.start != self.start:
+            raise Refused(
+                f"{what}: expected a request to this start of the process, got one to another: replayed, or late"
+            )
+        if not self._requests.setdefault(header.signer, Requests()).is_new(header.signature, header.made_at):
+            raise Refused(f"{what}: this very request has come before: replayed")
 
 
 class RosterFile:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from datetime import UTC, datetime
 
 import pytest
 
 from schemas.codec import body_of, decode, encode
 from schemas.commands import CommandKind, Telecommand
-from schemas.link import Acknowledgement, LinkChange
+from schemas.link import Acknowledgement, DirectionCounts, LinkChange, LinkConditions, LinkStatus
 from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.roles import Role
 from schemas.signing import Part
 from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import ACK_UP, COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, MEASURE, Side
+from schemas.topics import ACK_UP, COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, LINK_STATUS, MEASURE, Side
 from schemas.wire import Header
 from services.mission.mission_time import SECOND
 from services.runtime.actions import Publish, PutQuery, Reply, ReplyError
@@ -35,7 +36,7 @@ from services.runtime.scheduler import Kind as Order
 from services.runtime.trust.audit import AuditLog, file_lines, rows, verify
 from services.runtime.trust.authority import Authority
 from services.runtime.trust.certificates import subject, utc_now
-from services.runtime.trust.gate import Gate, RosterFile, default_instance
+from services.runtime.trust.gate import MAX_SEEN, Gate, Requests, RosterFile, default_instance
 from services.runtime.trust.identity import load_identity
 from services.runtime.trust.signing import Signer, Verifier
 
@@ -283,26 +284,27 @@ def test_a_flood_of_invented_senders_is_counted_in_bounded_memory():
 # --- queries ------------------------------------------------------------------------------------------------------
 
 
-def request(authority, common_name, topic, body, expires_at=NOW + HOUR, sequence=0):
+def request(process, authority, common_name, topic, body, expires_at=NOW + HOUR, sequence=0):
     who = signer(authority, common_name)
     header = Header(
-        mission="short", source=common_name, incarnation=0, sequence=sequence, made_at=NOW, expires_at=expires_at
-    )
+        mission="short", source=common_name, incarnation=0, sequence=sequence, made_at=NOW, expires_at=expires_at,
+        start=process.host._gate.start,
+    )  # fmt: skip
     return encode(header, body, lambda head, content: who.signed(Part.QUERY, topic.name, head, content))
 
 
 def test_the_ground_takes_a_command_of_an_operator_and_refuses_what_is_not(authority, ground):
-    good = request(authority, "operator.anna", ISSUE_COMMAND, consented(authority))
+    good = request(ground, authority, "operator.anna", ISSUE_COMMAND, consented(authority))
     assert not [action for action in ground.run(QueryArrived(ISSUE_COMMAND, good, 1)) if isinstance(action, ReplyError)]
     for number, bad in enumerate(
         (
             good,
             encode(Header(mission="short", source="x", incarnation=0, sequence=0, made_at=0), PAUSE),
-            request(authority, "viewer.anna", ISSUE_COMMAND, consented(authority, "viewer.anna")),
-            request(authority, "operator.ben", ISSUE_COMMAND, consented(authority)),
-            request(authority, "operator.anna", ISSUE_COMMAND, PAUSE),
-            request(authority, "operator.anna", ISSUE_COMMAND, consented(authority), expires_at=NOW - 1),
-            request(authority, "operator.anna", ISSUE_COMMAND, consented(authority), expires_at=None),
+            request(ground, authority, "viewer.anna", ISSUE_COMMAND, consented(authority, "viewer.anna")),
+            request(ground, authority, "operator.ben", ISSUE_COMMAND, consented(authority)),
+            request(ground, authority, "operator.anna", ISSUE_COMMAND, PAUSE),
+            request(ground, authority, "operator.anna", ISSUE_COMMAND, consented(authority), expires_at=NOW - 1),
+            request(ground, authority, "operator.anna", ISSUE_COMMAND, consented(authority), expires_at=None),
         ),
         start=2,
     ):
@@ -313,11 +315,61 @@ def test_the_ground_takes_a_command_of_an_operator_and_refuses_what_is_not(autho
     assert ground.written[0]["by"] == "operator.anna"
 
 
+def test_a_request_does_not_count_again_after_a_restart_that_has_forgotten_it(authority, ground, process):
+    good = request(ground, authority, "operator.anna", ISSUE_COMMAND, consented(authority))
+    ground.run(QueryArrived(ISSUE_COMMAND, good, 1))
+    again = process("ground.main", "again", name="ground", sides=(Side.EARTH,), serves=(ISSUE_COMMAND,), custody=False)
+    (*_, answer) = again.run(QueryArrived(ISSUE_COMMAND, good, 1))
+    assert "expected a request to this start of the process, got one to another: replayed, or late" in answer.why
+    assert again.node.seen == []
+    new = request(again, authority, "operator.anna", ISSUE_COMMAND, consented(authority))
+    assert again.run(QueryArrived(ISSUE_COMMAND, new, 2)) == []
+
+
+def test_the_start_cannot_be_exchanged_in_a_request(authority, ground, process):
+    good = request(ground, authority, "operator.anna", ISSUE_COMMAND, consented(authority))
+    again = process("ground.main", "again", name="ground", sides=(Side.EARTH,), serves=(ISSUE_COMMAND,), custody=False)
+    moved = good.replace(ground.host._gate.start.encode(), again.host._gate.start.encode())
+    header, body = decode(ISSUE_COMMAND, encode_unsealed(moved), "short")
+    assert header.start == again.host._gate.start
+    (*_, answer) = again.run(QueryArrived(ISSUE_COMMAND, encode(header, body), 1))
+    assert "altered, or forged" in answer.why
+
+
+def encode_unsealed(payload):
+    """The message without its checksum."""
+    tree = json.loads(payload)
+    del tree["header"]["checksum"]
+    return json.dumps(tree).encode()
+
+
+def test_a_status_names_the_start_and_other_messages_do_not(authority, process):
+    link = process("link.main", name="link", sides=(Side.MOON, Side.EARTH), custody=False)
+    status = LinkStatus(
+        conditions=LinkConditions(), contact=True, contact_changes_at=None, up=DirectionCounts(),
+        down=DirectionCounts(), in_flight=(), incarnation=1,
+    )  # fmt: skip
+    (published,) = link.sends(Send(LINK_STATUS, status))
+    assert decode(LINK_STATUS, published.payload, "short")[0].start == link.host._gate.start
+    rover = process("rover.main", "rover", custody=False)
+    (published,) = rover.sends(Send(EVENT, RoverEvent(kind=EventKind.PARKED, at=0, x_m=0, y_m=0, round=1)))
+    assert decode(EVENT, published.payload, "short")[0].start is None
+
+
+def test_requests_that_are_forgotten_do_not_count_again_and_other_signers_are_not_affected():
+    requests = Requests()
+    assert all(requests.is_new(f"{number:x}", number) for number in range(MAX_SEEN + 10))
+    assert not any(requests.is_new(f"{number:x}", number) for number in range(MAX_SEEN + 10))
+    assert len(requests._made_at) == MAX_SEEN
+    assert requests.is_new("new", MAX_SEEN + 10)
+    assert Requests().is_new("0", 0)
+
+
 def test_a_change_by_selector_parameters_is_refused_where_there_are_keys(authority, process):
     link = process("link.main", name="link", sides=(Side.MOON, Side.EARTH), serves=(LINK_SET,), custody=False)
     (*_, answer) = link.run(CheckedQueryArrived(LINK_SET, LinkChange(), 1))
     assert "expected a signed message, got selector parameters" in answer.why
-    change = request(authority, "controller.ben", LINK_SET, LinkChange())
+    change = request(link, authority, "controller.ben", LINK_SET, LinkChange())
     assert link.run(QueryArrived(LINK_SET, change, 2)) == []
     assert [(line["kind"], line["by"]) for line in link.written] == [("refusal", ""), ("change", "controller.ben")]
 
@@ -330,6 +382,8 @@ def test_a_fake_instruments_reply_counts_as_no_reply(authority, rover, process):
     field.run(QueryArrived(MEASURE, query.payload, 1))
     (reply,) = field.sends(SendReply(1, answer))
     forged = encode(Header(mission="short", source="field", incarnation=1, sequence=0, made_at=NOW), answer)
+    counts = rover.host.reply_check(MEASURE, NOW)
+    assert (counts(forged), counts(b"nonsense"), counts(reply.payload)) == (False, False, True)
     kept, actions = rover.host.admit(ReplyArrived("q1", forged), NOW)
     assert isinstance(kept, QueryUnanswered)
     assert kept.why is NoReply.REFUSED
