@@ -77,6 +77,10 @@ class RemoteFile:
                 found.update(stream.read(end - first))
         return found.hexdigest()
 
+    def forget(self) -> None:
+        """Take all that is here for missing."""
+        self.ranges = []
+
     def _fetch(self, first: int, end: int) -> None:
         """Fetch that range, with repetitions as long as bytes arrive."""
         failures = 0

@@ -1,7 +1,8 @@
 """`he3 region fetch`: windows of public products at a site, by range requests, and the region built from them.
 
 Of a GeoTIFF, its directory and the blocks of the window are fetched; of a PDS3 image, its label and the rows of the
-window. ``manifest.json`` names for each product the address, the ETag, the ranges and their checksum.
+window. ``manifest.json`` names for each product the address, the ETag, the ranges and their checksum. When the command
+is run again, what is here is held against it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
@@ -44,10 +45,13 @@ def fetch_site(
     plane = site_plane(recipe.centre_lat_deg, recipe.centre_lon_deg, grid)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        manifest = {}
+        earlier, manifest = _manifest(out), {}
         for product in site.products:
             progress(f"fetching {product.file}")
             file = RemoteFile(product.url, out / product.file, progress, timeout_s)
+            if _is_damaged(file, earlier):
+                progress(f"{product.file}: other bytes than {MANIFEST} says, fetched anew")
+                file.forget()
             if product.label is not None:
                 label = RemoteFile(product.label, out / product.label.rsplit("/", 1)[-1], progress, timeout_s)
                 _fetch_image(product, file, label, recipe, plane, out)
@@ -64,6 +68,23 @@ def fetch_site(
         with contextlib.suppress(OSError):
             out.rmdir()  # if nothing has arrived
     return build_region(recipe, out, out, progress)
+
+
+def _manifest(out: Path) -> dict[str, Any]:
+    """The manifest of an earlier fetch into that folder, by address; empty if there is none that can be read."""
+    try:
+        found = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _is_damaged(file: RemoteFile, manifest: dict[str, Any]) -> bool:
+    """Whether the ranges of the manifest are here with other bytes than it says."""
+    entry = manifest.get(file.url)
+    if not isinstance(entry, dict) or entry.get("ranges") != [list(part) for part in file.ranges]:
+        return False  # it says nothing of what is here
+    return bool(entry.get("sha256_of_ranges") != file.checksum())
 
 
 def _fetch_geotiff(product: Product, file: RemoteFile, recipe: Recipe, plane: SitePlane, out: Path) -> None:

@@ -204,6 +204,21 @@ def test_what_has_arrived_is_not_fetched_again(server: Server, site: Site, tmp_p
     assert broken_off == server.sent - broken_off
 
 
+def test_what_has_been_damaged_here_is_fetched_anew(server: Server, site: Site, tmp_path: Path) -> None:
+    """A file whose bytes are no longer those that the manifest has the checksum of; the others are not fetched."""
+    fetch_site(site, tmp_path / "out")
+    whole, whole_sent = load_region(tmp_path / "out"), server.sent
+    first, end = json.loads((tmp_path / "out" / "manifest.json").read_text())[f"{server.url}/feo.tif"]["ranges"][-1]
+    with (tmp_path / "out" / "feo.tif").open("r+b") as stream:
+        stream.seek((first + end) // 2)
+        stream.write(b"\0" * 400)
+    said: list[str] = []
+    fetch_site(site, tmp_path / "out", said.append)
+    assert "feo.tif: other bytes than manifest.json says, fetched anew" in said
+    assert 0 < server.sent - whole_sent < whole_sent
+    assert np.array_equal(load_region(tmp_path / "out").he3_ppb, whole.he3_ppb)
+
+
 def test_a_slow_server_that_breaks_every_connection_is_read_to_the_end(
     server: Server, site: Site, tmp_path: Path
 ) -> None:
