@@ -179,7 +179,6 @@ def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int,
     scenario = checked_scenario({
         "name": f"{name}-{size}", "region": str(folder / "region"), "seed": seed, "rounds": rounds,
         "start_m": start_of(region), "ground": {"planner": planner, "kernel": kernel},
-        "rover": {"look_ahead_m": max(10.0, region.grid.resolution_m)},  # a piece of a path lies in a cell or more
     }, "places")  # fmt: skip
     began = time.monotonic()
     report = run_in_process(scenario, outputs(folder / "run", folder / "run" / "report.json"), SilentProgress()).report

@@ -69,7 +69,7 @@ class RoverConfig(Section):
     footprint_radius_m: Annotated[float, Field(ge=0, le=100)] = 0.8
     """Half the vehicle's width [m]. VIPER is 1.5 m square [read]."""
     look_ahead_m: Annotated[float, Field(ge=0.1, le=10_000)] = 10.0
-    """Length of the pieces in which a path is inspected and driven [m]."""
+    """Length of the pieces in which a path is inspected and driven [m]; at least a cell."""
     bite_m: Annotated[float, Field(ge=0.001, le=10)] = 0.1
     """Depth of one bite of the drill [m]. TRIDENT: 0.1 [read]."""
     drill_s_per_m: Annotated[float, Field(ge=1e-3, le=1e7)] = 3600.0

@@ -133,7 +133,8 @@ def scan_planner(config: RoverConfig, site: SiteGrid) -> ScanPlanner:
         offsets_m=tuple(sign * r for r in radii for sign in (1, -1)),
         ring_m=tuple((r * math.cos(a), r * math.sin(a)) for r in radii for a in angles),
         site=site,
-        max_length_m=min(config.look_ahead_m, max(cells, 1.0) * cell_m),
+        # A piece shorter than a cell would show nothing new.
+        max_length_m=min(max(config.look_ahead_m, cell_m), max(cells, 1.0) * cell_m),
         max_vertices=_TURN_PLACES // places_a_turn if lines else _MAX_TURNS,
     )
 

@@ -40,7 +40,7 @@ def test_the_sections_of_a_path_make_up_the_path(path, look_ahead):
     cut = sections(path, planner_for(look_ahead=look_ahead))
     length = sum(math.dist(a, b) for a, b in itertools.pairwise(path))
     assert sum(section.length_m for section in cut) == pytest.approx(length, abs=1e-6)
-    assert all(section.length_m <= look_ahead + 1e-9 for section in cut)
+    assert all(section.length_m <= max(look_ahead, SITE.resolution_m) + 1e-9 for section in cut)
     for before, behind in itertools.pairwise(cut):
         assert before.points_m[-1] == behind.points_m[0]
     assert cut[-1].points_m[-1] == pytest.approx(path[-1], abs=1e-8)
@@ -60,6 +60,12 @@ def test_a_scan_fits_one_query_for_any_path_vehicle_and_cells(path, radius, look
     section = planner.next_section(path[0], path, 1)
     if section.length_m > 0:
         assert 1 <= len(planner.pattern(section).points_m) <= 512
+
+
+def test_a_section_over_cells_larger_than_the_look_ahead_is_as_long_as_a_cell():
+    coarse = planner_for(look_ahead=10.0, site=SiteGrid(50, 50, 214.0))
+    cut = sections([(500.0, 500.0), (3710.0, 500.0)], coarse)
+    assert [section.length_m for section in cut] == pytest.approx([214.0] * 15)
 
 
 def test_a_vehicle_that_is_too_wide_for_one_query_is_refused():
