@@ -39,6 +39,8 @@ from services.mission.scenario import RoverConfig, checked_scenario
 Row = dict[str, Any]
 
 _PLANNER: Final = "real/leggedrobotics+lunar_planner/user_data/map_data"
+_PERIOD_S: Final = 60.0  # s, between reports over cells of 1 m; a site of many kilometres takes weeks
+_LONGEST_PERIOD_S: Final = 600.0  # s
 _CLEAR_M: Final = 3.0  # m of open ground around the start
 _LIMIT_DEG: Final = 15.0  # the rover's limit, by which the regions' ground is closed
 
@@ -176,9 +178,12 @@ def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int,
     build_region(recipe_of(place, size, name), data, folder / "region")
     region = load_region(folder / "region")
     kernel = "smooth+rough" if planner == "tour" else "matern52"
+    period_s = min(_LONGEST_PERIOD_S, _PERIOD_S * max(1.0, region.grid.resolution_m))
     scenario = checked_scenario({
         "name": f"{name}-{size}", "region": str(folder / "region"), "seed": seed, "rounds": rounds,
-        "start_m": start_of(region), "ground": {"planner": planner, "kernel": kernel},
+        "start_m": start_of(region),
+        "ground": {"planner": planner, "kernel": kernel, "status_period_s": period_s},
+        "rover": {"state_period_s": period_s},
     }, "places")  # fmt: skip
     began = time.monotonic()
     report = run_in_process(scenario, outputs(folder / "run", folder / "run" / "report.json"), SilentProgress()).report
