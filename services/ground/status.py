@@ -33,7 +33,7 @@ class StatusReporter:
         silence: SilenceWatch,
         note: str = "",
     ) -> None:
-        """note: what the operator sees as long as there is nothing else to say."""
+        """note: what the operator sees during the whole mission, behind what is new."""
         self._scenario = scenario
         self._belief = belief
         self._director = director
@@ -95,7 +95,7 @@ class StatusReporter:
         details = ["the rover is silent"] if self._silence.silent and progress.ended is None else []
         if progress.proposed is not None:
             details.append(f"the plan of round {progress.proposed.task.number} waits for approval")
-        detail = progress.detail or self._note
+        detail = "; ".join(filter(None, (progress.detail, self._note)))
         return "; ".join((*details, detail) if detail else details)
 
     def checkpoint(self) -> SavedState:

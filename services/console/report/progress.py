@@ -98,7 +98,7 @@ class Progress(Protocol):
 
 @dataclass
 class PlainProgress:
-    """A line a round, and one every `every_s` in between; below it, what is new to say."""
+    """A line a round, one every `every_s` in between, and one for what is new to say, with that below."""
 
     stream: TextIO = field(default_factory=lambda: sys.stderr)
     clock: Callable[[], float] = time.monotonic
@@ -124,7 +124,8 @@ class PlainProgress:
             return
         self._looked = at
         moment = now()
-        if moment.round == self._round and at - self._drawn < self.every_s:
+        is_new = moment.round != self._round or moment.detail not in ("", self._said)
+        if not is_new and at - self._drawn < self.every_s:
             return
         self._write(moment, at)
 

@@ -605,6 +605,8 @@ def test_a_start_from_which_most_open_ground_is_out_of_reach_is_said_from_the_fi
     mission.simulation.run(until=mission.simulation.now + SECOND)
     assert mission.statuses[0].detail == said
     assert mission.warnings()[0] == said
+    mission.run()
+    assert mission.status.detail == f"12 of 12 samples are in the map; {said}"
 
 
 IN_DEGREES = ((-30.76, 20.19), (-30.72, 20.19), (-30.72, 20.21))

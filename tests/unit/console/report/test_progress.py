@@ -59,7 +59,7 @@ def test_what_is_new_to_say_is_below_a_line_once() -> None:
     times = iter(range(10))
     stream = io.StringIO()
     with PlainProgress(stream, clock=lambda: float(next(times))) as progress:
-        for number, detail in ((1, "walled in"), (2, "walled in"), (3, ""), (4, "blocked")):
+        for number, detail in ((0, "walled in"), (1, "walled in"), (2, ""), (2, "blocked")):
             progress.show(lambda number=number, detail=detail: Moment(round=number, detail=detail))
     assert [line.strip() for line in stream.getvalue().splitlines() if not line.startswith("round")] == [
         "walled in", "blocked",
