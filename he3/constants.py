@@ -53,4 +53,4 @@ ROVER_SLOPE_NOMINAL_DEG: Final = 15.0  # deg, what a VIPER-like rover is planned
 RELIEF_WINDOW_M: Final = 100.0  # m, side of the moving mean that relief is measured against, PAPER
 RELIEF_SIGMAS: Final = 1.5  # standard deviations of relief beyond which a hollow or hummock is an obstacle, PAPER
 HUMMOCK_MAX_FRACTION: Final = 0.05  # 1, share of the region from which on a rise is landscape, not an obstacle, PAPER
-RELIEF_FLOOR_M: Final = 0.01  # m, relief that a rover does not notice; keeps rounding from making obstacles, ASSUMED
+RELIEF_FLOOR_M: Final = 0.2  # m, relief over 100 m that hinders no rover, however even the ground around, ASSUMED

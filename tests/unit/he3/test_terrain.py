@@ -77,6 +77,15 @@ def test_a_rise_that_covers_a_twentieth_of_the_region_is_landscape_but_a_hollow_
     assert not judge(-broad)[150, 150]
 
 
+def test_smooth_even_ground_is_open_although_its_relief_has_a_standard_deviation() -> None:
+    """A bowl of 500 m that is 1.5 m deep, as a resampled coarse raster has: 6 cm below the mean over 100 m."""
+    bowl = 1.5 * (((X - 150.0) ** 2 + (Y - 150.0) ** 2) / 250.0**2)
+    relief = relief_m(bowl, 1.0)
+    assert -0.1 < relief.min() < -0.03
+    assert traversable(slope_deg(bowl, 1.0), relief).all()
+    assert not traversable(np.zeros(relief.shape), 10.0 * relief).all()
+
+
 def test_the_threshold_is_one_and_a_half_standard_deviations_of_relief() -> None:
     relief = np.where((np.indices((100, 100)).sum(axis=0)) % 2 == 0, 0.5, -0.5)  # sets the scale: sigma is 0.5
     relief[20:24, 20:24], relief[20:24, 60:64] = -0.74, -0.77
