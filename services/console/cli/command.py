@@ -211,13 +211,21 @@ def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) ->
         if how.preview:
             _show(client, client.preview(kind, **what), json=how.json)
             return
-        if not how.yes and sys.stdin.isatty() and not _confirmed(client, client.preview(kind, **what)):
+        if asks(kind, yes=how.yes) and not _confirmed(client, client.preview(kind, **what)):
             typer.echo("he3: nothing was sent", err=True)
             raise typer.Exit(1)
         issued = client.command(kind, expires_in_s=how.expires_in, command_id=how.command_id, **what)
         status = issued.status if stage is None else issued.wait(stage, how.timeout_s)
     typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(command_lines([status])))
     fail_if_it_failed(status, stage)
+
+
+def asks(kind: str, *, yes: bool) -> bool:
+    """Whether the operator is asked before the command is sent: on a terminal, where they see the question.
+
+    `safe` is for emergencies, in which a question costs time.
+    """
+    return not yes and kind != "safe" and sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def _show(client: MissionClient, outlook: CommandOutlook, *, json: bool) -> None:

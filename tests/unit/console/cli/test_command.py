@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from types import SimpleNamespace
+
 import pytest
 
 from he3.errors import He3Error
 from schemas import commands
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
-from services.console.cli.command import fail_if_it_failed, sends
+from services.console.cli.command import asks, fail_if_it_failed, sends
 
 Stage = CommandStage
 ENDS = tuple(stage for stage in Stage if stage in commands.ENDS)
@@ -67,3 +70,14 @@ def test_a_reported_end_counts_before_the_assumption_that_the_command_is_lost() 
 def test_enter_sends_a_command_and_any_other_answer_does_not() -> None:
     assert all(sends(answer) for answer in ("\n", "y\n", " yes \n"))
     assert not any(sends(answer) for answer in ("", "\x1b\n", "n\n", "\x1b", "y"))
+
+
+@pytest.mark.parametrize("kind", [kind.value for kind in CommandKind])
+@pytest.mark.parametrize(("keyboard", "screen"), [(True, True), (True, False), (False, True), (False, False)])
+def test_only_who_sees_the_question_and_can_answer_it_is_asked_and_never_before_safe(
+    kind: str, keyboard: bool, screen: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: keyboard))
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: screen))
+    assert asks(kind, yes=False) is (keyboard and screen and kind != "safe")
+    assert not asks(kind, yes=True)
