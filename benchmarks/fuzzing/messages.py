@@ -109,32 +109,35 @@ class Messages:
 
     def _payload(self, rng: Random, topic: Topic) -> bytes:
         """A mutated message of that topic."""
-        seen = self._seen.get(topic.name)
-        if seen is None or rng.random() < 0.2:
-            other = self._seen.get(rng.choice(list(self._seen)))
-            seen = other if other is not None and rng.random() < 0.2 else None
-        tree: Any
-        if seen is not None:
-            tree = json.loads(seen)
-            tree["header"].pop("checksum", None)
+        return mutated_message(rng, topic, self._seen, MISSION, self._mission.simulation.now)
+
+
+def mutated_message(rng: Random, topic: Topic, genuine: dict[str, bytes], mission: str, now: int) -> bytes:
+    """A message of that topic with random changes: of a genuine one if there is one, else of one made from its schema.
+
+    genuine: a message of each topic that was seen, by the topic's name; at least one. now: mission time [ns].
+    """
+    seen = genuine.get(topic.name)
+    if seen is None or rng.random() < 0.2:
+        other = genuine.get(rng.choice(list(genuine)))
+        seen = other if other is not None and rng.random() < 0.2 else None
+    tree: Any
+    if seen is not None:
+        tree = json.loads(seen)
+        tree["header"].pop("checksum", None)
+    else:
+        tree = {
+            "header": {"mission": mission, "source": "stranger", "incarnation": 1, "sequence": 0, "made_at": now},
+            "body": _example(rng, topic.payload.model_json_schema()),
+        }
+    for _ in range(rng.choice((0, 1, 1, 1, 2, 3))):
+        part = rng.choice(("header", "body", "body", "body"))
+        if isinstance(tree, dict) and part in tree and rng.random() < 0.95:
+            tree[part] = values.mutated(rng, tree[part])
         else:
-            tree = {
-                "header": {"mission": MISSION, "source": "stranger", "incarnation": 1, "sequence": 0,
-                           "made_at": self._mission.simulation.now},
-                "body": _example(rng, topic.payload.model_json_schema()),
-            }  # fmt: skip
-        for _ in range(rng.choice((0, 1, 1, 1, 2, 3))):
-            part = rng.choice(("header", "body", "body", "body"))
-            if isinstance(tree, dict) and part in tree and rng.random() < 0.95:
-                tree[part] = values.mutated(rng, tree[part])
-            else:
-                tree = values.mutated(rng, tree)
-        payload = json.dumps(tree, ensure_ascii=rng.random() < 0.5, separators=(",", ":")).encode(
-            "utf-8", "surrogatepass"
-        )
-        if rng.random() < 0.12:
-            payload = _damaged(rng, payload)
-        return payload
+            tree = values.mutated(rng, tree)
+    payload = json.dumps(tree, ensure_ascii=rng.random() < 0.5, separators=(",", ":")).encode("utf-8", "surrogatepass")
+    return _damaged(rng, payload) if rng.random() < 0.12 else payload
 
 
 def _others(topic: Topic, _name: str) -> int:

@@ -12,7 +12,8 @@ import ssl
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -64,55 +65,43 @@ PATHS = (
 BODIES = (b"", b"[" * 30_000, b"9" * 6_000, b"\xff\xfe")
 
 
-class PageRequests:
-    """A mission, the page's server, and malformed requests."""
+class ServedPage:
+    """The page's server of a running mission, and malformed requests."""
 
-    name = "page"
-    _scheme = "http"
+    scheme = "http"
 
-    def __init__(self, folder: Path) -> None:
-        region = folder / "region.npz"
-        _, x = np.mgrid[0:20, 0:20].astype(float)
-        np.savez(region, he3_ppb=8 + np.sin(x / 5), traversable=np.ones((20, 20), bool), resolution_m=1.0)
-        scenario = folder / "fuzzed.toml"
-        scenario.write_text(
-            f'name = "{MISSION}"\nregion = "{region}"\nrounds = 3\nsamples_per_round = 2\nstart_m = [5.0, 5.0]\n'
-            "[ground]\nplanning_s = 1.0\nclearance_m = 1.0\n"
-        )
-        self._folder = folder
+    def __init__(self, mission: str, earth: str, flags: Sequence[str] = ()) -> None:
+        """flags: more ones of the server."""
         self._cookie = ""
-        self._closing: list[Any] = []
-        endpoints = free_endpoints()
-        launcher = self._launcher = Launcher(scenario, endpoints, ("--rate", "1"), logs=folder)
-        launcher.__enter__()
-        self._closing.append(lambda: launcher.__exit__(None, None, None))
+        command = [sys.executable, "-m", "services.console", "web", "--port", "0", "--authority",
+                   "--mission", mission, "--earth", earth, *flags]  # fmt: skip
+        self._server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         try:
-            MissionClient.when_up(endpoints.earth, MISSION, launcher.check).close()
-            self._serve(endpoints.earth)
+            self._find(mission)
         except BaseException:
             self.close()
             raise
 
-    def _serve(self, earth: str) -> None:
-        command = [sys.executable, "-m", "services.console", "web", "--port", "0", "--authority",
-                   "--mission", MISSION, "--earth", earth, *self._flags()]  # fmt: skip
-        self._server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        self._closing.append(self._end_server)
+    @property
+    def pid(self) -> int:
+        return self._server.pid
+
+    def _find(self, mission: str) -> None:
         assert self._server.stderr is not None
         line = self._server.stderr.readline()
         found = re.search(r"https?://([\w.]+):(\d+)/(login[^\s,]+)?", line)
         if found is None:
-            raise He3Error(f"fuzz: expected the page's address, got {line!r}")
+            raise He3Error(f"expected the address of the page of '{mission}', got {line!r}")
         self._host, self._port = found[1], int(found[2])
         if found[3] is not None:
             self._log_in(f"/{found[3]}")
         while not self._has_a_map():
-            if self._server.poll() is not None:
-                raise He3Error("fuzz: the page's server has ended before the first request")
+            self.require_alive()
 
-    def _flags(self) -> list[str]:
-        """More flags of the page's server."""
-        return []
+    def require_alive(self) -> None:
+        """Raise He3Error if the server has ended."""
+        if self._server.poll() is not None:
+            raise He3Error("the page's server has ended")
 
     def _connection(self) -> http.client.HTTPConnection:
         return http.client.HTTPConnection(self._host, self._port, timeout=ANSWER_S)
@@ -134,7 +123,8 @@ class PageRequests:
         finally:
             connection.close()
 
-    def _end_server(self) -> None:
+    def close(self) -> None:
+        """End the server."""
         self._server.terminate()
         with suppress(subprocess.TimeoutExpired):
             self._server.wait(10)
@@ -142,11 +132,6 @@ class PageRequests:
         self._server.wait()
         if self._server.stderr is not None:
             self._server.stderr.close()
-
-    def close(self) -> None:
-        """End the server, then the mission."""
-        while self._closing:
-            self._closing.pop()()
 
     def example(self, rng: Random) -> tuple[str, str | None]:
         """One request: its first line and body, and a line on its fault, None if there was none."""
@@ -212,7 +197,7 @@ class PageRequests:
         headers += [
             ("content-type", "application/json"),
             ("x-he3-console", "1"),
-            ("origin", f"{self._scheme}://{headers[0][1]}"),
+            ("origin", f"{self.scheme}://{headers[0][1]}"),
         ]
         if rng.random() < 0.9:
             headers.append(("content-length", str(len(body) if rng.random() < 0.9 else rng.choice((0, len(body))))))
@@ -221,27 +206,75 @@ class PageRequests:
         return "POST", path, headers, body
 
 
+class ServedPageOverTls(ServedPage):
+    """The same over TLS."""
+
+    scheme = "https"
+
+    def __init__(self, mission: str, earth: str, identity: Path) -> None:
+        """identity: folder of the page's identity, of a person."""
+        self._tls = ssl.create_default_context(cafile=identity / PAGE_AUTHORITY)
+        flags = [
+            "--page-identity",
+            identity,
+            "--certificate",
+            identity / PAGE_CERTIFICATE,
+            "--key",
+            identity / PAGE_KEY,
+        ]
+        super().__init__(mission, earth, [str(flag) for flag in flags])
+
+    def _connection(self) -> http.client.HTTPConnection:
+        return http.client.HTTPSConnection(self._host, self._port, timeout=ANSWER_S, context=self._tls)
+
+
+class PageRequests:
+    """A mission at rate 1, its page, and malformed requests."""
+
+    name = "page"
+
+    def __init__(self, folder: Path) -> None:
+        region = folder / "region.npz"
+        _, x = np.mgrid[0:20, 0:20].astype(float)
+        np.savez(region, he3_ppb=8 + np.sin(x / 5), traversable=np.ones((20, 20), bool), resolution_m=1.0)
+        scenario = folder / "fuzzed.toml"
+        scenario.write_text(
+            f'name = "{MISSION}"\nregion = "{region}"\nrounds = 3\nsamples_per_round = 2\nstart_m = [5.0, 5.0]\n'
+            "[ground]\nplanning_s = 1.0\nclearance_m = 1.0\n"
+        )
+        with ExitStack() as ends:
+            endpoints = free_endpoints()
+            self._launcher = ends.enter_context(Launcher(scenario, endpoints, ("--rate", "1"), logs=folder))
+            MissionClient.when_up(endpoints.earth, MISSION, self._launcher.check).close()
+            self._page = self._served(folder, endpoints.earth)
+            ends.callback(self._page.close)
+            self._ends = ends.pop_all()
+
+    def _served(self, _folder: Path, earth: str) -> ServedPage:
+        return ServedPage(MISSION, earth)
+
+    def example(self, rng: Random) -> tuple[str, str | None]:
+        """One request: its first line and body, and a line on its fault, None if there was none."""
+        return self._page.example(rng)
+
+    def close(self) -> None:
+        """End the server, then the mission."""
+        self._ends.close()
+
+
 class PageRequestsOverTls(PageRequests):
     """The same over TLS, at a bounded rate, with an eye on the memory of the page's server and of every service."""
 
     name = "page-tls"
-    _scheme = "https"
 
     def __init__(self, folder: Path) -> None:
-        keys = Authority.create(folder / "keys")
-        self._identity = keys.issue(subject("operator", "fuzz"))
-        self._tls = ssl.create_default_context(cafile=self._identity / PAGE_AUTHORITY)
         self._examples = 0
         self._began = time.monotonic()
         self._settled_kb: dict[str, int] = {}
         super().__init__(folder)
 
-    def _flags(self) -> list[str]:
-        return ["--page-identity", str(self._identity), "--certificate", str(self._identity / PAGE_CERTIFICATE),
-                "--key", str(self._identity / PAGE_KEY)]  # fmt: skip
-
-    def _connection(self) -> http.client.HTTPConnection:
-        return http.client.HTTPSConnection(self._host, self._port, timeout=ANSWER_S, context=self._tls)
+    def _served(self, folder: Path, earth: str) -> ServedPage:
+        return ServedPageOverTls(MISSION, earth, Authority.create(folder / "keys").issue(subject("operator", "fuzz")))
 
     def example(self, rng: Random) -> tuple[str, str | None]:
         """Send one request at its time, and check that memory and services have not changed."""
@@ -257,8 +290,8 @@ class PageRequestsOverTls(PageRequests):
     def _grown(self) -> str | None:
         """Which process has grown or ended, in one line; None if none has."""
         self._launcher.check()
-        pids = {"page": self._server.pid, **self._launcher.pids}
-        now_kb = {name: _resident_kb(pid) for name, pid in pids.items()}
+        pids = {"page": self._page.pid, **self._launcher.pids}
+        now_kb = {name: resident_kb(pid) for name, pid in pids.items()}
         if self._examples == SETTLED_AFTER:
             self._settled_kb = now_kb
         shown = ", ".join(f"{name} {kb / 1024:.0f} MB" for name, kb in now_kb.items())
@@ -269,7 +302,7 @@ class PageRequestsOverTls(PageRequests):
         return None
 
 
-def _resident_kb(pid: int) -> int:
+def resident_kb(pid: int) -> int:
     """Memory of that process [kB]; Linux."""
     found = re.search(r"^VmRSS:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text(encoding="ascii"), re.MULTILINE)
     return 0 if found is None else int(found[1])
