@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from benchmarks import link_timing, query_latency
+from benchmarks import flood, link_timing, query_latency
 from he3.errors import InvalidInput
 from tests.waiting import expect_within
 
@@ -46,12 +46,24 @@ def test_a_map_query_while_planning_is_measured_beside_a_bare_queryable(tmp_path
     assert "ratio of the medians" in lines[-1]
 
 
+@pytest.mark.exhaustive
+def test_a_flood_makes_no_process_grow_or_fail_and_leaves_the_mission_undisturbed(tmp_path):
+    lines: list[str] = []
+    flood.run(messages=2000, requests=400, json=tmp_path / "flood.json", say=lines.append)
+    document = json.loads((tmp_path / "flood.json").read_text())
+    assert (document["faults"], document["defects"], document["differences"]) == ([], {}, [])
+    assert set(document["growth"]) == {"link", "field", "rover", "ground", "recorder", "page"}
+    assert lines[-1].endswith("the mission has ended as an undisturbed one")
+
+
 @pytest.mark.parametrize(
     ("benchmark_run", "figures"),
     [
         (link_timing.run, {"messages": 0}),
         (link_timing.run, {"interval_s": -1.0}),
         (link_timing.run, {"changed_to_s": float("nan")}),
+        (flood.run, {"messages": 0}),
+        (flood.run, {"page_rate": 0.0}),
         (query_latency.run, {"queries": 0}),
         (query_latency.run, {"rate": 0.0}),
         (query_latency.run, {"scenario": "t9-nominal"}),
