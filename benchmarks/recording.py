@@ -24,6 +24,9 @@ from services.recorder.reader import Recorded, Recording
 from services.recorder.writer import RecordingWriter
 from services.runtime.child import ROOT, child_environment
 
+TIMES = ("at", "measured_at")
+"""Fields of our messages that say when something was on the Moon [ns]."""
+
 _READ = """
 import sys
 from pathlib import Path
@@ -123,15 +126,16 @@ def repeated(messages: list[Recorded], count: int) -> Iterator[Recorded]:
         header = each.header.model_copy(
             update={"sequence": number, "held_from": None, "made_at": each.header.made_at + lap * span}
         )
-        payload = encode(header, each.body)
-        yield Recorded(each.topic, header, each.body, payload, each.received_at + lap * span)
+        times = {name: getattr(each.body, name) + lap * span for name in TIMES if hasattr(each.body, name)}
+        body = each.body.model_copy(update=times)
+        yield Recorded(each.topic, header, body, encode(header, body), each.received_at + lap * span)
 
 
 def read(file: Path) -> Read:
     """Read all messages of that recording in a process of its own."""
     began = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-c", _READ, str(file)],
+        [sys.executable, "-c", _READ, str(file.absolute())],
         capture_output=True, text=True, check=True, cwd=ROOT, env=child_environment(),
     )  # fmt: skip
     count, peak_kb = map(int, done.stdout.split())

@@ -313,7 +313,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
         region = load_region(scenario.region, scenario.field.field_seed)
     grid, ground = region.grid, scenario.ground
     _check_places(scenario, grid)
-    terrain = _terrain(scenario, region)
+    terrain = terrain_of(scenario, region)
     trend = OrbitalTrend(grid, region.orbital_ppb) if ground.prior == "orbital" else None
     expect_map_fits(grid, ground.kernel, scenario.samples)
     likeliest = ground.hyperparameters == "ml"
@@ -356,7 +356,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     )
 
 
-def _terrain(scenario: Scenario, region: Region) -> GroundTerrain:
+def terrain_of(scenario: Scenario, region: Region) -> GroundTerrain:
     """The region's terrain less keep-outs and what is too steep; raises InvalidInput unless there is open ground."""
     ground = scenario.ground
     steepest = scenario.rover.slope_limit_deg

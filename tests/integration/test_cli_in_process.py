@@ -22,7 +22,7 @@ from services.console.__main__ import main
 from services.recorder.foxglove.derivation import CHANNELS, STEP_PPB
 from services.recorder.reader import Recorded, Recording
 from services.recorder.writer import RecordingWriter
-from tests.processes import run
+from tests.processes import he3_here, run
 
 MISSION = ["run", "short", "--in-process", "--set", "rounds=2", "--set", "samples_per_round=2", "--quiet"]
 NO_TIME = ["--set", "ground.budget_h=0.01"]
@@ -245,3 +245,30 @@ def test_rerun_finds_grid_path_samples_and_rover(first: Path) -> None:
     (scene,) = columns["/rover/path foxglove.SceneUpdate:message"][-1].as_py()
     assert len(scene["entities"][0]["lines"][0]["points"]) > 1
     assert {name.split(" ")[1] for name in columns} >= {"GeoPoints:positions", "TextLog:text", "EncodedImage:blob"}
+
+
+def test_the_map_of_a_recording_is_exported_without_a_mission(first: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    recording = str(first / "mission.mcap")
+    done = he3_here("map", "export", str(tmp_path / "maps"), "--recording", recording, "--quiet", "--json")
+    assert done.returncode == 0, done.stderr
+    written, made = json.loads(done.stdout), report(first)
+    assert written["samples"] == made.samples
+    assert not [note for note in written["notes"] if "differs" in note]
+    with rasterio.open(tmp_path / "maps" / "simulation_error.tif") as raster:
+        error = raster.read(1).astype(float)
+    assert math.sqrt((error**2).mean()) == pytest.approx(made.rmse_ppb, abs=1e-6)
+    earlier = he3_here(
+        "map", "export", str(tmp_path / "maps"), "--recording", recording, "--as-of", "1", "--json", "-q"
+    )
+    assert (json.loads(earlier.stdout)["revision"], json.loads(earlier.stdout)["samples"]) == (1, 0)
+    for words, expected in (
+        (("--as-of", "2020-01-01T00:00:00Z"), "expected a mission time from 2030-01-01"),
+        (("--region", "t2"), "t2: expected the mission's region, got another region"),
+        (("--mission", "short"), "--recording and --mission or --earth: expected one of them, got both"),
+    ):
+        refused = he3_here("map", "export", str(tmp_path / "other"), "--recording", recording, *words)
+        assert refused.returncode == 2
+        assert expected in refused.stderr
+        assert len(refused.stderr.splitlines()) == 1
+    assert not (tmp_path / "other").exists()

@@ -83,12 +83,12 @@ def verify(path: Path) -> Verification:
     Raises InvalidInput for a recording without overviews, He3Error, with the revision, where the belief cannot be
     rebuilt because samples or plans are missing.
     """
-    evidence = _Evidence(path)
+    evidence = Evidence(path)
     result = Verification(problems=evidence.problems)
-    rebuilt: _Rebuilt | None = None
+    rebuilt: RebuiltBelief | None = None
     for overview, values in evidence.overviews():
         if rebuilt is None:
-            rebuilt = _Rebuilt(overview, evidence)
+            rebuilt = RebuiltBelief(overview, evidence)
         elif overview.revision <= rebuilt.revision:
             continue  # a repetition
         rebuilt.follow(overview)
@@ -98,10 +98,11 @@ def verify(path: Path) -> Verification:
     return result
 
 
-class _Evidence:
+class Evidence:
     """The recorded samples and plans, read at once, and the overviews, read one by one."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, region: str | None = None) -> None:
+        """region: where the mission's region is on this machine, if it is not where the scenario says."""
         self._path = path
         self.samples: dict[str, SampleReport] = {}
         """Every report by sample, in the order in which custody delivers them."""
@@ -124,6 +125,10 @@ class _Evidence:
         """What is damaged or missing in the file."""
         text = recording.about.get(SCENARIO_RECORD, {}).get("json")
         self.scenario = None if text is None else Scenario.model_validate_json(text)
+        if self.scenario is not None and region is not None:
+            self.scenario = self.scenario.model_copy(update={"region": region})
+        self.about = recording.about
+        """The metadata records on the mission, by name."""
 
     def overviews(self) -> Iterator[tuple[MapOverview, MapValues | None]]:
         """Each overview of the map with its values, in the order in which they were recorded."""
@@ -147,10 +152,10 @@ class _Evidence:
         return Observation(planned, (report.x_m, report.y_m), report.helium3_ppb)
 
 
-class _Rebuilt:
+class RebuiltBelief:
     """The belief at the revision that was last followed to."""
 
-    def __init__(self, first: MapOverview, evidence: _Evidence) -> None:
+    def __init__(self, first: MapOverview, evidence: Evidence) -> None:
         grid = SiteGrid(first.rows, first.columns, first.resolution_m)
         self._evidence = evidence
         self._fits = 0
@@ -198,7 +203,9 @@ def _hyperparameters(overview: MapOverview) -> Hyperparameters:
     )
 
 
-def _with(result: Verification, overview: MapOverview, values: MapValues | None, rebuilt: _Rebuilt) -> Verification:
+def _with(
+    result: Verification, overview: MapOverview, values: MapValues | None, rebuilt: RebuiltBelief
+) -> Verification:
     """The result with that revision compared as well."""
     current = rebuilt.belief.map
     same = checksum(current.mean_ppb, current.std_ppb) == overview.checksum
@@ -207,8 +214,8 @@ def _with(result: Verification, overview: MapOverview, values: MapValues | None,
     if values is None:
         return result
     shape = values.rows, values.columns
-    mean = _difference(values.mean_base64, shape, reduced(current.mean_ppb, overview.step))
-    std = _difference(values.std_base64, shape, reduced(current.std_ppb, overview.step))
+    mean = difference(values.mean_base64, shape, reduced(current.mean_ppb, overview.step))
+    std = difference(values.std_base64, shape, reduced(current.std_ppb, overview.step))
     result = replace(result, values=result.values + values.rows * values.columns)
     if not rebuilt.exact:
         largest = max(result.largest_after_loss_ppb, mean, std)
@@ -221,7 +228,7 @@ def _with(result: Verification, overview: MapOverview, values: MapValues | None,
     )
 
 
-def _difference(recorded_base64: str, shape: tuple[int, int], rebuilt: Float32Array) -> float:
+def difference(recorded_base64: str, shape: tuple[int, int], rebuilt: Float32Array) -> float:
     """Largest absolute difference [ppb] between recorded and rebuilt values; raises He3Error for another shape."""
     recorded = np.frombuffer(base64.b64decode(recorded_base64), dtype="<f4")
     if recorded.size != shape[0] * shape[1] or rebuilt.shape != shape:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 
@@ -56,14 +57,34 @@ def as_of(snapshot: MapSnapshot, when: str | None) -> MapSnapshot:
 
     Raises InvalidInput when everything that is held is later.
     """
+    return revision_at(revisions(snapshot), when)
+
+
+class Revision(Protocol):
+    """A revision of the map, or what tells of one."""
+
+    @property
+    def revision(self) -> int: ...
+
+    @property
+    def mission_time_ns(self) -> MissionTime: ...
+
+
+Held = TypeVar("Held", bound=Revision)
+
+
+def revision_at(held: Sequence[Held], when: str | None) -> Held:
+    """The last of those revisions, oldest first, that is not later than `when`; None means the last of all.
+
+    Raises InvalidInput when all of them are later.
+    """
     if when is None:
-        return snapshot
-    held = revisions(snapshot)
+        return held[-1]
     number = int(when) if when.isdigit() else None
     if number is not None and number < MAX_REVISION:
         found = [each for each in held if each.revision <= number]
         if not found:
-            raise InvalidInput(f"as_of: expected a revision of {held[0].revision} to {snapshot.revision}, got {when}")
+            raise InvalidInput(f"as_of: expected a revision of {held[0].revision} to {held[-1].revision}, got {when}")
         return found[-1]
     time = _mission_time(when) if number is None else number
     found = [each for each in held if each.mission_time_ns <= time]

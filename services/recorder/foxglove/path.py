@@ -24,13 +24,14 @@ class DrivenPath:
         self._times: list[MissionTime] = []
         self._places: list[Place] = []
         self._published = 0
+        self._whole: list[Place] = []  # the corners of what is published
 
     def add(self, at: MissionTime, place_m: Place) -> None:
         """Take in that the rover was at a place at that time."""
         position = bisect_right(self._times, at)
-        if position < len(self._places):
-            self._published = 0  # a report that came late: the path is another
-        elif len(self._places) > 1 and all(_same(each, place_m) for each in self._places[-2:]):
+        if position < self._published:
+            self._published, self._whole = 0, []  # a report that came very late: the path is another
+        elif position == len(self._places) > 1 and all(_same(each, place_m) for each in self._places[-2:]):
             self._times[-1] = at  # it still stands there
             return
         self._times.insert(position, at)
@@ -42,25 +43,28 @@ class DrivenPath:
         return not self._places
 
     @property
+    def corners(self) -> Sequence[Place]:
+        """The corners of the whole path."""
+        return _extended([], self._places)
+
+    @property
     def new(self) -> Sequence[Place]:
         """The corners of the path since it was last published, from the last place that was."""
-        return _corners(self._places[max(0, self._published - 1) :])
+        return _extended([], self._places[max(0, self._published - 1) :])
 
     def whole(self) -> Sequence[Place] | None:
         """All corners, if it is time to publish the whole path again; else None."""
         new = len(self._places) - self._published
         if self._published > 0 and new <= min(MAX_NEW, max(MIN_NEW, len(self._places) // NEW_SHARE)):
             return None
-        corners = _corners(self._places)
-        if len(corners) < 2:
-            return None
+        self._whole = _extended(self._whole, self._places[self._published :])
         self._published = len(self._places)
-        return corners
+        return self._whole if len(self._whole) > 1 else None
 
 
-def _corners(places_m: Iterable[Place]) -> list[Place]:
-    """The places without those at which the rover stood before, and those on the line between their neighbours."""
-    kept: list[Place] = []
+def _extended(corners: list[Place], places_m: Iterable[Place]) -> list[Place]:
+    """Those corners and the places, without those at which the rover stood before, or on a line between neighbours."""
+    kept = corners.copy()
     for place in places_m:
         if kept and _same(kept[-1], place):
             continue

@@ -1,6 +1,7 @@
 """``he3 map``: the live map at a place, as a picture, as files, as tables, over an area, and as a feed.
 
-One module a topic: `point`, `layer`, `area`, `tables`, `files`, `feed`; `options` describes the flags that they share.
+One module a topic: `point`, `layer`, `area`, `tables`, `files`, `export`, `feed`; `options` describes the flags that
+they share.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import typer
 
 from services.console.cli.coordinates import NEGATIVE_NUMBERS
-from services.console.cli.map import area, feed, files, layer, point, tables
+from services.console.cli.map import area, export, feed, files, layer, point, tables
 
 EXAMPLES = """\b
 Examples:
@@ -21,6 +22,7 @@ Examples:
   he3 map save exceedance rich.tif --threshold 9
   he3 map export maps
   he3 map export belief.npz
+  he3 map export maps --recording runs/t1/mission.mcap
   he3 map resource 100,100 200,100 150,200 --cutoff 9
   he3 map samples --csv
   he3 map score --json
@@ -32,7 +34,7 @@ app.command("at", short_help="The belief at one place.", epilog=EXAMPLES, contex
 app.command("show", short_help="A whole layer in the terminal.", epilog=EXAMPLES)(layer.show)
 app.command("box", short_help="A part of a layer.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)(layer.box)
 app.command("save", short_help="A layer as a file.", epilog=EXAMPLES)(files.save)
-app.command("export", short_help="The whole map for QGIS and other tools, in a folder.", epilog=EXAMPLES)(files.export)
+app.command("export", short_help="The whole map for QGIS and other tools, in a folder.", epilog=EXAMPLES)(export.export)
 app.command(
     "resource", short_help="Helium-3 in an area, with intervals.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS
 )(area.resource)

@@ -13,6 +13,7 @@ from he3.errors import He3Error, InvalidInput
 from schemas.codec import decode, encode
 from schemas.topics import MAP_OVERVIEW, SAMPLE, Side, Topic
 from services.console.__main__ import main
+from services.console.report.recorded_map import recorded_map
 from services.console.report.verification import TOLERANCE_PPB, verify
 from services.recorder.about import about
 from services.recorder.reader import Recording
@@ -61,6 +62,12 @@ def test_the_rebuilt_belief_of_a_mission_flown_with_faults_is_the_recorded_map_a
     assert result.largest_ppb <= TOLERANCE_PPB
     assert result.identical == result.revisions
     assert result.after_loss == 0
+
+
+def test_a_map_is_not_laid_over_a_region_with_another_grid(flown: Path) -> None:
+    """The scenario names a region, and the mission was flown on a part of it."""
+    with pytest.raises(InvalidInput, match="t1: expected the mission's region, got another region"):
+        recorded_map(flown, threshold_ppb=8.0)
 
 
 def test_a_mission_whose_mean_is_uncertain_is_rebuilt_with_that_uncertainty(tmp_path: Path) -> None:
