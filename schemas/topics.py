@@ -8,6 +8,7 @@ from enum import Enum, StrEnum
 from schemas.authority import AuthorityChange, AuthorityState
 from schemas.claims import RoleClaim, RoleHolder
 from schemas.commands import CommandList, CommandPreview, CommandReport, CommandStatus, NoParameters, Telecommand
+from schemas.fork import MissionFork
 from schemas.ground import GroundStatus, InterestChange, InterestList, MapOverview, MissionTrack, Presence
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
 from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
@@ -362,6 +363,14 @@ SHOW_PLAN = Topic(
     service=Query(observes=True),
     reply=PlanReview,
 )
+FORK = Topic(
+    "earth/ground/fork",
+    NoParameters,
+    _queried(_READERS, Role.GROUND),
+    service=Query(observes=True),
+    reply=MissionFork,
+    max_reply_bytes=33_554_432,
+)
 COMMAND_STATUS = Topic(
     "earth/ground/command-status",
     CommandStatus,
@@ -451,6 +460,7 @@ TOPICS: tuple[Topic, ...] = (
     SHOW_AUTHORITY,
     DECIDE_PLAN,
     SHOW_PLAN,
+    FORK,
     COMMAND_STATUS,
     MAP_POINT,
     MAP_LAYER,

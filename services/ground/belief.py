@@ -194,8 +194,9 @@ class Belief:
     def restore(self, state: SavedState) -> None:
         """Restore the belief from this state."""
         self._observations, self._built, self._fits = state["observations"], state["built"], state["fits"]
-        self._map, self._process = state["map"], state["process"]
-        self._posterior = None
+        self._process, self._posterior = state["process"], None
+        known: PosteriorMap | None = state["map"]
+        self._map = self._standing().snapshot() if known is None else known  # None: it follows from the rest
 
 
 def hyperprior(grid: SiteGrid, trend: OrbitalTrend | None) -> Hyperprior:

@@ -20,6 +20,7 @@ from schemas.topics import (
     COMMAND_REPORT,
     DECIDE_PLAN,
     EVENT,
+    FORK,
     ISSUE_COMMAND,
     LIST_COMMANDS,
     LIST_INTERESTS,
@@ -38,6 +39,7 @@ from services.ground.budget import Budget
 from services.ground.command_history import CommandHistory
 from services.ground.director import REPLAN_TIMER, Director
 from services.ground.execution import ExecutionMonitor
+from services.ground.forking import Forking
 from services.ground.interests import InterestAreas
 from services.ground.map.publisher import MapPublisher
 from services.ground.map.region_account import region_account
@@ -106,6 +108,7 @@ class GroundNode:
         telecommands: TelecommandHandler,
         previews: CommandPreviews,
         reviewer: PlanReviewer,
+        forking: Forking,
         authority: CommandAuthority,
         publisher: MapPublisher,
         status: StatusReporter,
@@ -121,6 +124,7 @@ class GroundNode:
         self._telecommands = telecommands
         self._previews = previews
         self._reviewer = reviewer
+        self._forking = forking
         self._authority = authority
         self._publisher = publisher
         self._status = status
@@ -156,6 +160,7 @@ class GroundNode:
                 SHOW_AUTHORITY,
                 DECIDE_PLAN,
                 SHOW_PLAN,
+                FORK,
                 *MAP_TOPICS,
             ),
         )
@@ -176,6 +181,8 @@ class GroundNode:
                 return [SendReply(token, self._telecommands.listed())]
             case QueryReceived(topic, Telecommand() as command, token) if topic is PREVIEW_COMMAND:
                 return [SendReply(token, self._previews.of(command, self._status.rover, now))]
+            case QueryReceived(topic, _, token) if topic is FORK:
+                return [SendReply(token, self._forking.fork(self.checkpoint(), self._status.rover, now))]
         effects = list(self._changed_by(event, now))
         shown = self._publisher.publish(now, self._director.ended, self._director.plan_ends)
         return [*effects, *shown, *self._status.send(anyway=event == TimerFired(STATUS_TIMER))]
@@ -346,6 +353,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
         telecommands=TelecommandHandler(scenario, NAME, history, director, authority),
         previews=CommandPreviews(history, terrain, round_log, execution, budget),
         reviewer=PlanReviewer(planning, budget, director, authority),
+        forking=Forking(scenario, terrain, round_log, execution, planning, STATE_TYPES),
         authority=authority,
         publisher=publisher,
         status=StatusReporter(scenario, belief, director, publisher, silence, note),

@@ -122,6 +122,8 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
 
         preview = json.loads(he3_here("command", "go-to", "130", "340", "--preview", "--json", env=environment).stdout)
         assert preview["drive_m"] > 0
+        forecast = json.loads(he3_here("rehearse", "--draws", "1", "--json", env=environment).stdout)
+        assert (forecast["bands"]["samples"]["median"], forecast["flights"][0]["completed"]) == (9.0, True)
         light_ns = round(1.282e9)
         assert preview["word_back_at"] - light_ns == preview["received_at"] == preview["at"] + light_ns
         assert he3_here("commands", env=environment).stdout == "no commands yet\n"

@@ -18,6 +18,7 @@ from services.console.cli import (
     plan,
     recording,
     region,
+    rehearse,
     replay,
     run,
     schemas,
@@ -50,6 +51,9 @@ def build() -> typer.Typer:
     app.command("run", short_help="Run a whole mission and report on it.", epilog=run.EXAMPLES)(run.run)
     app.command("up", short_help="Start the services and keep them running.", epilog=up.EXAMPLES)(up.up)
     app.command("status", short_help="Show processes, rover, map and link.", epilog=status.EXAMPLES)(status.status)
+    app.command("rehearse", epilog=rehearse.EXAMPLES, short_help="Fly the rest of the mission ahead.")(
+        rehearse.rehearse
+    )
     app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
     app.command("web", short_help="Serve the operator's page for a browser.", epilog=web.EXAMPLES)(web.web)
     app.add_typer(map.app, name="map", help="The live map: a place, a picture, files, tables, an area.")

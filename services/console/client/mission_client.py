@@ -29,6 +29,7 @@ from he3.errors import PeerUnreachable
 from schemas.topics import GROUND_STATUS, Side, Topic
 from services.console.client.credentials import credentials_for
 from services.console.client.feed import MapFeed
+from services.console.client.forking import Forks
 from services.console.client.live import LiveNews
 from services.console.client.map_files import MapFiles
 from services.console.client.mission_state import MissionState
@@ -46,7 +47,7 @@ REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 
-class MissionClient(MapFiles, PlanReviewing, Previewing, LiveNews, MapFeed):
+class MissionClient(MapFiles, PlanReviewing, Previewing, Forks, LiveNews, MapFeed):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
     def __init__(

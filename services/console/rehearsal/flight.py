@@ -1,0 +1,210 @@
+"""One rehearsal: the rest of the mission from a copy of it, on one draw."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from he3.errors import InvalidInput
+from schemas.codec import decode, encode
+from schemas.commands import CommandKind
+from schemas.ground import GroundStatus
+from schemas.link import LinkChange
+from schemas.telemetry import EventKind, RoverMode
+from schemas.topics import COMMAND, EVENT, GROUND_STATUS, LINK_SET, PLAN, STATE, Side, Topic
+from schemas.wire import Header
+from services.console.rehearsal.drawn_field import DrawnField
+from services.field.node import FieldNode
+from services.ground.node import NAME as GROUND
+from services.ground.node import build_node as build_ground
+from services.link.node import build_node as build_link
+from services.mission.mission_time import SECOND, MissionTime
+from services.mission.scenario import Scenario
+from services.rover.energy import Battery
+from services.rover.geometry import Area
+from services.rover.node import build_node as build_rover
+from services.runtime.drivers.simulation import Simulation
+from services.runtime.state_codec import StateCodec
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from he3.reference import Region
+    from schemas.commands import Telecommand
+    from schemas.fork import MissionFork
+    from schemas.link import LinkStatus
+    from schemas.plans import MissionPlan
+    from services.rover.node import RoverNode
+
+LONGEST_S: Final = 200 * 86_400.0
+"""Mission time after which a rehearsal ends without a result."""
+TRACK_EVERY_S: Final = 300.0
+_SEED: Final = 0x7265  # separates the draws of rehearsals from all other uses of the mission's seed
+_HOLDS: Final = frozenset({CommandKind.PAUSE, CommandKind.SAFE, CommandKind.RESUME})
+"""Commands that hold the rover or release it: the rover of a rehearsal is not held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where rehearsals begin."""
+
+    fork: MissionFork
+    link: LinkStatus
+    """Its conditions hold from now on."""
+    commands: tuple[Telecommand, ...]
+    """Those that have not ended: the rover receives them now."""
+
+
+@dataclass(slots=True)
+class Flight:
+    """What one rehearsal came to."""
+
+    draw: int
+    completed: bool
+    why: str
+    """How it ended, in one line."""
+    lasts_s: float
+    """Mission time from the copy to the end."""
+    driven_m: float
+    """Metres driven in it."""
+    samples: int
+    """Samples in the map at its end."""
+    mean_std_ppb: float
+    charge_wh: float
+    """Of the battery at its end."""
+    lowest_wh: float
+    """The lowest reported charge of the battery."""
+    rounds_s: dict[int, float] = field(default_factory=dict)
+    """Mission time from the copy to the end of each round, by its number."""
+    track_m: list[tuple[float, float, float]] = field(default_factory=list)
+    """The rover's way: seconds from the copy, x and y [m]."""
+
+
+def assumptions(start: Start) -> list[str]:
+    """What a rehearsal takes for granted although it is not so yet, in one line each."""
+    taken, fork = [], start.fork
+    if fork.rover is not None and fork.rover.mode in (RoverMode.PAUSED, RoverMode.SAFE):
+        taken.append(f"the rover is in the mode {fork.rover.mode.value}: it resumes now")
+    if any(command.kind in (CommandKind.PAUSE, CommandKind.SAFE) for command in start.commands):
+        taken.append("a command on its way would hold the rover: it does not")
+    if start.link.contact_forced is False:
+        taken.append("the black-out that an operator set ends now")
+    if scenario_of(fork).ground.approval == "operator":
+        taken.append("every plan is approved at once")
+    return taken
+
+
+def fly(start: Start, region: Region, draw: int) -> Flight:
+    """The rest of the mission in virtual time. region: the scenario's.
+
+    Draws differ in measurements, hidden hazards and losses on the link; equal numbers give equal flights.
+    """
+    fork, conditions = start.fork, start.link.conditions
+    live = scenario_of(fork)
+    seed = live.seed + 1_000_003 * (draw + 1)
+    ground_config = live.ground.model_copy(update={"approval": "auto", "score": False})
+    scenario = live.model_copy(update={"link": conditions, "ground": ground_config})
+    ground = build_ground(scenario, region)
+    state: dict[str, Any] = StateCodec(ground.state_types).decode(base64.b64decode(fork.state_base64))
+    ground.restore({**ground.checkpoint(), **state})
+    place_m = scenario.start_m if fork.rover is None else (fork.rover.x_m, fork.rover.y_m)
+    truth = FieldNode(region, scenario.field, seed, place_m)
+    belief = state["director"]["belief"]["process"]
+    nodes = (
+        DrawnField(truth, belief, scenario.field.noise_std_ppb, (live.seed, _SEED, draw)),
+        _rover(scenario, region, fork, place_m),
+        build_link(scenario.model_copy(update={"seed": seed})),
+        ground,
+    )
+    simulation = Simulation(nodes, scenario.name, fork.at, link=conditions)
+    simulation.step()  # the nodes start
+    if start.link.contact_forced:
+        simulation.ask(LINK_SET, LinkChange(contact=True))
+    return _Watch(simulation, start, draw).run()
+
+
+def scenario_of(fork: MissionFork) -> Scenario:
+    """The scenario of the copy; raises InvalidInput for a plug-in planner, whose program may not be here."""
+    scenario = Scenario.model_validate_json(fork.scenario_json)
+    if ":" in scenario.ground.planner:
+        raise InvalidInput(f"rehearsal: expected a built-in planner, got the plug-in {scenario.ground.planner}")
+    return scenario
+
+
+def _rover(scenario: Scenario, region: Region, fork: MissionFork, place_m: Place) -> RoverNode:
+    """The rover as the ground knows it: its place, battery and odometer, the last round begun, and keep-outs."""
+    rover = build_rover(scenario, region.grid)
+    if fork.rover is None:
+        return rover
+    known, config = fork.rover, scenario.rover
+    state: dict[str, Any] = dict(rover.checkpoint())
+    executive: dict[str, Any] = dict(state["executive"])
+    executive["vehicle"] = {
+        **executive["vehicle"],
+        "battery": Battery(config.capacity_wh, config.solar_w - config.base_load_w, known.energy_wh, fork.at),
+        "drilled_m": known.drilled_m,
+        "track_m": [scenario.start_m, place_m],
+        "place_m": place_m,
+        "heading_deg": known.heading_deg,
+        "driven_m": known.driven_m,
+    }
+    begun = known.round if fork.plan is None else fork.plan.rounds[0].round - 1
+    executive["keep_outs"] = {"areas": {name: Area.of(corners) for name, corners in fork.keep_outs_m.items()}}
+    executive["plan_queue"] = {**executive["plan_queue"], "round": begun, "measured": set(fork.measured)}
+    rover.restore({**state, "executive": executive})
+    return rover
+
+
+class _Watch:
+    """A simulation that is flown to its end, and what is seen of it."""
+
+    def __init__(self, simulation: Simulation, start: Start, draw: int) -> None:
+        self._simulation = simulation
+        self._commands, self._fork = start.commands, start.fork
+        fork = start.fork
+        self._status: GroundStatus | None = None
+        driven_m = 0.0 if fork.rover is None else fork.rover.driven_m
+        charge_wh = 0.0 if fork.rover is None else fork.rover.energy_wh
+        self._driven_before_m = driven_m
+        self._flight = Flight(draw, False, "", 0.0, driven_m, 0, 0.0, charge_wh, charge_wh or float("inf"))
+        simulation.tap(self._listen)
+
+    def run(self) -> Flight:
+        """Fly it to its end."""
+        simulation, fork = self._simulation, self._fork
+        if fork.plan is not None:
+            self._bring(PLAN, fork.plan, 0)
+        on_the_way = (command for command in self._commands if command.kind not in _HOLDS)
+        for number, command in enumerate(on_the_way):
+            self._bring(COMMAND, command, number)
+        simulation.run(until=fork.at + round(LONGEST_S * SECOND), stop=lambda: GROUND in simulation.finished)
+        flight, status, end = self._flight, self._status, simulation.finished.get(GROUND)
+        flight.completed = end is not None and end.ok
+        flight.why = f"not over after {LONGEST_S / 86_400:.0f} days" if end is None else end.why
+        flight.lasts_s = (simulation.now - fork.at) / SECOND
+        flight.driven_m = max(0.0, flight.driven_m - self._driven_before_m)
+        if status is not None:
+            flight.samples, flight.mean_std_ppb = status.samples, status.mean_std_ppb or 0.0
+        return flight
+
+    def _bring(self, topic: Topic, body: MissionPlan | Telecommand, sequence: int) -> None:
+        """Let the rover receive this message now, as from an earlier start of the ground."""
+        name, at = self._simulation.host(GROUND).mission, self._simulation.now
+        header = Header(mission=name, source=GROUND, incarnation=0, sequence=sequence, made_at=at)
+        self._simulation.inject(topic, Side.MOON, encode(header, body))
+        self._simulation.step()
+
+    def _listen(self, topic: Topic, side: Side, payload: bytes, now: MissionTime) -> None:
+        if (topic, side) not in ((GROUND_STATUS, Side.EARTH), (STATE, Side.MOON), (EVENT, Side.MOON)):
+            return
+        body = decode(topic, payload, self._simulation.host(GROUND).mission)[1]
+        flight, since_s = self._flight, (now - self._fork.at) / SECOND
+        if topic is GROUND_STATUS:
+            self._status = body
+        elif topic is EVENT and body.kind is EventKind.ROUND_COMPLETED:
+            flight.rounds_s.setdefault(body.round, since_s)
+        elif topic is STATE:
+            flight.driven_m, flight.charge_wh = body.driven_m, body.energy_wh
+            flight.lowest_wh = min(flight.lowest_wh, body.energy_wh)
+            if not flight.track_m or since_s - flight.track_m[-1][0] >= TRACK_EVERY_S:
+                flight.track_m.append((since_s, body.x_m, body.y_m))
