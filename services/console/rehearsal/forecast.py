@@ -20,6 +20,7 @@ from services.console.client.time_format import duration
 from services.console.rehearsal.flight import Flight, Start, assumptions, fly, scenario_of
 from services.mission.regions import load_region
 from services.runtime.child import child_environment
+from services.runtime.entry import end_with_parent
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -144,8 +145,9 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin() -> None:
-    """Leave Ctrl-C to the parent."""
+    """Leave Ctrl-C to the parent, and end with it."""
     signal(SIGINT, SIG_IGN)
+    end_with_parent()
 
 
 def _flown(start: Start, draw: int) -> Flight:
