@@ -625,6 +625,29 @@ def test_the_link_form_sends_only_what_was_edited_and_tells_what_others_changed_
     until(lambda: written(browser, "#liveness").startswith("live"), "contact")
 
 
+def test_the_view_is_in_the_address_and_a_reload_forgets_nothing(
+    browser: Any, address: str, mission: MissionClient
+) -> None:
+    until(lambda: len(mission.history().revisions) >= 3, "a past to go to")
+    past = mission.history().revisions[1].revision
+    browser.get("about:blank")
+    browser.get(f"{address}#layer=exceedance&threshold=7&revision={past}&at=120,340")
+
+    def seen() -> tuple[Any, ...]:
+        layer = shown(browser)
+        return layer.get("layer"), layer.get("revision"), "(120, 340) m" in written(browser, "#place-hint")
+
+    until(lambda: seen() == ("exceedance", past, True), "what the address asks for")
+    click(browser, "input[value=std] + span")
+    click(browser, "#live")
+    until(lambda: browser.current_url == f"{address}#layer=std&at=120,340", "the new view in the address")
+    browser.refresh()
+    until(lambda: seen()[0] == "std" and seen()[2], "the view after a reload")
+    assert browser.current_url == f"{address}#layer=std&at=120,340"
+    browser.get("about:blank")
+    browser.get(address)
+
+
 def test_the_page_says_who_is_silent_and_greys_what_is_no_longer_known(browser: Any, launcher: Launcher) -> None:
     pid = launcher.pids["ground"]
     os.kill(pid, signal.SIGSTOP)

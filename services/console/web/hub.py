@@ -168,7 +168,7 @@ class Hub:
             self._point("mean_std_ppb", fact.made_at, fact.body.mean_std_ppb)
         if fact.body.score is not None:
             self._point("rmse_ppb", fact.made_at, fact.body.score.rmse_ppb)
-        self._tell_latest("status", {"at": fact.made_at, **fact.body.model_dump(mode="json")})
+        self._tell_latest("status", self._status_document())
 
     def _rover_changed(self) -> None:
         fact = self._state.fact(STATE)
@@ -254,6 +254,10 @@ class Hub:
             "start_ns": clock.start_ns,
         }
 
+    def _status_document(self) -> dict[str, Any] | None:
+        fact = self._state.fact(GROUND_STATUS)
+        return None if fact is None else {"at": fact.made_at, **fact.body.model_dump(mode="json")}
+
     def _link_document(self) -> dict[str, Any] | None:
         fact = self._state.fact(LINK_STATUS)
         if fact is None:
@@ -273,12 +277,11 @@ class Hub:
         return None if fact is None else {"made_at": fact.made_at, **fact.body.model_dump(mode="json")}
 
     def _document(self) -> dict[str, Any]:
-        status = self._state.status
         return {
             "mission": self.mission.mission,
             "earth": self.mission.earth,
             "clock": self._clock_document(),
-            "status": None if status is None else status.model_dump(mode="json"),
+            "status": self._status_document(),
             "rover": self._rover_document(),
             "link": self._link_document(),
             "commands": [command_document(status) for status in self._state.commands],

@@ -12,6 +12,7 @@ import { mapIsAt, showAreas, takeInterests } from "./place.js";
 import { showPlan } from "./planreview.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
+import { showView } from "./view.js";
 import { elapsed, grouped, utc } from "./words.js";
 
 const charts = {
@@ -28,7 +29,7 @@ whenCommandsChange(showAreas);
 listen({
   state: takeAll,
   clock: takeClock,
-  beat: (beat) => { takeClock(beat); heard(beat.liveness); showPhase(); refreshHistory(); },
+  beat: (beat) => { takeClock(beat); heard(beat.liveness); showPhase(); refreshHistory().then(showView); },
   status: (status) => { state.status = status; showStatus(); wantMap(); mapIsAt(status.map_revision); },
   rover: (rover) => { state.rover = rover; showRover(); },
   link: (status) => { state.link = status; showLink(); },
@@ -54,7 +55,7 @@ function takeAll(all) {
   heard(all.liveness);
   forgetMap();
   askJson("interest").then(takeInterests).catch(() => {}); // none before the ground answers
-  refreshHistory(true);
+  refreshHistory(true).then(showView);
 }
 
 // What is hidden here is refused by the server as well.
