@@ -37,7 +37,7 @@ def rehearse(
     """Fly the rest of the live mission ahead in virtual time, and say what is to be expected.
 
     The live mission is asked for a copy of its state and is not touched. Each rehearsal has its own measurements, drawn
-    from the posterior, and its own hidden hazards and losses on the link.
+    from the posterior, and hidden hazards and losses on the link of its own.
     """
     import json as json_format
 

@@ -25,11 +25,13 @@ class DrawnField:
     measurements together have the posterior's joint distribution, exactly.
     """
 
-    def __init__(self, field: FieldNode, belief: GaussianProcess, noise_std_ppb: float, seed: tuple[int, ...]) -> None:
+    def __init__(
+        self, field: FieldNode, belief: GaussianProcess, noise_std_ppb: float, random: np.random.Generator
+    ) -> None:
         self._field = field
         self._belief = belief
         self._noise_std_ppb = noise_std_ppb
-        self._random = np.random.default_rng(seed)
+        self._random = random
         self._drawn: dict[str, float] = {}
 
     @property

@@ -6,7 +6,10 @@ import base64
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from he3.errors import InvalidInput
+from he3.hyperdraws import redrawn
 from schemas.codec import decode, encode
 from schemas.commands import CommandKind
 from schemas.ground import GroundStatus
@@ -109,9 +112,10 @@ def fly(start: Start, region: Region, draw: int) -> Flight:
     ground.restore({**ground.checkpoint(), **state})
     place_m = scenario.start_m if fork.rover is None else (fork.rover.x_m, fork.rover.y_m)
     truth = FieldNode(region, scenario.field, seed, place_m)
-    belief = state["director"]["belief"]["process"]
+    random = np.random.default_rng((live.seed, _SEED, draw))
+    belief = redrawn(state["director"]["belief"]["process"], random)
     nodes = (
-        DrawnField(truth, belief, scenario.field.noise_std_ppb, (live.seed, _SEED, draw)),
+        DrawnField(truth, belief, scenario.field.noise_std_ppb, random),
         _rover(scenario, region, fork, place_m),
         build_link(scenario.model_copy(update={"seed": seed})),
         ground,

@@ -161,7 +161,7 @@ def test_draws_at_several_places_have_the_joint_distribution_of_the_posterior() 
     truth = FieldNode(region, scenario().field, 1, (30.0, 30.0))
 
     def drawn(seed: int) -> list[float]:
-        field = DrawnField(truth, belief, NOISE_PPB, (seed,))
+        field = DrawnField(truth, belief, NOISE_PPB, np.random.default_rng(seed))
         values = []
         for number, (x, y) in enumerate(places):
             request = MeasurementRequest(sample_id=f"s{number}", x_m=x, y_m=y, depth_m=1.0)
