@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from schemas.link import LinkStatus
     from schemas.plans import MissionPlan
     from services.rover.node import RoverNode
+    from services.runtime.scheduler import Executor
 
 LONGEST_S: Final = 200 * 86_400.0
 """Mission time after which a rehearsal ends without a result."""
@@ -97,8 +98,8 @@ def assumptions(start: Start) -> list[str]:
     return taken
 
 
-def fly(start: Start, region: Region, draw: int) -> Flight:
-    """The rest of the mission in virtual time. region: the scenario's.
+def fly(start: Start, region: Region, draw: int, executor: Executor | None = None) -> Flight:
+    """The rest of the mission in virtual time. region: the scenario's; executor: of fits and plans, None: at once.
 
     Draws differ in measurements, hidden hazards and losses on the link; equal numbers give equal flights.
     """
@@ -120,7 +121,7 @@ def fly(start: Start, region: Region, draw: int) -> Flight:
         build_link(scenario.model_copy(update={"seed": seed})),
         ground,
     )
-    simulation = Simulation(nodes, scenario.name, fork.at, link=conditions)
+    simulation = Simulation(nodes, scenario.name, fork.at, executor, link=conditions)
     simulation.step()  # the nodes start
     if start.link.contact_forced:
         simulation.ask(LINK_SET, LinkChange(contact=True))

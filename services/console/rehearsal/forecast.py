@@ -18,6 +18,7 @@ import numpy as np
 from he3.errors import InvalidInput
 from services.console.client.time_format import duration
 from services.console.rehearsal.flight import Flight, Start, assumptions, fly, scenario_of
+from services.ground.planner_process import PlannerProcess
 from services.mission.regions import load_region
 from services.runtime.child import child_environment
 from services.runtime.entry import end_with_parent
@@ -152,7 +153,9 @@ def _begin() -> None:
 
 def _flown(start: Start, draw: int) -> Flight:
     scenario = scenario_of(start.fork)
-    return fly(start, _region(scenario.region, scenario.field.field_seed), draw)
+    region = _region(scenario.region, scenario.field.field_seed)
+    with PlannerProcess() as planners:  # as in the live mission, no plan depends on those before it
+        return fly(start, region, draw, planners)
 
 
 @cache
