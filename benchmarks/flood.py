@@ -8,6 +8,7 @@ Mission time runs through the warm-up, up to the middle of the mission, and stan
 then grows by the flood. Afterwards the mission goes on to its end, and its report is compared with that of an
 undisturbed one; left out are `driver`, `wall_time_s`, and the bytes that crossed the link, as signatures have some.
 
+    queries    the ground's process that answers queries of the map
     growth     resident memory at the end of the flood, compared with that after the warm-up
 """
 
@@ -184,6 +185,9 @@ class _Site:
     def memory_kb(self) -> dict[str, int]:
         """Resident memory of each process [kB]; Linux."""
         pids = {**self.launcher.pids, "page": self.page.pid}
+        queries = _child_of(pids["ground"], "services.ground.map.process")
+        if queries is not None:
+            pids["queries"] = queries
         return {name: resident_kb(pid) for name, pid in pids.items()}
 
     def run_to_the_middle(self, within_s: float) -> None:
@@ -340,6 +344,15 @@ class _PageFlood:
             self.sent += 1
             if wrong is not None:
                 self.faults.append(f"{what}: {wrong}")
+
+
+def _child_of(parent: int, module: str) -> int | None:
+    """Process id of the child of that process, of any of its threads, that runs that module; None if there is none."""
+    started = (path.read_text(encoding="ascii") for path in Path(f"/proc/{parent}/task").glob("*/children"))
+    for pid in " ".join(started).split():
+        if module.encode() in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"):
+            return int(pid)
+    return None
 
 
 def _put(session: zenoh.Session, key: str, payload: bytes) -> None:

@@ -52,7 +52,7 @@ def test_a_flood_makes_no_process_grow_or_fail_and_leaves_the_mission_undisturbe
     flood.run(messages=2000, requests=400, json=tmp_path / "flood.json", say=lines.append)
     document = json.loads((tmp_path / "flood.json").read_text())
     assert (document["faults"], document["defects"], document["differences"]) == ([], {}, [])
-    assert set(document["growth"]) == {"link", "field", "rover", "ground", "recorder", "page"}
+    assert set(document["growth"]) == {"link", "field", "rover", "ground", "queries", "recorder", "page"}
     assert lines[-1].endswith("the mission has ended as an undisturbed one")
 
 
