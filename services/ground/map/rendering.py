@@ -33,7 +33,9 @@ MEDIA_TYPES = {
     MapFormat.TIFF: "image/tiff",
     MapFormat.CSV: "text/csv",
 }
-MAX_KEPT_BYTES = 64 * 1024 * 1024
+MAX_KEPT_BYTES = 32 * 1024 * 1024
+ENTRY_BYTES = 4096
+"""Memory that a kept answer takes beside its payload: small answers are bounded in number, too."""
 
 
 class Renderer:
@@ -65,9 +67,9 @@ class Renderer:
         with self._lock:
             if key not in self._kept:
                 self._kept[key] = made
-                self._bytes += len(made.payload)
+                self._bytes += len(made.payload) + ENTRY_BYTES
             while self._bytes > self._most and len(self._kept) > 1:
-                self._bytes -= len(self._kept.popitem(last=False)[1].payload)
+                self._bytes -= len(self._kept.popitem(last=False)[1].payload) + ENTRY_BYTES
         return made
 
 

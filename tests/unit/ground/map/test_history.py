@@ -20,7 +20,7 @@ from schemas.topics import MAP_BOX, MAP_LAYER, MAP_POINT
 from services.ground.map import history
 from services.ground.map.history import as_of, revisions, with_history
 from services.ground.map.layers import box, exceedance, information_nats
-from services.ground.map.rendering import Renderer
+from services.ground.map.rendering import ENTRY_BYTES, Renderer
 from services.ground.map.service import answer
 from services.ground.map.snapshot import MapSnapshot
 from services.mission.mission_time import SECOND
@@ -154,7 +154,7 @@ def test_formats_hold_the_same_numbers() -> None:
 
 
 def test_equal_requests_of_one_revision_are_rendered_once_and_the_cache_is_bounded() -> None:
-    render = Renderer(most_kept_bytes=3 * 30 * 40 * 4)
+    render = Renderer(most_kept_bytes=3 * (30 * 40 * 4 + ENTRY_BYTES))
     request = MapLayerQuery(layer=MapLayer.STD, format=MapFormat.NPY)
     first = render(MAP_LAYER, request, snapshot(1))
     assert render(MAP_LAYER, request, snapshot(1)) is first
@@ -162,6 +162,13 @@ def test_equal_requests_of_one_revision_are_rendered_once_and_the_cache_is_bound
         render(MAP_LAYER, request, snapshot(revision))
     assert render(MAP_LAYER, request, snapshot(1)) is not first
     assert render(MAP_BOX, query(), snapshot(1)) is None
+
+
+def test_many_small_answers_are_bounded_in_number() -> None:
+    render = Renderer(most_kept_bytes=10 * ENTRY_BYTES)
+    for number in range(1, 100):
+        assert render(MAP_LAYER, MapLayerQuery(layer=MapLayer.STD, format=MapFormat.NPY, step=30), snapshot(number))
+    assert len(render._kept) < 10
 
 
 def test_tables_come_as_json_and_csv_and_not_as_pictures() -> None:
