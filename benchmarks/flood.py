@@ -32,7 +32,7 @@ from benchmarks.fuzzing.page_requests import MOST_GROWTH, ServedPageOverTls, res
 from he3.errors import He3Error, InvalidInput
 from schemas.report import MissionReport
 from schemas.roles import Role
-from schemas.topics import BY_NAME, MAP_FEED, TOPICS, Query, Side, Topic, counted
+from schemas.topics import BY_NAME, MAP_FEED, MAP_LAYER, TOPICS, Query, Side, Topic, counted
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import Endpoints, free_endpoints
 from services.console.launch.in_process import run_in_process
@@ -43,6 +43,7 @@ from services.console.launch.separate import services_of
 from services.console.report.mission_report import Run, gather
 from services.console.report.outputs import Outputs
 from services.console.report.progress import progress_for
+from services.ground.map.rendering import MAX_KEPT_BYTES
 from services.mission.regions import load_region
 from services.runtime.transport.opening import open_client
 from services.runtime.trust.access_control import Right, allowed_keys
@@ -95,6 +96,7 @@ def run(
         page = _PageFlood(site, requests, page_rate, Random(f"flood:page:{seed}"))
         warm_s = WARM_UP * max(messages / rate, requests / page_rate)
         site.run_to_the_middle(warm_s)
+        flood.fill()
         memory |= _flooded(site, flood, page, messages, rate)
         report = site.ended()
         defects = site.defects()
@@ -256,6 +258,18 @@ class _Flood:
         name = str(sample.key_expr).removeprefix(f"he3/{self._site.mission}/").removesuffix("/@counted")
         if name in BY_NAME:
             self._genuine[name] = sample.payload.to_bytes()
+
+    def fill(self) -> None:
+        """Ask for more different maps than the ground keeps, so that what it keeps does not grow afterwards."""
+        session = next(session for _, role, session in self._others if role is Role.VIEWER)
+        kept, step = 0, 0
+        while kept < 2 * MAX_KEPT_BYTES:
+            step += 1
+            asked = f"{MAP_LAYER.key(self._site.mission)}?layer=exceedance;threshold={step / 100};format=npy"
+            for reply in session.get(asked, timeout=60.0):
+                if reply.ok is not None:
+                    kept += len(reply.ok.payload)
+            self._site.launcher.check()
 
     def send(self) -> None:
         """One message or request; waits while too many requests have no reply."""
