@@ -6,6 +6,7 @@ the node in the owner's process is not disturbed. It ends with its pipe, however
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 SWITCH_INTERVAL_S = 0.0005
 """Python's thread switch interval: a query waits for a computing thread no longer than for the network."""
+LARGE_BYTES = 262_144
+_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h of glibc
 
 
 class SnapshotPublisher(Protocol):
@@ -53,6 +56,7 @@ def serve_from_pipe(
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    _return_large_blocks()
     side, endpoint, mission = arguments
     ended = threading.Event()
     sessions: list[Session] = []
@@ -82,3 +86,15 @@ def serve_from_pipe(
         session.close()
     # Threads of Zenoh may still hold on to what is going away.
     os._exit(0)
+
+
+def _return_large_blocks() -> None:
+    """Have glibc return large blocks of memory to the system as soon as they are freed, and use few pools.
+
+    Answers of up to 32 MB are made in many threads. By default glibc keeps blocks of the sizes that were freed before,
+    in a pool for each thread.
+    """
+    change = getattr(ctypes.CDLL(None), "mallopt", None)
+    if change is not None:
+        change(_M_MMAP_THRESHOLD, LARGE_BYTES)
+        change(_M_ARENA_MAX, 2)
