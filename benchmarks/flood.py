@@ -51,8 +51,8 @@ from services.runtime.trust.identity import load_identity
 
 STANDSTILL: Final = 1e-6
 """Pace at which the mission does not begin before it is told to [mission seconds per second]."""
-WARM_UP: Final = 0.2
-"""Share of the flood that is the warm-up."""
+WARM_UP: Final = 0.4
+"""Share of the flood that is the warm-up: the allocators' pools are full after some 40,000 messages."""
 TOLD_EVERY_S: Final = 5.0
 MOST_OPEN: Final = 64
 """Most requests without a reply; further ones wait."""
