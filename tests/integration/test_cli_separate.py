@@ -97,6 +97,17 @@ def test_a_mission_in_five_processes_ends_by_itself_with_every_sample_and_leaves
     assert list((Path(environment["XDG_RUNTIME_DIR"]) / "he3-seeker").glob("*.json")) == []
 
 
+@pytest.mark.exhaustive
+def test_the_rest_of_a_running_mission_is_rehearsed_from_the_command_line(environment: dict[str, str]) -> None:
+    moon, earth = free_ports()
+    network = ("--set", f'network.moon="tcp/127.0.0.1:{moon}"', "--set", f'network.earth="tcp/127.0.0.1:{earth}"')
+    with started("up", "short", "--rate", "20", "--quiet", *network, environment=environment) as process:
+        services_of(process, environment)
+        until_answered(environment, "map", "score")  # the ground is up
+        forecast = json.loads(he3_here("rehearse", "--draws", "1", "--json", env=environment).stdout)
+        assert (forecast["bands"]["samples"]["median"], forecast["flights"][0]["completed"]) == (9.0, True)
+
+
 def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dict[str, str]) -> None:
     network = [
         f'network.{side}="tcp/127.0.0.1:{port}"' for side, port in zip(("moon", "earth"), free_ports(), strict=True)
@@ -122,8 +133,6 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
 
         preview = json.loads(he3_here("command", "go-to", "130", "340", "--preview", "--json", env=environment).stdout)
         assert preview["drive_m"] > 0
-        forecast = json.loads(he3_here("rehearse", "--draws", "1", "--json", env=environment).stdout)
-        assert (forecast["bands"]["samples"]["median"], forecast["flights"][0]["completed"]) == (9.0, True)
         light_ns = round(1.282e9)
         assert preview["word_back_at"] - light_ns == preview["received_at"] == preview["at"] + light_ns
         assert he3_here("commands", env=environment).stdout == "no commands yet\n"
