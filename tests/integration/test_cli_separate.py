@@ -104,7 +104,7 @@ def test_the_rest_of_a_running_mission_is_rehearsed_from_the_command_line(enviro
     with started("up", "short", "--rate", "20", "--quiet", *network, environment=environment) as process:
         services_of(process, environment)
         until_answered(environment, "map", "score")  # the ground is up
-        forecast = json.loads(he3_here("rehearse", "--draws", "1", "--json", env=environment).stdout)
+        forecast = json.loads(he3_here("rehearse", "--draws", "2", "--json", env=environment).stdout)
         assert (forecast["bands"]["samples"]["median"], forecast["flights"][0]["completed"]) == (9.0, True)
 
 

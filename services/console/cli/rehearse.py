@@ -21,7 +21,7 @@ Examples:
 Draws = Annotated[
     int,
     typer.Option("--draws", metavar="N", help="Number of rehearsals, each on another draw from the posterior.",
-                 callback=within(1, 200)),
+                 callback=within(2, 200)),
 ]  # fmt: skip
 
 

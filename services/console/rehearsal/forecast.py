@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +15,7 @@ from signal import SIG_IGN, SIGINT, signal
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from he3.errors import InvalidInput
 from services.console.client.time_format import duration
@@ -26,14 +28,17 @@ from services.runtime.entry import end_with_parent
 if TYPE_CHECKING:
     from he3.reference import Region
 
-QUANTILES: Final = {"median": 0.5, "low_68": 0.16, "high_68": 0.84, "low_95": 0.025, "high_95": 0.975}
+LEVELS: Final = (0.68, 0.95)
+RANKED_FROM: Final = 39
+"""Flights from which the bands are ranks: of fewer, smallest and largest hold the next one in less than 95 %."""
+MIN_DRAWS: Final = 2
 MAX_DRAWS: Final = 200
 FIGURES: Final = ("lasts_s", "driven_m", "samples", "mean_std_ppb", "charge_wh", "lowest_wh")
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Median and central 68 and 95 % of a figure over the flights."""
+    """Median of a figure over the flights, and the bands in which one more flight lies with 68 and 95 %."""
 
     median: float
     low_68: float
@@ -43,9 +48,23 @@ class Band:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Band:
-        """The band of these values, linear between their order statistics."""
-        found = np.quantile(np.asarray(values, dtype=np.float64), list(QUANTILES.values()))
-        return cls(**dict(zip(QUANTILES, map(float, found), strict=True)))
+        """The band of these values, at least two, none of them negative.
+
+        From `RANKED_FROM` values on the bands are ranks i/(n + 1), for any distribution. Of fewer they are Student's
+        prediction interval, which takes the values as normally distributed.
+        """
+        sample = np.asarray(values, dtype=np.float64)
+        middle, count = float(np.median(sample)), len(sample)
+        bounds: list[float] = []
+        for level in LEVELS:
+            tails = (0.5 - level / 2.0, 0.5 + level / 2.0)
+            if count >= RANKED_FROM:
+                low, high = np.quantile(sample, tails, method="weibull")
+            else:
+                half = student_t(count - 1).ppf(tails[1]) * sample.std(ddof=1) * math.sqrt(1.0 + 1.0 / count)
+                low, high = max(0.0, middle - half), middle + half
+            bounds += [float(low), float(high)]
+        return cls(middle, *bounds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +114,8 @@ class Forecast:
         if ended:
             rows.append(("NOT DONE", f"{len(ended)} of {len(self.flights)}, for example: {ended[0].why}"))
         rows += [("assumes", line) for line in self.assumptions]
-        rows.append(("draws", f"{len(self.flights)} in {self.wall_s:.1f} s"))
+        few = "; the bands of so few take them as normally distributed" if len(self.flights) < RANKED_FROM else ""
+        rows.append(("draws", f"{len(self.flights)} in {self.wall_s:.1f} s{few}"))
         return rows
 
 
@@ -107,11 +127,11 @@ def rehearse(
 ) -> Forecast:
     """Fly the rest of the mission that often, in child processes. on_flight: called with each flight that is done.
 
-    processes: None: one for each processor. Raises InvalidInput for a number of draws that is too large, and for a
+    processes: None: one for each processor. Raises InvalidInput for another number of draws, and for a
     mission that cannot be rehearsed here.
     """
-    if not 1 <= draws <= MAX_DRAWS:
-        raise InvalidInput(f"rehearsal: expected 1 to {MAX_DRAWS} draws, got {draws}")
+    if not MIN_DRAWS <= draws <= MAX_DRAWS:
+        raise InvalidInput(f"rehearsal: expected {MIN_DRAWS} to {MAX_DRAWS} draws, got {draws}")
     scenario_of(start.fork)
     began = time.monotonic()
     flights: list[Flight] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -179,15 +180,32 @@ def test_draws_at_several_places_have_the_joint_distribution_of_the_posterior() 
     assert np.cov(values.T) == pytest.approx(covariance, abs=0.12 * covariance.max())
 
 
+@pytest.mark.parametrize("draws", [2, 3, 10, 38, 39, 100])
+def test_the_next_flight_lies_in_the_bands_as_often_as_they_say(draws: int) -> None:
+    random = np.random.default_rng(draws)
+    flights = random.normal(1000.0, 10.0, (4000, draws + 1))
+    bands = [Band.of(values[:-1]) for values in flights]
+    for level, low, high in ((0.68, "low_68", "high_68"), (0.95, "low_95", "high_95")):
+        inside = np.mean(
+            [
+                getattr(band, low) <= last <= getattr(band, high)
+                for band, last in zip(bands, flights[:, -1], strict=True)
+            ]
+        )
+        assert inside == pytest.approx(level, abs=0.035)
+
+
 def test_a_forecast_has_the_median_and_central_bands_of_its_flights() -> None:
     flights = tuple(
         Flight(n, True, "", 3600.0 * n, 10.0 * n, 8, 0.5, 100.0, 50.0, rounds_s={3: 60.0 * n}) for n in range(101)
     )
     forecast = Forecast(0, ("a thing",), flights, 2.0)
-    assert forecast.band("driven_m") == Band(500.0, 160.0, 840.0, 25.0, 975.0)
-    assert forecast.rounds() == {3: Band(3000.0, 960.0, 5040.0, 150.0, 5850.0)}
+    assert astuple(forecast.band("driven_m")) == pytest.approx((500.0, 153.2, 846.8, 15.5, 984.5))
+    ((number, done),) = forecast.rounds().items()
+    assert number == 3
+    assert astuple(done) == pytest.approx((3000.0, 919.2, 5080.8, 93.0, 5907.0))
     rows = dict(forecast.rows())
-    assert rows["drives"] == "500 m; 68 %: 160 m to 840 m; 95 %: 25 m to 975 m"
+    assert rows["drives"] == "500 m; 68 %: 153 m to 847 m; 95 %: 16 m to 984 m"
     assert rows["samples"] == "8"
     assert rows["assumes"] == "a thing"
     assert "NOT DONE" not in rows
