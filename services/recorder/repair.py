@@ -75,7 +75,7 @@ def repair(path: Path) -> Repair:
                 os.fsync(stream.fileno())
             kept = free_name(path.with_stem(f"{path.stem}-damaged")) if damaged else None
             if kept is not None:
-                path.rename(kept)
+                kept.hardlink_to(path)  # the recording keeps its name at every moment
             scratch.replace(path)
         except OSError as error:
             raise He3Error(f"{path}: cannot write the repaired recording: {error.strerror}") from None
