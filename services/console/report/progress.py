@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, TextIO
 
+from schemas.ground import MissionPhase
 from services.console.client.time_format import duration
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def moment_of(status: GroundStatus | None, mission_time_s: float, in_flight: int
         return Moment(mission_time_s=mission_time_s, in_flight=in_flight)
     rover = status.rover
     return Moment(
-        phase=status.phase.value,
+        phase=_phase(status),
         round=status.round,
         rounds=status.rounds,
         samples=status.samples,
@@ -56,6 +57,12 @@ def moment_of(status: GroundStatus | None, mission_time_s: float, in_flight: int
         rover="no report yet" if rover is None else f"{rover.mode.value} at ({rover.x_m:.0f}, {rover.y_m:.0f}) m",
         detail=status.detail,
     )
+
+
+def _phase(status: GroundStatus) -> str:
+    """The mission's phase in a word; with all samples in the map there is nothing left to plan."""
+    over = status.phase is MissionPhase.PLANNING and status.samples >= status.samples_total
+    return "ending" if over else status.phase.value
 
 
 def moment_now(state: MissionState) -> Moment:

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import pytest
 from rich.console import Console
 
+from schemas.ground import GroundStatus, MissionPhase
 from services.console.client.time_format import duration
-from services.console.report.progress import Moment, PlainProgress, panel, plain_line, sparkline, time_left_s
+from services.console.report.progress import Moment, PlainProgress, moment_of, panel, plain_line, sparkline, time_left_s
 
 MOMENT = Moment(
     phase="executing", round=3, rounds=30, samples=15, samples_total=150, rmse_ppb=0.98765, mean_std_ppb=0.9,
@@ -42,6 +43,16 @@ def test_a_plain_line_names_everything_that_matters() -> None:
     for part in ("3/30", "15/150", "0.9877 ppb", "1234 m", "1 d 01 h", "in flight 2", "1 min 30 s", "executing"):
         assert part in line
     assert "\n" not in line
+
+
+@pytest.mark.parametrize(("samples", "phase"), [(8, "planning"), (9, "ending")])
+def test_a_mission_with_all_its_samples_is_not_said_to_plan(samples: int, phase: str) -> None:
+    status = GroundStatus(
+        phase=MissionPhase.PLANNING, planner="tour", round=3, rounds=3, samples=samples, samples_total=9, driven_m=0.0,
+        budget_m=None, plan_revision=1, plans_in_work=0, map_revision=1, mean_std_ppb=1.0, kernel=None, score=None,
+        rover=None, rover_made_at=None,
+    )  # fmt: skip
+    assert moment_of(status, 0.0, 0).phase == phase
 
 
 def test_a_line_is_written_for_each_round_and_now_and_then_in_between() -> None:
