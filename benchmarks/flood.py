@@ -322,7 +322,7 @@ class _Flood:
         for _ in range(MOST_OPEN):
             self._open.release()
         for session in (*self._link.values(), *(session for *_, session in self._others)):
-            list(session.get(f"he3/{self._site.mission}/nobody", timeout=60.0))
+            list(session.get(f"he3/{self._site.mission}/settled", timeout=60.0))
 
 
 class _PageFlood:

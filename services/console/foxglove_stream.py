@@ -1,7 +1,7 @@
 """A running mission over Foxglove's WebSocket protocol: what a recording has, live, for any number of viewers.
 
-It reads the topics that a viewer may read, and its server takes nothing but subscriptions. The protocol knows no login:
-whoever reaches the port reads the mission.
+It reads the topics that a viewer may read, and its server takes nothing but subscriptions. The protocol has no login:
+every program that reaches the port can read the mission.
 """
 
 from __future__ import annotations

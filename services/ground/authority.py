@@ -60,7 +60,7 @@ class CommandAuthority:
             yield RefuseQuery(token, str(error))
             return
         yield SendReply(token, state)
-        fields = {"holder": state.holder or "nobody", "earlier": earlier or "nobody"}
+        fields = {"holder": state.holder or "none", "earlier": earlier or "none"}
         yield LogRecord(Level.INFO, "command authority", fields)
 
     def change(self, change: AuthorityChange, now: MissionTime) -> AuthorityState:

@@ -417,7 +417,7 @@ def role_of(identity: str) -> Role:
 
 def settled(session: zenoh.Session) -> None:
     """Return when the router has handled what this session sent before."""
-    assert list(session.get(f"he3/{MISSION}/nobody", timeout=60.0)) == []
+    assert list(session.get(f"he3/{MISSION}/settled", timeout=60.0)) == []
 
 
 def plausible(header: dict[str, Any], body: dict[str, Any]) -> None:

@@ -178,7 +178,7 @@ class Session:
         """Send a query; `on_end` is called exactly once.
 
         parameters: the selector's, for a query that carries no message. counts: every server is asked then, and a reply
-        that does not count, or a refusal, which nobody signs, is the outcome only if no reply follows that counts.
+        that does not count, or a refusal, which has no signature, is the outcome only if no reply follows that counts.
         """
         ended: list[bool] = []
         doubtful: list[Outcome] = []
