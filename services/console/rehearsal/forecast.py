@@ -15,7 +15,7 @@ from signal import SIG_IGN, SIGINT, signal
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from he3.errors import InvalidInput
 from services.console.client.time_format import duration
@@ -61,7 +61,7 @@ class Band:
             if count >= RANKED_FROM:
                 low, high = np.quantile(sample, tails, method="weibull")
             else:
-                half = student_t(count - 1).ppf(tails[1]) * sample.std(ddof=1) * math.sqrt(1.0 + 1.0 / count)
+                half = stdtrit(count - 1, tails[1]) * sample.std(ddof=1) * math.sqrt(1.0 + 1.0 / count)
                 low, high = max(0.0, middle - half), middle + half
             bounds += [float(low), float(high)]
         return cls(middle, *bounds)
