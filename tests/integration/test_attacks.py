@@ -436,12 +436,14 @@ def plausible(header: dict[str, Any], body: dict[str, Any]) -> None:
     }
 
 
+@pytest.mark.exhaustive
 def test_a_stranger_gets_no_session(locked: Victim) -> None:
     for endpoint in (locked.endpoints.earth, locked.endpoints.earth.replace("tls/", "tcp/")):
         with pytest.raises(PeerUnreachable, match="no earth router"):
             open_client(Side.EARTH, endpoint)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("side", "who"), [(side, who) for side, insiders in INSIDERS.items() for who in insiders])
 def test_nobody_publishes_what_their_role_does_not(locked: Victim, side: Side, who: str) -> None:
     session, rights = locked.session(side, who), allowed_keys(side, MISSION)
@@ -459,6 +461,7 @@ def test_nobody_publishes_what_their_role_does_not(locked: Victim, side: Side, w
     assert not locked.state.status.is_over
 
 
+@pytest.mark.exhaustive
 def test_who_holds_the_link_forges_no_telemetry_no_plan_and_no_acknowledgement(locked: Victim) -> None:
     for side, topics, process in (
         (Side.EARTH, (SAMPLE, EVENT, STATE, ACK_DOWN), "ground"),
@@ -476,6 +479,7 @@ def test_who_holds_the_link_forges_no_telemetry_no_plan_and_no_acknowledgement(l
         locked.refuses(process, altered + bare)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("who", ["viewer-launcher", "recorder-main", "operator-demo", "controller-demo"])
 def test_nobody_changes_link_clock_or_pace_or_commands_by_an_unsigned_query(locked: Victim, who: str) -> None:
     session, before = locked.session(Side.EARTH, who), locked.owner.link().conditions
@@ -493,6 +497,7 @@ def test_nobody_changes_link_clock_or_pace_or_commands_by_an_unsigned_query(lock
     assert (after.now, after.paused) == (stands.now, True)
 
 
+@pytest.mark.exhaustive
 def test_a_rival_that_claims_to_know_all_answers_is_asked_nothing(locked: Victim) -> None:
     """It stays until the mission is over, and could answer the rover and the report's queries."""
 
@@ -516,6 +521,7 @@ def test_a_rival_that_claims_to_know_all_answers_is_asked_nothing(locked: Victim
     assert locked.asked == []
 
 
+@pytest.mark.exhaustive
 def test_the_mission_with_keys_ends_as_if_nothing_had_been(locked: Victim) -> None:
     locked.ends_as_if_nothing_had_been()
     assert locked.asked == []

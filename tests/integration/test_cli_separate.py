@@ -238,6 +238,7 @@ def test_a_mission_goes_on_without_a_recorder_that_dies_and_says_so(
     assert said.endswith(f"he3: {ended}; the mission continues without it\nhe3: {incomplete}\n")
 
 
+@pytest.mark.exhaustive
 def test_services_that_are_up_stay_up_without_a_recorder_that_dies_and_report_on_the_mission_when_it_is_over(
     tmp_path: Path, environment: dict[str, str]
 ) -> None:

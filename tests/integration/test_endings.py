@@ -50,6 +50,7 @@ def test_a_running_mission_ends_within_two_seconds_and_leaves_a_recording(missio
     assert read.whole, "a recorder that is asked to end finishes its file"
 
 
+@pytest.mark.exhaustive
 def test_a_recorder_that_is_started_again_keeps_what_it_had_recorded(missions, listen, tmp_path):
     recording = tmp_path / "mission.mcap"
     mission = missions("short", "--rate", "500")  # so that it lasts while a recorder starts

@@ -257,6 +257,7 @@ def test_a_query_process_that_is_killed_is_replaced_and_the_ground_goes_on(
     launcher.check()
 
 
+@pytest.mark.exhaustive
 def test_foxglove_gets_a_live_mission_whole_whenever_it_joins(
     running: tuple[Launcher, Endpoints], client: MissionClient
 ) -> None:

@@ -35,16 +35,10 @@ CONDITIONS = {
     ],
     "125 bit/s up and 700 bit/s down": ["link.up.rate_bit_s=125", "link.down.rate_bit_s=700"],
 }
-IN_THE_GATE = ("30 % loss",)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        pytest.param(settings, id=name, marks=[] if name in IN_THE_GATE else [pytest.mark.exhaustive])
-        for name, settings in CONDITIONS.items()
-    ],
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("settings", CONDITIONS.values(), ids=CONDITIONS)
 def test_a_mission_in_separate_processes_is_complete_in_spite_of(tmp_path: Path, settings: list[str]) -> None:
     with JournalledMission(
         tmp_path, [f"rate={RATE}", "rounds=2", "samples_per_round=2", "ground.pipeline=1", *settings]

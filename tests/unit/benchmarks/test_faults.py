@@ -125,6 +125,7 @@ class BuggyWorld(World):
         return ForgetfulGround(node) if name == "ground" else node
 
 
+@pytest.mark.exhaustive
 def test_a_planted_bug_is_found_and_its_schedule_shrinks_to_what_provokes_it() -> None:
     seed = 5
     harmless = Fault(FaultKind.LOSS, 2000.0, 600.0, amount=0.2)

@@ -70,6 +70,7 @@ def test_a_map_is_not_laid_over_a_region_with_another_grid(flown: Path) -> None:
         recorded_map(flown, threshold_ppb=8.0)
 
 
+@pytest.mark.exhaustive
 def test_a_mission_whose_mean_is_uncertain_is_rebuilt_with_that_uncertainty(tmp_path: Path) -> None:
     words = ["run", "short", "--in-process", "--quiet", "--set", "ground.hyperparameters=bayes", "--out", str(tmp_path)]
     assert main(words) == 0
