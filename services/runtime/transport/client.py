@@ -196,16 +196,21 @@ class Client:
             ended.set()
 
         self._session.query(topic, payload, timeout_s, on_end, parameters=parameters, counts=counts)
-        key = topic.key(self._mission)
         if not ended.wait(timeout_s + 1.0):
-            raise PeerUnreachable(f"{key}: no answer within {timeout_s:g} s")
+            raise self._unanswered(topic, NoReply.TIMEOUT, f"within {timeout_s:g} s")
         match outcomes[0]:
             case Replied(reply, attachment):
                 return reply, attachment
             case NotReplied(NoReply.REFUSED, why, code):
                 raise error_of(Refusal(why, code))
             case NotReplied(reason, detail):
-                raise PeerUnreachable(f"{key}: {reason.value}{' ' + detail if detail else ''}")
+                raise self._unanswered(topic, reason, detail)
+
+    def _unanswered(self, topic: Topic, reason: NoReply, detail: str) -> PeerUnreachable:
+        """The error that names the process which should have answered, and its mission."""
+        service = " or ".join(topic.access.answer or topic.access.publish)
+        what = f"{reason.value}{' ' + detail if detail else ''}"
+        return PeerUnreachable(f"mission '{self._mission}': {what}: expected the {service} to answer {topic.name}")
 
     # --- subscriptions ------------------------------------------------------------------------------------------
 
