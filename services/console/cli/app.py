@@ -40,8 +40,7 @@ def build() -> typer.Typer:
     app = typer.Typer(
         name="he3",
         help=ABOUT,
-        no_args_is_help=True,
-        add_completion=False,
+        invoke_without_command=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
@@ -91,8 +90,14 @@ def _show_version(wanted: bool) -> None:
 
 
 def _common(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_show_version)
     ] = False,
 ) -> None:
-    """Flags of the command itself."""
+    """Flags of the command itself; without a command, what to do next."""
+    if context.invoked_subcommand is None:
+        from services.console.cli.next_steps import next_steps
+        from services.console.client.run_file import running_missions
+
+        typer.echo(next_steps(running_missions()), nl=False)

@@ -20,6 +20,7 @@ from services.console.cli.options import (
     Insecure,
     Mission,
     checked,
+    one_of,
     within,
 )
 
@@ -42,6 +43,9 @@ Examples:
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+STAGES = ("queued", "released", "radiated", "received", "accepted", "started", "completed")
+"""The stages that tab completion offers to wait for; a failure ends the waiting in any case."""
 
 _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:-]{0,63}")
 
@@ -73,7 +77,7 @@ ExpiresIn = Annotated[
 Wait = Annotated[
     str | None,
     typer.Option("--wait", metavar="STAGE", help="Wait until it has reached that stage (released, received, ...).",
-                 callback=checked(_stage)),
+                 callback=checked(_stage), autocompletion=one_of(*STAGES)),
 ]  # fmt: skip
 Timeout = Annotated[
     float,

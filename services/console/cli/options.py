@@ -55,8 +55,36 @@ def checked(check: Callable[[str], Any]) -> Callable[[Any], Any]:
     return callback
 
 
+def _scenarios(incomplete: str) -> list[str]:
+    """Names of shipped scenarios that begin so, for tab completion; the shell completes files by itself."""
+    from services.mission.deployment import shipped_scenarios
+
+    return [name for name in shipped_scenarios() if name.startswith(incomplete)]
+
+
+def _missions(incomplete: str) -> list[str]:
+    """Names of the missions of this machine that begin so, for tab completion."""
+    from services.console.client.run_file import running_missions
+
+    return [each.mission for each in running_missions() if each.mission.startswith(incomplete)]
+
+
+def one_of(*words: str) -> Callable[[str], list[str]]:
+    """The completion of a word out of these."""
+
+    def completed(incomplete: str) -> list[str]:
+        return [word for word in words if word.startswith(incomplete)]
+
+    return completed
+
+
 ScenarioRef = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a shipped one such as t1.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="A scenario file, or the name of a shipped one such as t1.",
+        autocompletion=_scenarios,
+    ),
 ]
 Seed = Annotated[
     int | None,
@@ -69,6 +97,7 @@ Planner = Annotated[
         "--planner",
         metavar="NAME",
         help="rrt, rrtstar, informative, tour, or a plug-in as module:function, instead of the scenario's.",
+        autocompletion=one_of("rrt", "rrtstar", "informative", "tour"),
     ),
 ]
 AllowPlugin = Annotated[
@@ -97,7 +126,10 @@ OutFolder = Annotated[
 ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="File for the report (JSON).")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on standard error.")]
-Mission = Annotated[str | None, typer.Option("--mission", metavar="NAME", help="Name of the running mission.")]
+Mission = Annotated[
+    str | None,
+    typer.Option("--mission", metavar="NAME", help="Name of the running mission.", autocompletion=_missions),
+]
 Earth = Annotated[
     str | None,
     typer.Option("--earth", metavar="ENDPOINT", help="Endpoint of its Earth router, such as tcp/10.0.0.2:7448."),

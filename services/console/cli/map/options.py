@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.console.cli.options import MAX_PPB, checked, within
+from services.console.cli.options import MAX_PPB, checked, one_of, within
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
@@ -36,7 +36,8 @@ def _as_of(text: str) -> str:
 LayerName = Annotated[
     str,
     typer.Argument(metavar="LAYER", help="mean, std, information, exceedance (with --threshold) or traversable.",
-                   callback=checked(_layer)),
+                   callback=checked(_layer),
+                   autocompletion=one_of("mean", "std", "information", "exceedance", "traversable")),
 ]  # fmt: skip
 Threshold = Annotated[
     float | None,
