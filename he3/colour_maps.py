@@ -1,7 +1,8 @@
 """The colour maps of all pictures: a few stops each, interpolated linearly.
 
 viridis and magma are by Smith and van der Walt, dedicated to the public domain (CC0). They are perceptually uniform, so
-that they read the same in grey and to the colour-blind.
+that they read the same in grey and to the colour-blind. "difference" is blue below and red above the middle, after
+Brewer's RdBu.
 """
 
 from __future__ import annotations
@@ -19,13 +20,26 @@ _STOPS: Final = MappingProxyType(
         "1fa08828ae803fbc735ec96284d44baddc30d8e219fde725",
         "magma": "0000040a08221d114736106b51127c6a1c818326819c2e7fb73779"
         "d0416fe75263f56b5cfc8961fea772fec488fde2a3fcfdbf",
+        "grey": "000000ffffff",
+        "difference": "2166acf7f7f7b2182b",
         "open": "5b2c2c5b2c2c5b2c2c5b2c2c5b2c2c5b2c2c5b2c2c5b2c2cd9d4c7"
         "d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7d9d4c7",
     }
 )
 
 OF_LAYER: Final = MappingProxyType(
-    {"mean": "viridis", "std": "magma", "information": "magma", "exceedance": "viridis", "traversable": "open"}
+    {
+        "mean": "viridis",
+        "std": "magma",
+        "information": "magma",
+        "exceedance": "viridis",
+        "traversable": "open",
+        "elevation": "grey",
+        "slope": "magma",
+        "shade": "grey",
+        "reference": "viridis",
+        "error": "difference",
+    }
 )
 """Name of the colour map of each layer."""
 

@@ -27,6 +27,22 @@ def slope_deg(elevation_m: FloatArray, resolution_m: float) -> FloatArray:
     return slope
 
 
+def hillshade(
+    elevation_m: FloatArray, resolution_m: float, azimuth_deg: float = 315.0, altitude_deg: float = 45.0
+) -> FloatArray:
+    """Brightness (rows, columns), 0 to 1, of that elevation [m] under parallel light: the cosine of its angle to the
+    normal of the ground, 0 on the far side.
+
+    azimuth_deg: where the light comes from, clockwise from north; altitude_deg: above the horizon.
+    """
+    _expect_map("elevation", elevation_m, least=2)
+    north, east = np.gradient(elevation_m, resolution_m)
+    azimuth, altitude = np.radians(azimuth_deg), np.radians(altitude_deg)
+    towards = np.sin(altitude) - np.cos(altitude) * (np.sin(azimuth) * east + np.cos(azimuth) * north)
+    shade: FloatArray = np.clip(towards / np.sqrt(1.0 + north**2 + east**2), 0.0, 1.0)
+    return shade
+
+
 def relief_m(elevation_m: FloatArray, resolution_m: float, window_m: float = constants.RELIEF_WINDOW_M) -> FloatArray:
     """Height [m] of each cell above the mean of the square window around it, (rows, columns).
 

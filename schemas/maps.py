@@ -36,6 +36,8 @@ class MapFormat(StrEnum):
     TIFF = "tiff"
     """GeoTIFF, float32 or uint8, north up, in metres of IAU_2015:30110."""
     CSV = "csv"
+    PACKED = "packed"
+    """16-bit steps between `low` and `high` of the description, compressed: see services/ground/map/packing.py."""
 
 
 class MapPointQuery(Wire):
@@ -76,6 +78,15 @@ class MapLayer(StrEnum):
     """Mutual information between one measurement at the place and the field [nat]."""
     EXCEEDANCE = "exceedance"
     """Probability that the abundance exceeds `threshold`."""
+    ELEVATION = "elevation"
+    SLOPE = "slope"
+    """Steepest slope at the place [deg]."""
+    SHADE = "shade"
+    """Brightness of the relief under light from the north-west, 45 degrees high; 1 faces the light."""
+    REFERENCE = "reference"
+    """Helium-3 of a simulated Moon, which no real mission knows [ppb]."""
+    ERROR = "error"
+    """Posterior mean less that reference [ppb]."""
     SAMPLES = "samples"
     """A table of the samples and their places."""
     PLAN = "plan"
@@ -86,6 +97,12 @@ TABLES: tuple[MapLayer, ...] = (MapLayer.SAMPLES, MapLayer.PLAN)
 """Layers that are lists of places."""
 RASTERS: tuple[MapLayer, ...] = tuple(layer for layer in MapLayer if layer not in TABLES)
 """Layers with a value in every cell."""
+TERRAIN: tuple[MapLayer, ...] = (MapLayer.ELEVATION, MapLayer.SLOPE, MapLayer.SHADE)
+"""Rasters of the region's terrain, which no sample changes."""
+SIMULATED: tuple[MapLayer, ...] = (MapLayer.REFERENCE, MapLayer.ERROR)
+"""Rasters that exist only where the ground knows the reference field of a simulated Moon."""
+BELIEF: tuple[MapLayer, ...] = tuple(layer for layer in RASTERS if layer not in TERRAIN + SIMULATED)
+"""Rasters of what the ground believes."""
 
 
 class MapLayerQuery(Wire):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from he3.errors import NotFound
 from schemas.commands import NoParameters
-from schemas.maps import RASTERS, MapLayer, MapRegion
+from schemas.maps import BELIEF, MapLayer, MapRegion
 from schemas.topics import MAP_REGION
 from services.console.client.map_queries import AsOf, MapQueries
 from services.console.map_export.contents import MapContents, RasterLayer, belief_layer
@@ -59,7 +59,7 @@ class MapFiles(MapQueries):
         loaded = loaded_region(account, location)
         mean = self.layer(MapLayer.MEAN, as_of=as_of)
         revision, simulated = mean.revision, self._is_simulated()
-        layers = [self._layer(layer, account, threshold_ppb, revision) for layer in RASTERS]
+        layers = [self._layer(layer, account, threshold_ppb, revision) for layer in BELIEF]
         if not isinstance(loaded, str):
             layers += region_layers(loaded, account, mean.values, simulated)
         return MapContents(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from he3.colour_maps import stops
@@ -10,15 +10,10 @@ from he3.colour_maps import stops
 if TYPE_CHECKING:
     from services.console.map_export.contents import RasterLayer
 
-_FURTHER: Final = {
-    "grey": ["#000000", "#ffffff"],
-    "difference": ["#2166ac", "#f7f7f7", "#b2182b"],  # blue below, red above; after Brewer's RdBu
-}
-
 
 def class_colours(layer: RasterLayer) -> dict[int, tuple[int, int, int, int]]:
     """Value -> (red, green, blue, alpha), 0 to 255, of a layer of classes."""
-    colours = _stops(layer)
+    colours = stops(layer.colours)
     last = len(layer.classes) - 1
     return {
         value: (*bytes.fromhex(colours[round(index / max(last, 1) * (len(colours) - 1))][1:]), 255)
@@ -39,7 +34,7 @@ def qgis_style(layer: RasterLayer) -> str:
 
 def _of_values(layer: RasterLayer) -> str:
     low, high = layer.span or (float(layer.values.min()), float(layer.values.max()))
-    colours = _stops(layer)
+    colours = stops(layer.colours)
     step = (high - low) / (len(colours) - 1)
     unit = "" if layer.unit == "1" else f" {layer.unit}"
     items = "\n".join(
@@ -66,7 +61,3 @@ def _of_classes(layer: RasterLayer) -> str:
         '  <rasterrenderer type="paletted" band="1" opacity="1" alphaBand="-1">\n   <rasterTransparency/>\n'
         f"   <colorPalette>\n{entries}\n   </colorPalette>\n  </rasterrenderer>"
     )
-
-
-def _stops(layer: RasterLayer) -> list[str]:
-    return _FURTHER.get(layer.colours) or stops(layer.colours)

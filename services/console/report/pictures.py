@@ -237,6 +237,11 @@ LAYER_LABELS = {
     MapLayer.INFORMATION: "information of one measurement [nat]",
     MapLayer.EXCEEDANCE: "probability of more than the threshold",
     MapLayer.TRAVERSABLE: "open to the rover (1) or closed (0)",
+    MapLayer.ELEVATION: "elevation [m]",
+    MapLayer.SLOPE: "slope [deg]",
+    MapLayer.SHADE: "brightness of the relief",
+    MapLayer.REFERENCE: "helium-3, simulation only [ppb]",
+    MapLayer.ERROR: "error of the mean, simulation only [ppb]",
 }
 """What the colours of each layer mean, with the unit."""
 

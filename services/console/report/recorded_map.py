@@ -17,7 +17,7 @@ import numpy as np
 from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
 from schemas.ground import MissionTrack
-from schemas.maps import RASTERS, MapLayer, MapLayerQuery
+from schemas.maps import BELIEF, MapLayer, MapLayerQuery
 from schemas.topics import EVENT, GROUND_STATUS, MAP_OVERVIEW, SAMPLE, STATE
 from services.console.map_export.contents import MapContents, RasterLayer, belief_layer
 from services.console.map_export.region_layers import region_layers
@@ -84,7 +84,7 @@ def recorded_map(
 
     return MapContents(
         mission=facts.mission, region=account, revision=overview.revision, mission_time_ns=overview.mission_time_ns,
-        layers=(*map(layer, RASTERS), *region_layers(loaded, account, current.mean_ppb, facts.simulated)),
+        layers=(*map(layer, BELIEF), *region_layers(loaded, account, current.mean_ppb, facts.simulated)),
         track=MissionTrack(
             samples=samples, driven_path_m=snapshot.driven_path_m, planned_path_m=(), score_history=(),
             keep_outs=overview.keep_outs,

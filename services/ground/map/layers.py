@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from he3.errors import InvalidInput, OutsideRegion
-from schemas.maps import MAX_CELLS, RASTERS, MapBoxQuery, MapLayer, MapLayerQuery
+from he3.errors import InvalidInput, NotFound, OutsideRegion
+from schemas.maps import MAX_CELLS, RASTERS, SIMULATED, TERRAIN, MapBoxQuery, MapLayer, MapLayerQuery
+from services.ground.map.region_rasters import RegionRasters, region_rasters
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -27,6 +28,11 @@ UNITS = {
     MapLayer.TRAVERSABLE: "1",
     MapLayer.INFORMATION: "nat",
     MapLayer.EXCEEDANCE: "1",
+    MapLayer.ELEVATION: "m",
+    MapLayer.SLOPE: "deg",
+    MapLayer.SHADE: "1",
+    MapLayer.REFERENCE: "ppb",
+    MapLayer.ERROR: "ppb",
 }
 EDGE_CELLS = 1e-6
 """Tolerance [cells of the map] for rounding: a place this close to an edge, south or west of it, lies on it."""
@@ -152,6 +158,16 @@ def cell_indices(places_m: FloatArray, cells: int, cell_m: float) -> NDArray[np.
     return np.clip((places_m / cell_m + EDGE_CELLS).astype(np.intp), 0, cells - 1)
 
 
+def _region(layer: MapLayer, snapshot: MapSnapshot) -> RegionRasters:
+    """The rasters of the region, if that layer exists in this mission; raises NotFound."""
+    if layer in SIMULATED and snapshot.score is None:
+        raise NotFound(f"map: there is no layer {layer.value}: this mission has no reference field to compare with")
+    found = region_rasters(snapshot)
+    if layer in TERRAIN and not found.has_terrain:
+        raise NotFound(f"map: there is no layer {layer.value}: the region has no elevation")
+    return found
+
+
 def _values(layer: MapLayer, threshold_ppb: float | None, snapshot: MapSnapshot, part: Any) -> NDArray[Any]:
     match layer:
         case MapLayer.MEAN:
@@ -165,6 +181,16 @@ def _values(layer: MapLayer, threshold_ppb: float | None, snapshot: MapSnapshot,
         case MapLayer.EXCEEDANCE:
             assert threshold_ppb is not None, "checked at the edge"
             values = exceedance(snapshot.mean_ppb[part], snapshot.std_ppb[part], threshold_ppb)
+        case MapLayer.ELEVATION:
+            values = _region(layer, snapshot).elevation_m[part]
+        case MapLayer.SLOPE:
+            values = _region(layer, snapshot).slope_deg[part]
+        case MapLayer.SHADE:
+            values = _region(layer, snapshot).shade[part]
+        case MapLayer.REFERENCE:
+            values = _region(layer, snapshot).reference_ppb[part]
+        case MapLayer.ERROR:
+            values = snapshot.mean_ppb[part] - _region(layer, snapshot).reference_ppb[part]
         case MapLayer.SAMPLES | MapLayer.PLAN:
             raise AssertionError(f"layer '{layer.value}' is a table; checked at the edge")
         case _:

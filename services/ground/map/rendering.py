@@ -18,6 +18,7 @@ from schemas.topics import MAP_BOX, MAP_LAYER, Topic
 from services.ground.map import geotiff
 from services.ground.map.history import as_of
 from services.ground.map.layers import Cells, box, whole_layer
+from services.ground.map.packing import packed
 from services.ground.map.service import track
 from services.runtime.queries.server import Encoded
 
@@ -32,6 +33,7 @@ MEDIA_TYPES = {
     MapFormat.PNG: "image/png",
     MapFormat.TIFF: "image/tiff",
     MapFormat.CSV: "text/csv",
+    MapFormat.PACKED: "application/octet-stream",
 }
 MAX_KEPT_BYTES = 32 * 1024 * 1024
 ENTRY_BYTES = 4096
@@ -97,6 +99,7 @@ def rendered(cells: Cells, form: MapFormat, snapshot: MapSnapshot) -> Encoded:
         MapFormat.PNG: lambda: png(cells, about),
         MapFormat.TIFF: lambda: tiff(cells, snapshot),
         MapFormat.CSV: lambda: csv_of_cells(cells),
+        MapFormat.PACKED: lambda: packed(values, about.low, about.high),
     }
     return Encoded(writers[form](), MEDIA_TYPES[form], about.model_dump_json().encode())
 
@@ -113,6 +116,8 @@ def png(cells: Cells, about: MapAbout) -> bytes:
     from PIL import Image
 
     low, high = (0.0, 1.0) if cells.unit == "1" else (about.low, about.high)
+    if cells.layer is MapLayer.ERROR:  # 0 has the colour in the middle
+        low, high = -max(-low, high), max(-low, high)
     colours = shaded(cells.values.astype(np.float32), low, high, OF_LAYER[cells.layer.value])
     stream = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(colours[::-1])).save(stream, format="PNG")

@@ -35,9 +35,12 @@ def _as_of(text: str) -> str:
 
 LayerName = Annotated[
     str,
-    typer.Argument(metavar="LAYER", help="mean, std, information, exceedance (with --threshold) or traversable.",
+    typer.Argument(metavar="LAYER",
+                   help="mean, std, information, exceedance (with --threshold), traversable, elevation, slope, shade, "
+                   "or of a simulated Moon: reference, error.",
                    callback=checked(_layer),
-                   autocompletion=one_of("mean", "std", "information", "exceedance", "traversable")),
+                   autocompletion=one_of("mean", "std", "information", "exceedance", "traversable", "elevation",
+                                         "slope", "shade", "reference", "error")),
 ]  # fmt: skip
 Threshold = Annotated[
     float | None,

@@ -5,7 +5,8 @@ import { askJson, askLayer, download } from "./net.js";
 import { $, numberIn, sinceStart, state, toast } from "./state.js";
 import { elapsed, element } from "./words.js";
 
-const NAMES = { mean: "helium-3", std: "standard deviation", information: "information of one sample", exceedance: "probability of more than", traversable: "0 closed, 1 open" };
+const NAMES = { mean: "helium-3", std: "standard deviation", information: "information of one sample", exceedance: "probability of more than", traversable: "0 closed, 1 open",
+  elevation: "elevation", slope: "steepest slope", shade: "brightness of the relief, light from the north-west", reference: "helium-3, simulation only", error: "error of the mean, simulation only" };
 const HISTORY_EVERY_MS = 1900;
 const UNAVAILABLE = 503;
 
@@ -41,7 +42,7 @@ async function loadMap() {
       // The ground reports a new map a moment before it answers from it.
       shownKey = got.about.revision >= revision || as_of !== null ? key : "";
       if (!shownKey) wanted = true;
-      const range = layer === "exceedance" || layer === "traversable" ? [0, 1] : [got.about.low, got.about.high];
+      const range = layer === "exceedance" || layer === "traversable" ? [0, 1] : layer === "error" ? evenly(got.about) : [got.about.low, got.about.high];
       const stops = colours.stops[colours.of_layer[layer]];
       map.setLayer(got, stops, range);
       showScale(layer, stops, range, got.about);
@@ -51,6 +52,9 @@ async function loadMap() {
   map.track = await track;
   map.draw();
 }
+
+// 0 in the middle.
+function evenly({ low, high }) { const most = Math.max(-low, high); return [-most, most]; }
 
 // The next map is loaded in any case: another mission may count its revisions from 0.
 export function forgetMap() { shownKey = ""; }

@@ -81,6 +81,7 @@ function showStatus() {
   showPhase();
   showPlan();
   if (!status) return;
+  document.body.classList.toggle("simulated", Boolean(status.score));
   $("progress").textContent = `${status.samples} of ${status.samples_total}`;
   $("progress-bar").style.width = `${(100 * status.samples) / Math.max(1, status.samples_total)}%`;
   if (!state.rover && status.rover) { state.rover = { made_at: status.rover_made_at, ...status.rover }; showRover(); }

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from he3.colour_maps import OF_LAYER, stops
-from schemas.maps import RASTERS, TABLES, MapLayer, MapLayerQuery
+from he3.errors import NotFound
+from schemas.maps import RASTERS, SIMULATED, TABLES, MapAbout, MapFormat, MapLayer, MapLayerQuery, MapScore
 from services.console.__main__ import main
 from services.console.report.pictures import LAYER_LABELS
 from services.ground.map.layers import UNITS, whole_layer
-from tests.unit.ground.map.test_service import GRID, snapshot
+from services.ground.map.packing import unpacked
+from services.ground.map.rendering import rendered
+from services.ground.map.snapshot import MapSnapshot
+from tests.unit.ground.map.test_service import GRID, REGION, snapshot
 
 ROOT = Path(__file__).parents[4]
 STATIC = ROOT / "services" / "console" / "web" / "static"
@@ -25,10 +33,27 @@ def test_every_layer_is_a_raster_or_a_table() -> None:
     assert not set(RASTERS) & set(TABLES)
 
 
+SCORE = MapScore(
+    rmse_ppb=1.0, coverage_68=0.5, coverage_95=0.9, mean_std_ppb=0.5, revision=7, samples=0, mission_time_ns=123
+)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> MapSnapshot:
+    """A map of a simulated Moon: a slope of 10 % towards the east, and 9 ppb everywhere."""
+    path = tmp_path_factory.mktemp("region") / "region.npz"
+    elevation = np.broadcast_to(-0.1 * GRID.x_m, GRID.shape) + 100.0
+    he3 = np.full(GRID.shape, 9.0)
+    np.savez(path, he3_ppb=he3, resolution_m=2.0, elevation_m=elevation, traversable=np.ones(GRID.shape, dtype=bool))
+    return replace(snapshot(SCORE), region=REGION.model_copy(update={"location": str(path)}))
+
+
 @every_raster
-def test_a_raster_has_a_value_in_every_cell_a_unit_a_colour_map_and_a_label(layer: MapLayer) -> None:
+def test_a_raster_has_a_value_in_every_cell_a_unit_a_colour_map_and_a_label(
+    layer: MapLayer, simulated: MapSnapshot
+) -> None:
     threshold = 8.0 if layer is MapLayer.EXCEEDANCE else None
-    cells = whole_layer(MapLayerQuery(layer=layer, threshold=threshold), snapshot())
+    cells = whole_layer(MapLayerQuery(layer=layer, threshold=threshold), simulated)
     assert cells.values.shape == GRID.shape
     assert np.isfinite(cells.values).all()
     assert cells.unit == UNITS[layer]
@@ -36,10 +61,45 @@ def test_a_raster_has_a_value_in_every_cell_a_unit_a_colour_map_and_a_label(laye
     assert LAYER_LABELS[layer]
 
 
+def values(layer: MapLayer, shown: MapSnapshot) -> NDArray[Any]:
+    return whole_layer(MapLayerQuery(layer=layer), shown).values
+
+
+def test_terrain_and_error_are_those_of_the_region(simulated: MapSnapshot) -> None:
+    assert values(MapLayer.ELEVATION, simulated)[7, 3] == np.float32(100.0 - 0.7)
+    np.testing.assert_allclose(values(MapLayer.SLOPE, simulated), math.degrees(math.atan(0.1)), rtol=1e-4)
+    # The ground falls to the east; its normal leans 10 % away from a light that comes from the north-west.
+    towards = (1.0 - 0.1 * math.sin(math.radians(45.0))) * math.sin(math.radians(45.0)) / math.hypot(1.0, 0.1)
+    np.testing.assert_allclose(values(MapLayer.SHADE, simulated), towards, rtol=1e-4)
+    np.testing.assert_array_equal(values(MapLayer.REFERENCE, simulated), np.float32(9.0))
+    np.testing.assert_array_equal(values(MapLayer.ERROR, simulated), simulated.mean_ppb - np.float32(9.0))
+
+
+def test_a_mission_without_a_reference_field_tells_neither_reference_nor_error(simulated: MapSnapshot) -> None:
+    for layer in SIMULATED:
+        with pytest.raises(NotFound, match=f"no layer {layer.value}: this mission has no reference field"):
+            values(layer, replace(simulated, score=None))
+
+
+def test_a_region_that_is_not_the_missions_any_more_is_not_shown(simulated: MapSnapshot) -> None:
+    with pytest.raises(NotFound, match=r"expected a region of \(40, 50\) cells at t1, got \(500, 500\)"):
+        values(MapLayer.SLOPE, snapshot())
+
+
+def test_packed_values_are_the_maps_to_half_a_step(simulated: MapSnapshot) -> None:
+    for layer in (MapLayer.MEAN, MapLayer.TRAVERSABLE, MapLayer.REFERENCE):
+        cells = whole_layer(MapLayerQuery(layer=layer), simulated)
+        made = rendered(cells, MapFormat.PACKED, simulated)
+        about = MapAbout.model_validate_json(made.about)
+        found = unpacked(made.payload, about.rows, about.columns, about.low, about.high)
+        half_a_step = (about.high - about.low) / 65535 / 2
+        np.testing.assert_allclose(found, cells.values, atol=half_a_step * 1.01 + 1e-6, rtol=0.0)
+
+
 @every_raster
 def test_the_page_offers_a_raster_and_names_it(layer: MapLayer) -> None:
     assert f'name="layer" value="{layer.value}"' in (STATIC / "index.html").read_text()
-    names = re.search(r"const NAMES = {(.*?)};", (STATIC / "layers.js").read_text())
+    names = re.search(r"const NAMES = {(.*?)};", (STATIC / "layers.js").read_text(), re.DOTALL)
     assert names is not None
     assert layer.value in re.findall(r"(\w+): \"", names[1])
 
