@@ -170,6 +170,26 @@ def he3(endpoints: Endpoints, *words: str) -> subprocess.CompletedProcess[str]:
     return he3_here(*words, "--mission", MISSION, "--earth", endpoints.earth)
 
 
+def test_a_stack_is_checked_whole_sent_in_order_and_stopped_at_its_first_failure(
+    running: tuple[Launcher, Endpoints], client: MissionClient, tmp_path: Path
+) -> None:
+    endpoints, before = running[1], len(client.commands())
+    stack = tmp_path / "hold.stack"
+    stack.write_text(
+        "pause\nafter completed, at next contact: resume\nkeep-out a 0,0 9,0 0,9\nkeep-out a\nkeep-out a\nsafe\n"
+    )
+    dry = he3(endpoints, "stack", "run", str(stack), "--dry-run", "--json")
+    assert (dry.returncode, len(json.loads(dry.stdout)["lines"]), json.loads(dry.stdout)["sent"]) == (0, 6, [])
+    assert he3(endpoints, "stack", "run", "--do", "resume").returncode == 2
+    assert len(client.commands()) == before
+    done = he3(endpoints, "stack", "run", str(stack), "--yes", "--json")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "line 5 (keep-out a): rejected: there is no keep-out a to remove; 5 of 6 commands" in done.stderr
+    sent = json.loads(done.stdout)["sent"]
+    assert [each["status"]["stages"][-1]["stage"] for each in sent] == 4 * ["completed"] + ["rejected"]
+    assert len(client.commands()) == before + 5
+
+
 def test_every_map_command_prints_text_and_json(running: tuple[Launcher, Endpoints], tmp_path: Path) -> None:
     endpoints = running[1]
     for words in (

@@ -22,6 +22,7 @@ from services.console.cli import (
     replay,
     run,
     schemas,
+    stack,
     status,
     time,
     up,
@@ -65,6 +66,7 @@ def build() -> typer.Typer:
     app.command("commands", short_help="List the telecommands and their stages.", epilog=command.EXAMPLES)(
         command.commands
     )
+    app.add_typer(stack.app, name="stack", help="A list of telecommands with conditions: check it, send it.")
     app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
     app.add_typer(plan.app, name="plan", help="The plan that waits for approval: show it, approve it, send it back.")
     app.add_typer(authority.app, name="authority", help="Who commands the rover: show it, take it, release it.")
