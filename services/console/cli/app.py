@@ -10,6 +10,7 @@ from services.console.cli import (
     audit,
     authority,
     bench,
+    campaign,
     command,
     foxglove,
     keys,
@@ -73,6 +74,7 @@ def build() -> typer.Typer:
     app.add_typer(audit.app, name="audit", help="The audit log: who did what.", epilog=audit.EXAMPLES)
     app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")
     app.add_typer(region.app, name="reference", hidden=True)  # the former name: scripts use it, an error stays one line
+    app.add_typer(campaign.app, name="campaign", help="Thousands of missions from one study: fly them, report on them.")
     app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
     app.add_typer(recording.app, name="recording", help="The file of a recording: repair it.")
     app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
