@@ -182,6 +182,9 @@ def table(
         )
     for lowest in floors:
         free = lowest.budget_m is None
+        if lowest.why_not:
+            lines.append(f"{'floor' if free else 'floor-fifth':<22} left out: {lowest.why_not}")
+            continue
         lines.append(
             f"{'floor' if free else 'floor-fifth':<22} {'true, known':<13} {lowest.rmse_ppb:8.4f} {'':<8} "
             f"{lowest.length_m:8.0f} {'':<6} {_ratios(lowest.rmse_ppb, lowest.length_m, *yardsticks)}"
@@ -189,7 +192,7 @@ def table(
     for lowest in floors:
         name = "tour" if lowest.budget_m is None else FIFTH
         tours = _rows(missions, region, name)
-        if tours:
+        if tours and not lowest.why_not:
             error = mean_and_std(tours, "rmse_ppb")[0] / lowest.rmse_ppb - 1
             metres = mean_and_std(tours, "path_length_m")[0] / lowest.length_m - 1
             lines.append(f"{name} compared with its floor: RMSE {error:+.1%}, metres {metres:+.1%}")

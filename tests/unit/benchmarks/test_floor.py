@@ -8,10 +8,15 @@ from math import inf
 import numpy as np
 import pytest
 
-from benchmarks.floor import NODES, floor, true_covariance
+from benchmarks.floor import NODES, floor, lowest_rmse, true_covariance, why_not
 from benchmarks.missions import run_mission
 from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+from he3.hyperparameters import Hyperparameters
 from he3.i_optimal_design import AverageVariance, field_nodes
+from he3.kernels import Matern12
+from he3.randomfield import unit_fields
+from he3.reference import Region
 from services.ground.planners.interface import PlannerOptions
 from services.mission.regions import load_region
 
@@ -24,10 +29,10 @@ def region(quarter_of_t1):
 
 
 def test_the_floor_lies_below_a_mission_and_above_nothing(region):
-    lowest = floor(region, samples=40, designs=1, steps=30, cells=200)
+    lowest = floor(region, samples=40, designs=1, steps=30, cells=100)
     assert 0 < lowest.rmse_ppb < region.he3_ppb.std()
     # What is achieved on the one field that there is depends on luck; what is to be expected of a design does not.
-    truth = true_covariance(region, cells=200)
+    truth = true_covariance(region, cells=100)
     nodes, none = field_nodes(region.grid, None, NODES), np.zeros((0, 2))
     variance = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, nodes, none)
     mission = run_mission(region, "tour", "matern12", 1, rounds=8, options=QUICK)
@@ -38,13 +43,55 @@ def test_the_floor_lies_below_a_mission_and_above_nothing(region):
 
 
 def test_a_floor_within_a_budget_keeps_to_it_and_lies_higher(region):
-    held, free = (floor(region, samples=40, designs=1, steps=30, cells=200, budget_m=metres) for metres in (700.0, inf))
+    held, free = (floor(region, samples=40, designs=1, steps=30, cells=100, budget_m=metres) for metres in (700.0, inf))
     assert held.length_m <= 700.0 < free.length_m
     assert held.expected_rmse_ppb > free.expected_rmse_ppb
 
 
+@pytest.fixture(scope="module")
+def wide():
+    """A region of 20 km of cells of 200 m, its field of exponential covariance of 4 km; a wall closes a pocket."""
+    grid = SiteGrid(100, 100, 200.0)
+    field = 10.0 + 3.0 * unit_fields(1, grid.shape, (200.0, 200.0), 4000.0, np.random.default_rng(4))[0]
+    level, ground = np.zeros(grid.shape), np.ones(grid.shape, dtype=bool)
+    ground[12, :13] = ground[:13, 12] = False
+    return Region(name="wide", title="wide", provenance="made by the test", grid=grid, he3_ppb=field,
+                  orbital_ppb=field.copy(), elevation_m=level, slope_deg=level.copy(), traversable=ground)  # fmt: skip
+
+
+def test_on_a_large_region_the_floor_is_one_and_no_mission_comes_below_it_or_its_bound(wide):
+    start = (10_100.0, 10_100.0)
+    lowest = floor(wide, samples=40, designs=1, steps=20, cells=80, start_m=start)
+    assert lowest.why_not == ""
+    assert lowest.bound_ppb < min(lowest.expected_rmse_ppb, lowest.rmse_ppb)
+    mission = run_mission(wide, "tour", "matern12", 1, rounds=8, options=QUICK, start_m=start)
+    assert lowest.rmse_ppb < mission.row["rmse_ppb"] < wide.he3_ppb.std()
+    truth = true_covariance(wide, cells=80)
+    assert max(value for key, value in truth.kernel.parameters().items() if "length" in key) > 1000.0
+
+
+def test_a_floor_from_a_pocket_of_the_ground_is_left_out_and_says_so(wide):
+    lowest = floor(wide, samples=10, designs=1, steps=2, cells=40, start_m=(1100.0, 1100.0))
+    assert lowest.why_not.startswith("only 1.2% of the open ground can be reached from the start")
+
+
+def test_independent_cells_leave_exactly_what_is_not_measured():
+    nodes = field_nodes(SiteGrid(20, 20, 1.0), None)
+    truth = Hyperparameters(Matern12(variance=1.0, length_scale_m=1e-3), scale_ppb=2.0)
+    assert lowest_rmse(truth, nodes, 100) == pytest.approx(2.0 * np.sqrt(0.75))
+    assert lowest_rmse(truth, nodes, 0) == pytest.approx(2.0)
+    assert lowest_rmse(truth, nodes, 400) == 0.0
+
+
+def test_an_error_far_from_the_expected_one_or_below_the_bound_is_no_floor():
+    assert why_not(1.0, 1.1, 0.9, 1.0) == ""
+    assert "no stationary covariance" in why_not(2.9, 2.0, 0.9, 1.0)
+    assert "no stationary covariance" in why_not(1.0, 2.0, 0.9, 1.0)
+    assert "below the bound" in why_not(0.85, 1.0, 0.9, 1.0)
+
+
 def test_the_true_covariance_is_that_of_the_reference_field(region):
-    truth = true_covariance(region, cells=300)
+    truth = true_covariance(region, cells=200)
     apart = np.mean((region.he3_ppb[:, 5:] - region.he3_ppb[:, :-5]) ** 2) / 2  # 10 m
     unlike = truth.kernel.prior_variance - truth.kernel.of_squared_distance(np.array([10.0**2]))[0]
     assert truth.scale_ppb**2 * unlike == pytest.approx(apart, rel=0.3)

@@ -47,6 +47,10 @@ def test_the_floors_stand_in_the_table_each_under_its_name():
     lines = paper.table({}, "t1", ("tour",), floors)
     assert any(line.startswith("floor ") and "0.7000" in line and "6000" in line for line in lines)
     assert any(line.startswith("floor-fifth ") and "0.9000" in line and "2890" in line for line in lines)
+    floors = [replace(floors[0], why_not="no stationary covariance describes the field")]
+    lines = paper.table({}, "t1", ("tour",), floors)
+    assert any(line.startswith("floor ") and "left out: no stationary" in line for line in lines)
+    assert not any("0.7000" in line for line in lines)
 
 
 def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marked(quarter_of_t1):
