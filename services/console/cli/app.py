@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from services.console.cli import (
+    area,
     audit,
     authority,
     bench,
@@ -64,6 +65,7 @@ def build() -> typer.Typer:
     app.command("foxglove", short_help="Stream a mission to Foxglove.", epilog=foxglove.EXAMPLES)(foxglove.foxglove)
     app.add_typer(link.app, name="link", help="The link between Earth and Moon: show it, change it.")
     app.add_typer(command.app, name="command", help="Send the rover a telecommand.")
+    app.add_typer(area.app, name="area", help="Areas closed to the rover, and of interest: list, add, rename, remove.")
     app.command("commands", short_help="List the telecommands and their stages.", epilog=command.EXAMPLES)(
         command.commands
     )

@@ -215,7 +215,7 @@ def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) ->
         if how.preview:
             _show(client, client.preview(kind, **what), json=how.json)
             return
-        if asks(kind, yes=how.yes) and not _confirmed(client, client.preview(kind, **what)):
+        if asks(kind, yes=how.yes) and not confirmed(client, client.preview(kind, **what)):
             typer.echo("he3: nothing was sent", err=True)
             raise typer.Exit(1)
         issued = client.command(kind, expires_in_s=how.expires_in, command_id=how.command_id, **what)
@@ -243,7 +243,7 @@ def _show(client: MissionClient, outlook: CommandOutlook, *, json: bool) -> None
         raise InvalidInput(outlook.preview.objection)
 
 
-def _confirmed(client: MissionClient, outlook: CommandOutlook) -> bool:
+def confirmed(client: MissionClient, outlook: CommandOutlook) -> bool:
     """Whether the operator at the terminal sends the command that would do this: Enter does, any other answer not.
 
     Raises InvalidInput for a command that the ground would refuse: there is nothing to ask.

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Self
 
 from he3.errors import PeerUnreachable
 from schemas.topics import GROUND_STATUS, Side, Topic
+from services.console.client.areas import Areas
 from services.console.client.credentials import credentials_for
 from services.console.client.feed import MapFeed
 from services.console.client.forking import Forks
@@ -47,7 +48,7 @@ REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 
-class MissionClient(MapFiles, PlanReviewing, Previewing, Forks, LiveNews, MapFeed):
+class MissionClient(MapFiles, Areas, PlanReviewing, Previewing, Forks, LiveNews, MapFeed):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
     def __init__(

@@ -14,7 +14,6 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
-from schemas.commands import CommandStage
 from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EVENT, GROUND_STATUS, LINK_STATUS, STATE, Topic
 from services.console.client.liveness import Condition, Liveness, liveness
 from services.console.web.alarms import Alarms, documents
@@ -130,15 +129,6 @@ class Hub:
             if done:
                 self._tell("alarms", documents(self._alarms.current))
             return done
-
-    def keep_outs(self) -> frozenset[str]:
-        """Names of the keep-out areas that an operator has set and that may be in force."""
-        named: dict[str, bool] = {}
-        for status in self._state.commands:
-            command, end = status.command, status.end
-            if command.area_id is not None and (end is None or end.stage is CommandStage.COMPLETED):
-                named[command.area_id] = command.polygon_m is not None
-        return frozenset(name for name, in_force in named.items() if in_force)
 
     # --- what changes, in the session's threads ---------------------------------------------------------------------
 

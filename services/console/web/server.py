@@ -35,6 +35,7 @@ from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.plans import PlanVerdict
 from schemas.roles import Role
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, TRACK, Topic
+from services.console.client.areas import AreaKind
 from services.console.client.link import link_change
 from services.console.client.map_files import CUTOFF_PPB
 from services.console.web.access import ACT, COMMAND, CONTROL, READ, Access, Caller
@@ -56,7 +57,6 @@ MAX_AT_WORK = 64
 """Requests that may wait for the mission at a time; further ones are refused at once."""
 FRESH = {"cache-control": "no-store"}
 LOG_IN = "expected a login: open the address with a token that he3 web has printed, or present a certificate"
-TAKEN = "expected a new name, got that of an area of {} that is set: {}"
 BODY_WITHIN_S = 10.0
 """Longest time for a request's body to arrive."""
 
@@ -263,9 +263,10 @@ def _export(hub: Hub, at_work: threading.Lock, asked: Asked) -> Response:
 
 def _taken(hub: Hub, wanted: CommandRequest) -> Response | None:
     """The refusal of a keep-out under a name that is in use, unless it is to replace that one."""
-    if wanted.polygon_m is None or wanted.replace or wanted.area_id not in hub.keep_outs():
+    if wanted.polygon_m is None or wanted.replace:
         return None
-    return _error(TAKEN.format("keep-out", wanted.area_id), 409)
+    objection = hub.mission.name_objection(AreaKind.KEEP_OUT, wanted.area_id)
+    return None if objection is None else _error(objection, 409)
 
 
 def _preview(hub: Hub, asked: Asked) -> Response:
@@ -316,9 +317,9 @@ def _link(hub: Hub, asked: Asked) -> Response:
 def _interest(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(InterestRequest, asked.body)
     if wanted.polygon_m is not None and not wanted.replace:
-        known = {area.area_id for area in hub.mission.set_interest()}
-        if wanted.area_id in known:
-            return _error(TAKEN.format("interest", wanted.area_id), 409)
+        objection = hub.mission.name_objection(AreaKind.INTEREST, wanted.area_id)
+        if objection is not None:
+            return _error(objection, 409)
     return _areas(hub.mission.set_interest(wanted.area_id, wanted.polygon_m, wanted.weight))
 
 

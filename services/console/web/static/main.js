@@ -8,7 +8,10 @@ import { picture, showLink } from "./linkpanel.js";
 import "./deliberate.js";
 import { heard, isTimeKnown, showLiveness } from "./liveness.js";
 import { askJson, listen } from "./net.js";
-import { mapIsAt, showAreas, takeInterests } from "./place.js";
+import { estimateIsAt, showAreas, takeInterests } from "./areas.js";
+import "./measure.js";
+import "./picture.js";
+import { placeIsAt } from "./place.js";
 import { showPlan } from "./planreview.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
@@ -38,6 +41,14 @@ listen({
   curve: ({ name, points }) => charts[name].extend(points),
   alarms: (alarms) => { state.alarms = alarms; showAlarms(); },
 }, () => { state.connected = false; showLiveness(); });
+
+let newestMap = null;
+function mapIsAt(revision) {
+  if (revision === newestMap) return;
+  newestMap = revision;
+  placeIsAt(revision);
+  estimateIsAt(revision);
+}
 
 function takeAll(all) {
   takeClock(all.clock);

@@ -13,12 +13,6 @@ export async function askJson(path, parameters) {
   return (await ask(path, parameters)).json();
 }
 
-export async function askLayer(parameters) {
-  const response = await ask("map/layer", { ...parameters, format: "npy" });
-  const about = JSON.parse(response.headers.get("x-map-about"));
-  return { about, values: numbersOf(await response.arrayBuffer()) };
-}
-
 // The reply as a file of the browser's user, under the name that the server gives it.
 export async function download(path, parameters) {
   const response = await ask(path, parameters);
@@ -44,15 +38,6 @@ async function failure(response) {
   let why = `${response.status} ${response.statusText}`;
   try { why = (await response.json()).error; } catch { /* no reason was given */ }
   return Object.assign(new Error(why), { status: response.status });
-}
-
-// NumPy's format: magic, version, length of the head, the head as text, then the numbers.
-function numbersOf(buffer) {
-  const view = new DataView(buffer);
-  const length = view.getUint16(8, true);
-  const head = new TextDecoder().decode(new Uint8Array(buffer, 10, length));
-  const start = 10 + length;
-  return head.includes("'<f4'") ? new Float32Array(buffer, start) : new Uint8Array(buffer, start);
 }
 
 // Server-sent events; the browser reconnects by itself when they break off, and then gets everything afresh.

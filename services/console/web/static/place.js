@@ -1,178 +1,133 @@
-// A place that was clicked, and an area that is drawn: what the map says of them, and what is sent about them.
+// A place or a sample that was chosen: what the map says of it.
 
-import { command } from "./commands.js";
-import { look } from "./deliberate.js";
-import { map, whenTimeChanges } from "./layers.js";
-import { askJson, send } from "./net.js";
+import { map, whenTimeChanges, whenTrackChanges } from "./layers.js";
+import { askJson } from "./net.js";
 import { fact } from "./rover.js";
-import { $, attempt, numberIn, rewrite, state, toast } from "./state.js";
-import { element, fixed, grouped } from "./words.js";
+import { $, attempt, numberIn, sinceStart, state } from "./state.js";
+import { inAddress, keepView, numbers } from "./view.js";
+import { elapsed, element, fixed, grouped, utc } from "./words.js";
 
 const HINT = "Click the map, or press Enter at the cross-hair";
 const ASK_AGAIN_MS = 300;
 let asked = 0;
 
-map.onPlace = async (place, drawing) => {
-  if (drawing) return showArea();
-  $("go-to").disabled = false;
-  await showPlace();
-};
-whenTimeChanges(() => { showPlace(); showWhetherOutdated(); });
+map.onPlace.push((_, what) => { if (what === "place") showChosen(); });
+whenTimeChanges(showPlace);
+whenTrackChanges(showSteps);
 $("threshold").addEventListener("change", showPlace);
 
-// The newest revision of the map: what is shown of an older one is asked for again, or says that it is outdated.
+function showChosen() {
+  $("go-to").disabled = map.chosen === null;
+  showSteps();
+  showPlace();
+  keepView();
+}
+
+// The newest revision of the map: what is shown of an older one is asked for again.
 let newest = 0;
-export function mapIsAt(revision) {
-  if (revision === newest) return;
+export function placeIsAt(revision) {
   newest = revision;
-  if (state.past === null) { showPlace(); showWhetherOutdated(); }
+  if (state.past === null) showPlace();
 }
 
 async function showPlace() {
-  if (!map.chosen) return;
+  $("answer").hidden = map.chosen === null;
+  if (!map.chosen) { $("place").replaceChildren(); $("place-hint").textContent = HINT; return; }
   const [x, y] = map.chosen, mine = ++asked;
   await attempt(async () => {
     const threshold = numberIn($("threshold"));
     const point = await askJson("map/point", { x, y, threshold, as_of: state.past?.revision });
+    const sample = map.track?.samples.find((each) => each.sample_id === map.sample), before = sample && await beforeIt(sample);
     if (mine !== asked) return;
     // The ground reports a new map a moment before it answers from it.
     if (state.past === null && point.revision < newest) setTimeout(() => { if (mine === asked) showPlace(); }, ASK_AGAIN_MS);
-    $("place-hint").textContent = `(${x}, ${y}) m, revision ${point.revision}`;
+    $("place-hint").textContent = `${sample ? `Sample ${sample.sample_id} at ` : ""}(${x}, ${y}) m, revision ${point.revision}`;
+    // Where the panel is below the map, the answer is on it as well.
+    $("answer").textContent = `(${x}, ${y}) m: ${fixed(point.mean_ppb)} ± ${fixed(point.std_ppb)} ppb${sample ? `; measured ${fixed(sample.helium3_ppb)} ± ${fixed(sample.noise_std_ppb)} ppb` : ""}${point.traversable ? "" : ", closed"}`;
     $("place").dataset.point = JSON.stringify(point);
-    const [low, high] = [-1.96, 1.96].map((factor) => fixed(Math.max(0, point.mean_ppb + factor * point.std_ppb)));
-    $("place").replaceChildren(element("dl", { class: "facts" }, ...[
-      ["Helium-3", `${fixed(point.mean_ppb, 3)} ± ${fixed(point.std_ppb, 3)} ppb`, true],
-      ["95 % interval", `${low} to ${high} ppb`],
-      [`More than ${threshold} ppb`, `${(100 * point.exceedance).toFixed(1)} %`],
-      ["Information of one sample", `${fixed(point.information_nats, 2)} nat`],
-      ["Ground", point.traversable ? "traversable" : "not traversable"],
-    ].map(fact)));
+    $("place").replaceChildren(...(sample ? [ofSample(sample, point, before)] : []), ofPlace(point, threshold));
   });
 }
 
-// --- an area --------------------------------------------------------------------------------------------------------
+function ofPlace(point, threshold) {
+  const [low, high] = [-1.96, 1.96].map((factor) => fixed(Math.max(0, point.mean_ppb + factor * point.std_ppb)));
+  return element("dl", { class: "facts" }, ...[
+    ["Helium-3", `${fixed(point.mean_ppb, 3)} ± ${fixed(point.std_ppb, 3)} ppb`, true],
+    ["95 % interval", `${low} to ${high} ppb`],
+    [`More than ${threshold} ppb`, `${(100 * point.exceedance).toFixed(1)} %`],
+    ["Information of one sample", `${fixed(point.information_nats, 2)} nat`],
+    ["Ground", point.traversable ? "traversable" : "not traversable"],
+  ].map(fact));
+}
 
-function showArea() {
-  const corners = map.draft;
-  $("undo").disabled = $("clear").disabled = corners.length === 0;
-  $("area").hidden = corners.length < 3;
-  if (map.drawing) $("place-hint").textContent = `${corners.length} corners; click to add one, three at least`;
-  else if (!map.chosen) $("place-hint").textContent = HINT;
-  if (corners.length >= 3) {
-    let twice = 0;
-    corners.forEach(([x, y], index) => { const [u, v] = corners[(index + 1) % corners.length]; twice += x * v - u * y; });
-    $("area-facts").textContent = `${corners.length} corners, ${grouped(Math.abs(twice) / 2)} m²`;
+// --- samples --------------------------------------------------------------------------------------------------------
+
+// What the map said at the place of a sample before it knew it; null if no such map is held.
+async function beforeIt(sample) {
+  const index = map.track.samples.indexOf(sample);
+  const held = state.revisions.findLast((each) => each.samples <= index);
+  return held ? askJson("map/point", { x: sample.x_m, y: sample.y_m, as_of: held.revision }).catch(() => null) : null;
+}
+
+function ofSample(sample, point, before) {
+  const { helium3_ppb: value, noise_std_ppb: noise, measured_at: at } = sample;
+  const signed = (ppb) => `${ppb < 0 ? "−" : "+"}${fixed(Math.abs(ppb), 3)}`;
+  const residual = value - point.mean_ppb, facts = [
+    ["Measured", `${fixed(value, 3)} ± ${fixed(noise, 3)} ppb`, true],
+    ["Residual against this map", `${signed(residual)} ppb, ${signed(residual / noise)} of its noise`],
+  ];
+  if (before) {
+    const off = value - before.mean_ppb, expected = Math.hypot(before.std_ppb, noise);
+    facts.push([`Against revision ${before.revision}, before it`, `${signed(off)} ppb, ${signed(off / expected)} σ`]);
   }
-  $("estimate-result").replaceChildren();
+  facts.push(["Depth", `${fixed(sample.depth_m)} m`], ["Time", `${elapsed(sinceStart(at))}`], ["UTC", utc(at)], ["Round", `${sample.round}`]);
+  if (Number.isFinite(sample.driven_m)) facts.push(["Driven until then", `${grouped(sample.driven_m)} m`]);
+  return element("dl", { class: "facts of-sample", id: "sample-facts" }, ...facts.map(fact));
+}
+
+function showSteps() {
+  const { samples = [] } = map.track ?? {};
+  for (const id of ["sample-before", "sample-after"]) $(id).disabled = samples.length === 0;
+}
+
+// The next sample, or the one before it, in the order of arrival; the map follows.
+function step(by) {
+  const { samples = [] } = map.track ?? {};
+  if (!samples.length) return;
+  const index = samples.findIndex((each) => each.sample_id === map.sample);
+  select(samples[index < 0 ? (by > 0 ? 0 : samples.length - 1) : (index + by + samples.length) % samples.length]);
+}
+
+function select({ sample_id, x_m, y_m }) {
+  map.sample = sample_id;
+  map.chosen = [x_m, y_m];
+  if (!map.isWhole()) { map.projection.reveal(x_m, y_m); map.seen(); }
+  showChosen();
   map.draw();
 }
 
-function setDrawing(on) {
-  map.drawing = on;
-  $("draw").setAttribute("aria-pressed", String(on));
-  $("draw").textContent = on ? "Done" : "Draw area";
-  showArea();
-  if (on) $("map").focus({ preventScroll: true });
-}
-
-$("draw").addEventListener("click", () => setDrawing(!map.drawing));
-$("undo").addEventListener("click", () => { map.draft.pop(); showArea(); });
-$("clear").addEventListener("click", () => { map.draft = []; showArea(); });
+$("sample-before").addEventListener("click", () => step(-1));
+$("sample-after").addEventListener("click", () => step(1));
 $("map").addEventListener("keydown", (event) => {
-  if (event.key === "d" || event.key === "D") setDrawing(!map.drawing);
-  if (event.key === "Backspace" && map.draft.length) { map.draft.pop(); showArea(); }
-  if (event.key === "Escape") { map.draft = []; setDrawing(false); }
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === "n" || event.key === "N") step(1);
+  if (event.key === "p" || event.key === "P") step(-1);
 });
 
-$("estimate").addEventListener("click", () => attempt(async () => {
-  const cutoff = numberIn($("cutoff"));
-  const got = await askJson("map/resource", { polygon: map.draft.flat().join(","), cutoff_ppb: cutoff, as_of: state.past?.revision });
-  const between = (interval, digits, scale = 1) => `${grouped(interval.expected * scale, digits)} (${grouped(interval.low * scale, digits)} to ${grouped(interval.high * scale, digits)})`;
-  const percent = `${Math.round(got.probability * 100)} %`;
-  const rows = [
-    ["Helium-3 a metre deep", `${between(got.mass_kg_per_m, 2, 1000)} g/m`],
-    ["Mean abundance", `${between(got.mean_ppb, 3)} ppb`],
-    [`Area above ${cutoff} ppb`, `${between(got.area_above_m2, 0)} m²`],
-    [`Area above it with ${percent} probability`, `${grouped(got.confident_area_m2)} m²`],
-  ];
-  $("estimate-result").replaceChildren(
-    element("table", { class: "result num" }, ...rows.map(([name, value]) => element("tr", {}, element("td", {}, name), element("td", {}, value)))),
-    element("p", { class: "dim" }, `${percent} intervals of the joint posterior; bulk density ${grouped(got.bulk_density_kg_m3)} kg/m³; map revision ${got.revision}`),
-    element("p", { class: "outdated", role: "status" }),
-  );
-  estimated = { revision: got.revision, cutoff };
-  showWhetherOutdated();
-}));
-
-let estimated = null; // what the shown estimate is of
-function showWhetherOutdated() {
-  const note = $("estimate-result").querySelector(".outdated");
-  if (!note || !estimated) return;
-  const shown = state.past?.revision ?? newest;
-  const why = shown > estimated.revision ? `of revision ${estimated.revision}; the map is at ${shown}` : shown < estimated.revision && state.past ? `of a later map than the one shown` : "";
-  const other = Number($("cutoff").value) === estimated.cutoff ? "" : `for a cut-off of ${estimated.cutoff} ppb`;
-  note.textContent = why || other ? `Outdated: ${[why, other].filter(Boolean).join(", ")}. Estimate again.` : "";
-  $("estimate-result").classList.toggle("old", note.textContent !== "");
-}
-$("cutoff").addEventListener("input", showWhetherOutdated);
-
-// A name that is in use takes a second, deliberate click: the button says that it replaces that area.
-const CONFLICT = 409;
-function sends(id, deliver) {
-  const button = $(id), label = button.textContent;
-  let replaced = null; // the name that the next click replaces
-  const say = (text) => { rewrite(button, text); look(); };
-  const reset = () => { replaced = null; say(label); };
-  $("area-name").addEventListener("input", reset);
-  button.addEventListener("click", () => attempt(async () => {
-    const name = $("area-name");
-    if (!name.reportValidity() || name.value === "") throw new Error("name: expected letters, digits and _ . : -, beginning with a letter or digit");
-    const area = { area_id: name.value, polygon_m: map.draft, replace: replaced === name.value };
-    try {
-      if (await deliver(area) === false) return;
-    } catch (error) {
-      if (error.status === CONFLICT) { replaced = area.area_id; say(`Replace ${area.area_id}`); }
-      throw error;
-    }
-    reset();
-    areaSent();
-  }));
-}
-sends("send-keepout", (area) => command({ kind: "set_keep_out", ...area }));
-sends("send-interest", async (area) => {
-  takeInterests(await send("interest", { ...area, weight: numberIn($("weight")) }));
-  toast("Area of interest set");
-});
-
-function areaSent() {
-  map.draft = [];
-  setDrawing(false);
-  suggestName();
-}
-
-// The next free name of the form area-N, unless the operator has written another.
-function suggestName() {
-  const used = new Set(areaNames);
-  if (!/^area-\d+$/.test($("area-name").value)) return;
-  let number = 1;
-  while (used.has(`area-${number}`)) number += 1;
-  $("area-name").value = `area-${number}`;
-}
-let areaNames = [];
-
-export function takeInterests({ areas }) { state.interests = areas; showAreas(); }
-
-export function showAreas() {
-  const keepOuts = new Map();
-  for (const { command: sent, end } of state.commands.values()) {
-    if (sent.kind !== "set_keep_out" || (end && end !== "completed")) continue;
-    if (sent.polygon_m) keepOuts.set(sent.area_id, sent.polygon_m); else keepOuts.delete(sent.area_id);
-  }
-  areaNames = [...keepOuts.keys(), ...state.interests.map(({ area_id }) => area_id)];
-  if (map.draft.length < 3) suggestName();
-  map.areas = [
-    ...[...keepOuts].map(([name, corners]) => ({ name, corners, kind: "keepout" })),
-    ...state.interests.map(({ area_id, polygon_m, weight }) => ({ name: `${area_id} ×${weight}`, corners: polygon_m, kind: "interest" })),
-  ];
+inAddress("at", () => map.chosen?.join(","), (text) => {
+  const place = numbers(text, 2);
+  const on = place && place[0] >= 0 && place[1] >= 0 && place[0] <= map.width && place[1] <= map.height;
+  map.chosen = on ? place : null;
+  map.sample = null;
+  showChosen();
   map.draw();
+});
+let wantedSample = null; // it is known once the samples are
+inAddress("sample", () => map.sample, (text) => { wantedSample = text; takeWanted(); });
+whenTrackChanges(takeWanted);
+function takeWanted() {
+  if (wantedSample === null || !map.track) return;
+  const found = map.track.samples.find((each) => each.sample_id === wantedSample);
+  wantedSample = null;
+  if (found) select(found);
 }

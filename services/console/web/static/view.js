@@ -1,47 +1,50 @@
-// The view is in the page's address: layer, threshold, moment and place. A reload, or another browser, shows the same.
+// The view is in the page's address: a reload, or another browser, shows the same. Each part of the page says what of it
+// belongs there.
 
-import { map, showMoment, wantMap, whenTimeChanges } from "./layers.js";
-import "./place.js"; // sets what follows upon a place
-import { $, state } from "./state.js";
+import { state } from "./state.js";
 
+const WRITTEN_AFTER_MS = 150; // browsers limit how often the address may change
+const parts = [];
 let wanted = new URLSearchParams(location.hash.slice(1)); // what the address asks for; null once it is shown
+let due = null;
 
-const layers = () => [...document.querySelectorAll("input[name=layer]")];
+// get: the text in the address, or null for what need not be said. set: called with such a text, or null for its absence;
+// what it cannot read, or what does not exist, it leaves out.
+export function inAddress(name, get, set) { parts.push({ name, get, set }); }
 
-function keepView() {
+// The view has changed: the address follows.
+export function keepView() {
   if (wanted) return;
-  const view = new URLSearchParams(), layer = layers().find((each) => each.checked).value;
-  if (layer !== "mean") view.set("layer", layer);
-  if (layer === "exceedance") view.set("threshold", $("threshold").value);
-  if (state.past) view.set("revision", state.past.revision);
-  if (map.chosen) view.set("at", map.chosen.join(","));
-  history.replaceState(null, "", view.size ? `#${view.toString().replaceAll("%2C", ",")}` : location.pathname);
+  due ??= setTimeout(write, WRITTEN_AFTER_MS);
 }
 
-// Shows what the address asks for, as soon as there is a map. What it names and there is not is left out.
+function write() {
+  due = null;
+  if (wanted) return;
+  const view = new URLSearchParams();
+  for (const { name, get } of parts) {
+    const text = get();
+    if (text !== null && text !== undefined && text !== "") view.set(name, text);
+  }
+  history.replaceState(null, "", view.size ? `#${view.toString().replaceAll("%2C", ",").replaceAll("%3A", ":")}` : location.pathname);
+}
+
+// Shows what the address asks for, as soon as there is a map.
 export function showView() {
   if (!wanted || !state.revisions.length) return;
   const view = wanted;
+  for (const { name, set } of parts) set(view.get(name));
   wanted = null;
-  const layer = layers().find((each) => each.value === view.get("layer"));
-  if (view.has("threshold") && Number.isFinite(Number(view.get("threshold")))) $("threshold").value = view.get("threshold");
-  if (layer) {
-    layer.checked = true;
-    $("threshold-field").hidden = layer.value !== "exceedance";
-    wantMap();
-  }
-  const past = state.revisions.find((each) => String(each.revision) === view.get("revision"));
-  if (past) {
-    $("time").value = state.revisions.indexOf(past);
-    showMoment(past);
-  }
-  const [x, y] = (view.get("at") ?? "").split(",").map(Number);
-  if (view.get("at") && x >= 0 && y >= 0 && x <= map.width && y <= map.height) map.take([x, y]);
-  keepView();
+  write();
 }
 
-for (const input of [...layers(), $("threshold")]) input.addEventListener("change", keepView);
-whenTimeChanges(keepView);
-const follow = map.onPlace;
-map.onPlace = (place, drawing) => { follow(place, drawing); keepView(); };
 addEventListener("hashchange", () => { wanted = new URLSearchParams(location.hash.slice(1)); showView(); });
+
+export const numbers = (text, count) => {
+  const found = (text ?? "").split(",").map(Number);
+  return text && found.every(Number.isFinite) && (count === undefined || found.length === count) ? found : null;
+};
+export const pairs = (text) => {
+  const found = numbers(text);
+  return found && found.length % 2 === 0 ? found.flatMap((_, index) => (index % 2 ? [] : [[found[index], found[index + 1]]])) : [];
+};

@@ -1,0 +1,203 @@
+"""``he3 area``: the areas that the rover may not enter and those of interest: list, add, rename, remove."""
+
+from __future__ import annotations
+
+import json as json_format
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.console.cli.command import Area as AreaName
+from services.console.cli.command import Yes, asks, confirmed
+from services.console.cli.coordinates import NEGATIVE_NUMBERS, polygon
+from services.console.cli.options import AsJson, AsName, Earth, IdentityFolder, Insecure, Mission, one_of, within
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from services.console.client.areas import Area
+    from services.console.client.mission_client import MissionClient
+
+EXAMPLES = """\b
+Examples:
+  he3 area list
+  he3 area add crater 100,100 150,100 125,150               a keep-out; asks before it is sent
+  he3 area add ridge 300,300 380,300 340,360 --interest --weight 3
+  he3 area add crater 90,90 160,90 125,160 --replace        another outline for it
+  he3 area rename crater north-crater
+  he3 area remove ridge --yes
+"""
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+KINDS = ("keep-out", "interest")
+
+
+def _kind(word: str | None) -> str | None:
+    if word is not None and word not in KINDS:
+        raise typer.BadParameter(f"expected one of {', '.join(KINDS)}; got '{word}'")
+    return word
+
+
+Kind = Annotated[
+    str | None,
+    typer.Option("--kind", metavar="KIND", help="keep-out or interest, where both have an area of that name.",
+                 callback=_kind, autocompletion=one_of(*KINDS)),
+]  # fmt: skip
+Weight = Annotated[
+    float,
+    typer.Option("--weight", metavar="W", help="Of an area of interest: how much its uncertainty counts.",
+                 callback=within(0, 1000)),
+]  # fmt: skip
+
+
+@contextmanager
+def _joined(
+    mission: str | None, earth: str | None, identity: Path | None, insecure: bool, as_name: str | None = None
+) -> Iterator[MissionClient]:
+    from services.console.client.mission_client import MissionClient
+
+    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+        yield client
+
+
+@app.command("list", epilog=EXAMPLES)
+def list_areas(
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    json: AsJson = False,
+) -> None:
+    """List the areas."""
+    with _joined(mission, earth, identity, insecure) as client:
+        areas = client.areas()
+    if json:
+        typer.echo(json_format.dumps({"areas": [area.document() for area in areas]}, indent=2))
+    else:
+        typer.echo("\n".join(area_lines(areas)) or "no area is set")
+
+
+@app.command(epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
+def add(
+    name: AreaName,
+    corners: Annotated[
+        list[str], typer.Argument(metavar="X,Y", help="Corners of the area [m], three or more.")
+    ],
+    interest: Annotated[
+        bool, typer.Option("--interest", help="An area of interest; without it, one that the rover may not enter.")
+    ] = False,
+    weight: Weight = 2.0,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace the area of that name.")] = False,
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    as_name: AsName = None,
+    yes: Yes = False,
+) -> None:  # fmt: skip
+    """Add an area. Its name is new, unless --replace is given."""
+    from he3.errors import InvalidInput
+    from services.console.client.areas import Area, AreaKind
+
+    kind = AreaKind.INTEREST if interest else AreaKind.KEEP_OUT
+    area = Area(kind, name, polygon(corners), weight if interest else None)
+    with _joined(mission, earth, identity, insecure, as_name) as client:
+        objection = None if replace else client.name_objection(kind, name)
+        if objection is not None:
+            raise InvalidInput(f"{objection}; --replace gives it another outline")
+        _set(client, area, yes=yes)
+    typer.echo(f"mission '{client.mission}': {kind.value} {name} set")
+
+
+@app.command(epilog=EXAMPLES)
+def rename(
+    name: AreaName,
+    new_name: AreaName,
+    kind: Kind = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    as_name: AsName = None,
+    yes: Yes = False,
+) -> None:
+    """Give an area a new name; a keep-out is closed all the time."""
+    from dataclasses import replace as changed
+
+    from he3.errors import InvalidInput
+
+    with _joined(mission, earth, identity, insecure, as_name) as client:
+        area = _found(client.areas(), name, kind)
+        objection = client.name_objection(area.kind, new_name)
+        if objection is not None:
+            raise InvalidInput(objection)
+        _set(client, changed(area, name=new_name), yes=yes)
+        _remove(client, area, yes=yes)
+    typer.echo(f"mission '{client.mission}': {area.kind.value} {name} is now {new_name}")
+
+
+@app.command(epilog=EXAMPLES)
+def remove(
+    name: AreaName,
+    kind: Kind = None,
+    mission: Mission = None,
+    earth: Earth = None,
+    identity: IdentityFolder = None,
+    insecure: Insecure = False,
+    as_name: AsName = None,
+    yes: Yes = False,
+) -> None:
+    """Remove an area: the rover may enter it again, or it is worth no more than others."""
+    with _joined(mission, earth, identity, insecure, as_name) as client:
+        area = _found(client.areas(), name, kind)
+        _remove(client, area, yes=yes)
+    typer.echo(f"mission '{client.mission}': {area.kind.value} {name} removed")
+
+
+def _found(areas: tuple[Area, ...], name: str, kind: str | None) -> Area:
+    """The area of that name; raises InvalidInput if there is none, or if there are two and no kind was given."""
+    from he3.errors import InvalidInput
+
+    found = [area for area in areas if area.name == name and kind in (None, area.kind)]
+    if not found:
+        known = ", ".join(area.name for area in areas) or "none"
+        raise InvalidInput(f"expected the name of an area that is set ({known}), got '{name}'")
+    if len(found) > 1:
+        raise InvalidInput(f"expected --kind, as a keep-out and an area of interest have the name '{name}'; got none")
+    return found[0]
+
+
+def _set(client: MissionClient, area: Area, *, yes: bool) -> None:
+    if area.weight is None:
+        _command(client, {"area_id": area.name, "polygon_m": area.polygon_m}, yes=yes)
+    else:
+        client.set_interest(area.name, area.polygon_m, area.weight)
+
+
+def _remove(client: MissionClient, area: Area, *, yes: bool) -> None:
+    if area.weight is None:
+        _command(client, {"area_id": area.name}, yes=yes)
+    else:
+        client.set_interest(area.name, None)
+
+
+def _command(client: MissionClient, what: dict[str, Any], *, yes: bool) -> None:
+    """Send the keep-out once the operator has read what it does; ends the command if they do not send it."""
+    kind = "set-keep-out"
+    if asks(kind, yes=yes) and not confirmed(client, client.preview(kind, **what)):
+        typer.echo("he3: nothing was sent", err=True)
+        raise typer.Exit(1)
+    client.command(kind, **what)
+
+
+def area_lines(areas: tuple[Area, ...]) -> list[str]:
+    """The areas in aligned lines of plain text: kind, name, weight, corners."""
+    width = max((len(area.name) for area in areas), default=0)
+    return [
+        f"{area.kind.value:<9} {area.name:<{width}}  {'' if area.weight is None else f'weight {area.weight:g}  '}"
+        + " ".join(f"{x:g},{y:g}" for x, y in area.polygon_m)
+        for area in areas
+    ]
