@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import os
 import re
@@ -13,14 +15,18 @@ import subprocess
 import sys
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from services.console.client.areas import AreaKind
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import Endpoints, free_endpoints
 from services.console.launch.launcher import Launcher
@@ -646,6 +652,186 @@ def test_the_view_is_in_the_address_and_a_reload_forgets_nothing(
     assert browser.current_url == f"{address}#layer=std&at=120,340"
     browser.get("about:blank")
     browser.get(address)
+
+
+def in_address(driver: Any) -> dict[str, str]:
+    """What the address says of the view."""
+    return dict(urllib.parse.parse_qsl(driver.current_url.partition("#")[2]))
+
+
+def in_module(driver: Any, module: str, expression: str) -> Any:
+    """The value of an expression over the names of a module of the page; it may be a promise."""
+    return driver.execute_async_script(
+        f"const done = arguments[0]; import('/static/{module}').then(async (it) => done(await ({expression})))"
+    )
+
+
+def press(driver: Any, *keys: str, shift: bool = False) -> None:
+    """Press these keys on the map."""
+    script(
+        driver,
+        "const [keys, shiftKey] = arguments;"
+        "for (const key of keys) document.getElementById('map').dispatchEvent("
+        "new KeyboardEvent('keydown', {key, shiftKey, bubbles: true, cancelable: true}))",
+        keys,
+        shift,
+    )
+
+
+def pinch(driver: Any, x: float, y: float) -> None:
+    """Spread two fingers at a place of the window."""
+    for kind, apart in (("touchStart", 20), ("touchMove", 30), ("touchMove", 60), ("touchEnd", 0)):
+        points = [{"x": x - apart, "y": y, "id": 1}, {"x": x + apart, "y": y, "id": 2}] if apart else []
+        driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+
+def test_the_map_is_zoomed_and_panned_in_every_way_and_a_drag_is_no_click(browser: Any, mission: MissionClient) -> None:
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+
+    canvas = browser.find_element("id", "map")
+    script(browser, "arguments[0].scrollIntoView({block: 'center'})", canvas)
+    until(lambda: shown(browser).get("layer") == "mean", "the map")
+    browser.get_log("performance")
+    place, before = in_address(browser).get("at"), (len(mission.commands()), mission.set_interest())
+
+    def zoom() -> float:
+        return float(in_module(browser, "layers.js", "it.map.projection.zoom"))
+
+    def west() -> float:
+        return float(in_module(browser, "layers.js", "it.map.projection.window.west"))
+
+    ActionChains(browser).scroll_from_origin(ScrollOrigin.from_element(canvas), 0, -700).perform()
+    until(lambda: zoom() > 2.0, "the zoom of the wheel")
+    began = west()
+    ActionChains(browser).drag_and_drop_by_offset(canvas, 60, 20).perform()
+    until(lambda: west() < began, "the map to follow the pointer")
+    dragged = west()
+    script(browser, "document.getElementById('map').focus()")
+    ActionChains(browser).key_down("\ue009").send_keys("\ue014").key_up("\ue009").perform()  # Control and right
+    assert west() > dragged
+    for keys, buttons, check in (
+        ("0", "", lambda now, _: now == 1.0), ("+", "", lambda now, last: now > last),
+        ("-", "", lambda now, _: now == 1.0), ("", "zoom-in", lambda now, last: now > last),
+        ("", "zoom-out", lambda now, _: now == 1.0), ("", "zoom-in", lambda now, last: now > last),
+        ("", "zoom-fit", lambda now, _: now == 1.0),
+    ):  # fmt: skip
+        last = zoom()
+        press(browser, *keys)
+        if buttons:
+            browser.find_element("id", buttons).click()
+        assert check(zoom(), last), (keys, buttons)
+    box = script(
+        browser, "const b = arguments[0].getBoundingClientRect(); return [b.left + b.width / 2, b.top + 200]", canvas
+    )
+    pinch(browser, *box)
+    until(lambda: zoom() > 1.5, "the zoom of two fingers")
+    until(lambda: float(in_address(browser).get("zoom", 1.0)) > 1.5, "the zoom in the address")
+    assert in_address(browser).get("at") == place
+    assert (len(mission.commands()), mission.set_interest()) == before
+    sent = [
+        message["params"]["request"]["method"]
+        for entry in browser.get_log("performance")
+        if (message := json.loads(entry["message"])["message"])["method"] == "Network.requestWillBeSent"
+    ]
+    assert set(sent) <= {"GET"}
+    press(browser, "0")
+
+
+def test_lines_are_measured_and_samples_compared_with_the_map_by_keyboard(browser: Any, mission: MissionClient) -> None:
+    press(browser, "m", "Enter")
+    press(browser, "ArrowRight", shift=True)
+    press(browser, "Enter")
+    assert written(browser, "#measured") == "25.0 m towards 90°"
+    press(browser, "ArrowUp", shift=True)
+    press(browser, "Enter")
+    assert written(browser, "#measured") == "50.0 m along 2 legs, the last 25.0 m towards 0°"
+    press(browser, "Escape", "n")
+    first = mission.samples()[0]
+    until(lambda: browser.find_elements("id", "sample-facts"), "the sample")
+    text, point = (
+        written(browser, "#sample-facts"),
+        json.loads(script(browser, "return document.getElementById('place').dataset.point")),
+    )
+    assert f"{first.helium3_ppb:.3f} ± {first.noise_std_ppb:.3f} ppb" in text
+    residual = first.helium3_ppb - mission.point(first.x_m, first.y_m, as_of=point["revision"]).mean_ppb
+    assert f"{abs(residual):.3f} ppb" in text
+    assert f"{first.depth_m:.2f} m" in text
+    until(lambda: in_address(browser).get("sample") == first.sample_id, "the sample in the address")
+
+
+def test_what_the_map_shows_is_what_the_ground_answers_for_differences_and_layers_of_terrain(
+    browser: Any, address: str, mission: MissionClient
+) -> None:
+    past = mission.history().revisions
+    now, then = past[-1].revision, past[1].revision
+    browser.get("about:blank")
+    browser.get(
+        f"{address}#revision={now}&compare=difference&than={then}&range=-2,2&relief=1&zoom=3&centre=200,300&at=120,340"
+    )
+    until(lambda: shown(browser).get("mode") == "difference", "the difference")
+    seen = in_module(browser, "layers.js", "it.map.panes[0].source.valueAt([120.5, 340.5]).value")
+    layers = [mission.layer("mean", as_of=revision).values for revision in (now, then)]
+    assert seen == pytest.approx(
+        float(layers[0][340, 120] - layers[1][340, 120]), abs=2 * float(np.ptp(layers[0])) / 65535
+    )
+    assert in_module(browser, "layers.js", "it.map.panes[0].range") == [-2, 2]
+    # The exported picture is the view, with its title, its legend and where it comes from.
+    click(browser, "#picture")
+    made = json.loads(
+        until(lambda: script(browser, "return document.getElementById('picture').dataset.made"), "the picture")
+    )
+    assert made["name"] == f"{mission.mission}-mean-{now}.png"
+    packed = in_module(browser, "picture.js", "it.picture().toDataURL('image/png').split(',')[1]")
+    with Image.open(io.BytesIO(base64.b64decode(packed))) as picture:
+        assert picture.size == (made["width"], made["height"])
+        assert len(picture.convert("RGB").getcolors(2**24) or ()) > 50
+    # A reload forgets nothing; the layer beside it in the swipe is the region's.
+    script(
+        browser,
+        "const s = document.getElementById('compare'); s.value = 'swipe'; s.dispatchEvent(new Event('change'));"
+        "const o = document.getElementById('other-layer'); o.value = 'slope'; o.dispatchEvent(new Event('change'))",
+    )
+    until(lambda: shown(browser).get("other") == "slope", "the slope beside the mean")
+    wanted = f"#revision={now}&compare=swipe&with=slope&than={then}&relief=1&zoom=3&centre=200.0,300.0&at=120,340"
+    until(lambda: browser.current_url.endswith(wanted), "the view in the address")
+    browser.refresh()
+    until(lambda: shown(browser).get("other") == "slope", "the view after a reload")
+    assert browser.current_url.endswith(wanted)
+    value = in_module(browser, "layers.js", "it.map.panes[1].source.valueAt([200.5, 300.5]).value")
+    assert value == pytest.approx(float(mission.layer("slope").values[300, 200]), abs=1e-3)
+    browser.get("about:blank")
+    browser.get(address)
+
+
+def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_before(
+    browser: Any, mission: MissionClient
+) -> None:
+    mission.set_interest("old", [(10, 10), (20, 10), (20, 20)], 4.0)
+    mission.set_interest("gone", [(30, 10), (40, 10), (40, 20)], 4.0)
+    browser.refresh()
+    until(lambda: browser.find_elements("css selector", "[aria-label='Rename old']"), "the list of areas")
+    before = mission.areas()
+    click(browser, "[aria-label='Rename old']")
+    until(lambda: script(browser, "return document.activeElement.ariaLabel") == "New name of old", "the field")
+    browser.switch_to.active_element.send_keys(f"gone{ENTER}")
+    until(
+        lambda: "expected a new one, got that of an area that is set: gone" in written(browser, "#toast"), "the refusal"
+    )
+    browser.switch_to.active_element.send_keys(f"\ue009a\ue000new{ENTER}")
+    click(browser, "[aria-label='Remove gone']")
+    click(browser, "[aria-label='Remove empty']")
+    click(browser, "#undo-area")
+    assert written(browser, "#area-changes-note") == "2 changes are not sent"
+    assert mission.areas() == before
+    click(browser, "#send-areas")
+
+    def names() -> set[str]:
+        return {area.name for area in mission.areas_of(AreaKind.INTEREST)}
+
+    kept = {area.name for area in before if area.kind is AreaKind.INTEREST} - {"old", "gone"}
+    until(lambda: names() == kept | {"new"}, "the new names at the ground")
+    assert [area.weight for area in mission.areas_of(AreaKind.INTEREST) if area.name == "new"] == [4.0]
 
 
 def test_the_page_says_who_is_silent_and_greys_what_is_no_longer_known(browser: Any, launcher: Launcher) -> None:

@@ -9,13 +9,10 @@ bytes, then one of low bytes, each (rows, columns) from the south-west corner, i
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from he3.frames import Float32Array
 
 STEPS: Final = 65535
 LEVEL: Final = 1  # of zlib; level 6 takes twice the time and saves 7 %
@@ -31,12 +28,3 @@ def packed(values: NDArray[Any], low: float, high: float) -> bytes:
     folded = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
     planes = np.stack([(folded >> 8).astype(np.uint8), (folded & 255).astype(np.uint8)])
     return zlib.compress(planes.tobytes(), LEVEL)
-
-
-def unpacked(payload: bytes, rows: int, columns: int, low: float, high: float) -> Float32Array:
-    """The values (rows, columns) of `packed` bytes."""
-    planes = np.frombuffer(zlib.decompress(payload), dtype=np.uint8).reshape(2, rows, columns).astype(np.uint16)
-    folded = (planes[0] << 8) | planes[1]
-    signed = (folded >> 1) ^ (np.uint16(0) - (folded & 1))
-    steps = np.cumsum(np.cumsum(signed, axis=1, dtype=np.uint16), axis=0, dtype=np.uint16)
-    return (low + (high - low) / STEPS * steps.astype(np.float64)).astype(np.float32)

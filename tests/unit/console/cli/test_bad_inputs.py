@@ -86,6 +86,8 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a place that is no number": (SCENARIO, ["map", "at", "here", "3"], ("X", "number")),
     "an export of unknown kind": (SCENARIO, ["map", "export", "map.xyz"], (".xyz", ".npz")),
     "a keep-out of two corners": (SCENARIO, ["command", "keep-out", "a", "1,1", "2,2"], ("polygon", "3")),
+    "an area of two corners": (SCENARIO, ["area", "add", "a", "1,1", "2,2"], ("polygon", "3")),
+    "a kind of area that is none": (SCENARIO, ["area", "remove", "a", "--kind", "hill"], ("keep-out", "hill")),
     "a corner that is none": (SCENARIO, ["command", "keep-out", "a", "1;1"], ("1;1",)),
     "an expiry that is past": (SCENARIO, ["command", "pause", "--expires-in", "-5"], ("--expires-in", "-5")),
     "an area of one corner": (SCENARIO, ["map", "resource", "100,100"], ("3 corners", "1")),
