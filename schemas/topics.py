@@ -333,6 +333,15 @@ LIST_INTERESTS = Topic(
     reply=InterestList,
     max_reply_bytes=4_194_304,
 )
+INTERESTS = Topic(
+    "earth/ground/interests-in-force",
+    InterestList,
+    _published(Role.GROUND, _RECORDED_AND_READ),
+    recorded=True,
+    max_bytes=4_194_304,
+    signed=True,
+)
+"""Published with every change of the areas of interest, and once when the ground begins with some."""
 SET_AUTHORITY = Topic(
     "earth/ground/authority",
     AuthorityChange,
@@ -456,6 +465,7 @@ TOPICS: tuple[Topic, ...] = (
     LIST_COMMANDS,
     SET_INTEREST,
     LIST_INTERESTS,
+    INTERESTS,
     SET_AUTHORITY,
     SHOW_AUTHORITY,
     DECIDE_PLAN,

@@ -8,6 +8,7 @@ order and any delays of their arrival.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -158,6 +159,11 @@ class Belief:
         self._built = tuple(sorted(planned, key=planned.__getitem__))
         posterior = self._posterior = self._rebuilt(self._with_trend(fitted))
         self._map, self._process = posterior.snapshot(), posterior.process
+
+    def begin_with(self, observations: Mapping[str, Observation], fitted: Hyperparameters) -> None:
+        """Take in these samples at once, as if they had been added and these hyperparameters then adopted."""
+        self._observations.update(observations)
+        self.adopt(fitted)
 
     def _rebuilt(self, hyperparameters: Hyperparameters) -> GridPosterior:
         """The map of the last refit, without the samples added since."""

@@ -21,6 +21,7 @@ from schemas.topics import (
     DECIDE_PLAN,
     EVENT,
     FORK,
+    INTERESTS,
     ISSUE_COMMAND,
     LIST_COMMANDS,
     LIST_INTERESTS,
@@ -79,6 +80,7 @@ from services.runtime.node import (
     Received,
     RefuseQuery,
     ReplyReceived,
+    Send,
     SendReply,
     SetTimer,
     Started,
@@ -240,6 +242,8 @@ class GroundNode:
             self._begun = True
             if self._note:
                 yield LogRecord(Level.WARNING, self._note)
+            if (listed := self._interests.listed()).areas:
+                yield Send(INTERESTS, listed)
             yield from self._director.go_on(now)
 
     def _receive(self, event: Received, now: MissionTime) -> Iterable[Effect]:
@@ -279,8 +283,12 @@ class GroundNode:
             yield RefuseQuery(token, why)
             return
         self._stall.progress(now)
+        before = self._interests.listed()
         effects = self._director.set_interest(change, now)
-        yield SendReply(token, self._interests.listed())
+        listed = self._interests.listed()
+        yield SendReply(token, listed)
+        if listed != before:
+            yield Send(INTERESTS, listed)
         yield from effects
 
     # --- checkpoints ------------------------------------------------------------------------------------------------

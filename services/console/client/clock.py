@@ -61,6 +61,11 @@ class MissionClock:
             return 1.0
         return 0.0 if self.state.mode is ClockMode.LOCKSTEP else self.state.rate
 
+    @property
+    def pace(self) -> float:
+        """Mission seconds per wall second at which `now` goes on; that of a recording differs from its rate."""
+        return 0.0 if self.state is None else self.rate
+
     def hear(self, at: MissionTime) -> None:
         """Note a message that was made on Earth at that mission time; one that lies far ahead is not believed."""
         on_wall_clock = self.state is not None and self.state.mode is ClockMode.WALL

@@ -113,12 +113,16 @@ class MissionState:
         self._forget()
 
     def _forget(self) -> None:
-        self.time = MissionClock(self._start_ns)
+        self.time = self._clock_of(self._start_ns)
         self._facts: dict[Topic, Fact] = {}
         self._events: deque[Happened] = deque(maxlen=MAX_EVENTS)
         self._commands: dict[str, CommandStatus] = {}
         self._presence: dict[str, tuple[float, Presence]] = {}
         self._report_gaps_s: deque[float] = deque(maxlen=REPORT_GAPS)
+
+    def _clock_of(self, start_ns: MissionTime | None) -> MissionClock:
+        """Mission time, as this state tells it."""
+        return MissionClock(start_ns)
 
     def follow(self, timeout_s: float = ANSWER_WITHIN_S) -> None:
         """Subscribe, and query the last messages; a process that does not answer is left out.
@@ -127,9 +131,12 @@ class MissionState:
         """
         with suppress(He3Error):  # the clock first: other facts are placed on the time since the mission's beginning
             self._take(EARTH_CLOCK, *self._session.latest(EARTH_CLOCK, timeout_s))
+        self._subscribe()
+        self.catch_up(timeout_s)
+
+    def _subscribe(self) -> None:
         for topic in FOLLOWED:
             self._session.subscribe(topic, self._keeper(topic))
-        self.catch_up(timeout_s)
 
     def catch_up(self, timeout_s: float = ANSWER_WITHIN_S) -> None:
         """Query the newest facts."""
@@ -153,12 +160,16 @@ class MissionState:
             return  # it is still starting; the next call asks again
         self._other_timekeeper = False
         if time_shown(header, clock) < self.time.now() - seconds(SET_BACK_S * max(1.0, self.time.rate)):
-            with self._lock:
-                self._forget()
-            self.changed.set()
-            if self._on_change is not None:
-                self._on_change(None)
+            self._start_afresh()
         self.catch_up()
+
+    def _start_afresh(self) -> None:
+        """Drop all facts, and say so."""
+        with self._lock:
+            self._forget()
+        self.changed.set()
+        if self._on_change is not None:
+            self._on_change(None)
 
     # --- what is known ----------------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ the same machine are equal to the byte; another processor may round the last dig
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from schemas.ground import MapOverview, MapValues
     from schemas.telemetry import SampleReport
+    from services.recorder.reader import Recorded
 
 TOLERANCE_PPB: Final = 1e-6  # a float32 of 8 to 16 ppb has steps of 0.95e-6
 # ppb, where overviews were lost: samples and fits in between are known, their order is not, and a float32 map that is
@@ -101,8 +102,13 @@ def verify(path: Path) -> Verification:
 class Evidence:
     """The recorded samples and plans, read at once, and the overviews, read one by one."""
 
-    def __init__(self, path: Path, region: str | None = None) -> None:
-        """region: where the mission's region is on this machine, if it is not where the scenario says."""
+    def __init__(
+        self, path: Path, region: str | None = None, keep: Callable[[Recorded], None] = lambda message: None
+    ) -> None:
+        """region: where the mission's region is on this machine, if it is not where the scenario says.
+
+        keep: called with each whole message, in the order in which they were recorded.
+        """
         self._path = path
         self.samples: dict[str, SampleReport] = {}
         """Every report by sample, in the order in which custody delivers them."""
@@ -111,6 +117,7 @@ class Evidence:
         sequences: dict[str, tuple[int, int]] = {}
         recording = Recording(path)
         for message in recording.messages():
+            keep(message)
             if message.topic is SAMPLE:
                 self.samples.setdefault(message.body.sample_id, message.body)
                 sequences.setdefault(message.body.sample_id, (message.header.incarnation, message.header.sequence))
@@ -163,6 +170,12 @@ class RebuiltBelief:
         self.revision = 0
         self.exact = True
         """Whether every step since the last fit is known, in its order."""
+
+    def begin_at(self, overview: MapOverview, samples: Iterable[str]) -> None:
+        """Begin at a revision that was rebuilt with new hyperparameters, from these samples; see `Belief.begin_with`."""
+        observed = {name: self._evidence.observation(name) for name in samples}
+        self.belief.begin_with(observed, _hyperparameters(overview))
+        self._fits, self.revision = overview.fits, overview.revision
 
     def follow(self, overview: MapOverview) -> None:
         """Take in what led to that revision; raises He3Error if something of it was not recorded."""

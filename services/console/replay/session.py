@@ -1,0 +1,252 @@
+"""A session with a recorded mission: what `services.runtime.transport.client.Client` is to a running one.
+
+It answers the queries of a reader from what was heard by the present time of the recording, and delivers messages as
+that time goes by. Everything that would change a mission is refused: a recording cannot be commanded.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from he3.errors import InvalidInput, NotAllowed, NotFound, NotReady
+from schemas.commands import CommandList
+from schemas.ground import InterestArea, InterestList
+from schemas.link import ClockMode, ClockState
+from schemas.plans import PlanReview
+from schemas.topics import (
+    COMMAND_STATUS,
+    EARTH_CLOCK,
+    INTERESTS,
+    LINK_SHOW,
+    LINK_STATUS,
+    LIST_COMMANDS,
+    LIST_INTERESTS,
+    MAP_FEED,
+    SHOW_PLAN,
+    Side,
+    Topic,
+)
+from schemas.wire import Header
+from services.console.client.mission_state import MAX_COMMANDS, supersedes
+from services.ground.map.service import MAP_TOPICS
+from services.mission.mission_time import SECOND, MissionTime
+from services.runtime.queries.server import Encoded
+from services.runtime.transport.client import Client
+from services.runtime.transport.request import request_from_selector
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from schemas.commands import CommandStatus
+    from schemas.wire import Wire
+    from services.console.replay.maps import RecordedMaps
+    from services.console.replay.tape import Heard, Tape
+
+MAX_PACE: Final = 100_000.0
+"""Mission seconds per wall second at which a recording is played, at most."""
+LOOK_EVERY_NS: Final = 10 * SECOND
+"""Mission time after which a listener of time is called again, where messages are further apart."""
+MOST_LOOKS: Final = 20_000
+"""So many times in a whole recording, at most."""
+
+Listener = tuple["Topic", "Callable[[Header, Any], None]"]
+
+
+class PlayedTime:
+    """The present time of a recording: it goes at any pace, stands still, or is set; it ends with the recording."""
+
+    def __init__(self, begin: MissionTime, end: MissionTime, wall_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self.begin, self.end = begin, max(begin, end)
+        self._wall_ns = wall_ns
+        self._pace = 0.0
+        self._anchor = wall_ns(), begin
+
+    @property
+    def pace(self) -> float:
+        """Mission seconds per wall second; 0 while it stands still, and at the end."""
+        return self._pace if self.now() < self.end else 0.0
+
+    def now(self) -> MissionTime:
+        """The present time [ns]."""
+        wall, at = self._anchor
+        return min(self.end, at + round((self._wall_ns() - wall) * self._pace))
+
+    def set(self, at: MissionTime | None = None, pace: float | None = None) -> None:
+        """Continue at that time, or at the present one, at that pace, or at the present one."""
+        if pace is not None and not 0 <= pace <= MAX_PACE:
+            raise InvalidInput(f"pace: expected 0 to {MAX_PACE:g} mission seconds a second, got {pace:g}")
+        if at is not None and not self.begin <= at <= self.end:
+            span_s = (self.end - self.begin) / SECOND
+            raise InvalidInput(
+                f"at: expected a time within the recording, 0 to {span_s:.0f} s after its beginning, got "
+                f"{(at - self.begin) / SECOND:.0f} s"
+            )
+        now = self.now() if at is None else at
+        self._pace = self._pace if pace is None else pace
+        self._anchor = self._wall_ns(), now
+
+
+class RecordedSession(Client):
+    """A session over a recording. Its methods may be called from any thread."""
+
+    def __init__(self, tape: Tape, maps: RecordedMaps, at: PlayedTime) -> None:
+        self._tape = tape
+        self._maps = maps
+        self.time = at
+        self.lock = threading.RLock()
+        """Held while messages are delivered; take it before any lock that a listener takes."""
+        self._listeners: list[Listener] = []
+        self._looks: list[Callable[[], None]] = []
+        self._delivered = 0
+        self._instant = threading.local()
+        self._looked_at: MissionTime = at.begin
+        self._look_every = max(LOOK_EVERY_NS, (at.end - at.begin) // MOST_LOOKS)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    # --- time -------------------------------------------------------------------------------------------------------
+
+    def now(self) -> MissionTime:
+        """The present time [ns]; for a listener, the time at which the message was received."""
+        instant: MissionTime | None = getattr(self._instant, "at", None)
+        return self.time.now() if instant is None else instant
+
+    def on_time(self, look: Callable[[], None]) -> None:
+        """Call `look` as time goes by, at least once in `LOOK_EVERY_NS` and before each message."""
+        self._looks.append(look)
+
+    def play(self) -> None:
+        """Deliver what was received by the present time."""
+        with self.lock:
+            now = self.time.now()
+            count = self._tape.heard_by(now)
+            if count > self._delivered:
+                self._deliver(count)
+
+    def begin_again(self) -> None:
+        """Deliver the messages from the first one on with the next `play`."""
+        with self.lock:
+            self._delivered, self._looked_at = 0, self.time.begin
+
+    def _deliver(self, count: int) -> None:
+        try:
+            for heard in self._tape.messages[self._delivered : count]:
+                while heard.at - self._looked_at > self._look_every:
+                    self._look_at(self._looked_at + self._look_every)
+                self._look_at(heard.at)
+                for topic, listener in list(self._listeners):
+                    if topic is heard.topic:
+                        listener(heard.header, heard.body)
+        finally:
+            self._delivered, self._instant.at = count, None
+
+    def _look_at(self, at: MissionTime) -> None:
+        self._instant.at = at
+        if at > self._looked_at:
+            self._looked_at = at
+            for look in self._looks:
+                look()
+
+    # --- what a client asks -----------------------------------------------------------------------------------------
+
+    def query(self, topic: Topic, request: Wire, timeout_s: float = 0.0) -> Any:
+        """The body of the reply; raises NotAllowed for a query that changes a mission, He3Error for a refusal."""
+        if topic in MAP_TOPICS:
+            found = self._maps.answer(topic, request, self.now())
+            if isinstance(found, Encoded):
+                raise InvalidInput(f"{topic.name}: expected the format json, got another")
+            return found
+        if topic is LIST_COMMANDS:
+            return CommandList(commands=self._commands())
+        if topic is LIST_INTERESTS:
+            return self._interests()
+        if topic is SHOW_PLAN:
+            return PlanReview()  # plans that were not approved are not recorded
+        if topic is LINK_SHOW:
+            return self.latest(LINK_STATUS)[1]
+        raise NotAllowed(f"{topic.name}: expected a running mission, got a recording, which only tells what was")
+
+    def fetch(self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = 0.0) -> tuple[bytes, bytes]:
+        """The reply to a query by selector parameters, and its attachment; raises He3Error."""
+        if topic not in MAP_TOPICS:
+            raise NotAllowed(f"{topic.name}: expected a query of the map, as this is a recording")
+        text = {key: str(value) for key, value in parameters.items() if value is not None}
+        found = self._maps.answer(topic, request_from_selector(topic, text), self.now())
+        if isinstance(found, Encoded):
+            return found.payload, found.about
+        return found.model_dump_json().encode(), b""
+
+    def latest(self, topic: Topic, timeout_s: float = 0.0) -> tuple[Header, Any]:
+        """Header and body of the newest message of that topic; raises NotReady while there is none."""
+        now = self.now()
+        if topic is EARTH_CLOCK:
+            return self._clock(now)
+        last = self._last(topic, now)
+        if last is None:
+            raise NotReady(f"{topic.name}: nothing was received by this time of the recording")
+        return last.header, last.body
+
+    def subscribe(self, topic: Topic, on_message: Callable[[Header, Any], None]) -> Callable[[], None]:
+        """Call `on_message(header, body)` with each message as time goes by; returns the function that ends it."""
+        entry = (topic, on_message)
+        with self.lock:
+            self._listeners.append(entry)
+
+        def end() -> None:
+            with self.lock:
+                self._listeners.remove(entry)
+
+        return end
+
+    def subscribe_raw(self, topic: Topic, on_payload: Callable[[bytes], None]) -> Callable[[], None]:
+        """Raise NotFound: the map's feed is not recorded."""
+        raise NotFound(f"{MAP_FEED.name}: expected a running mission, got a recording, which has none")
+
+    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
+        """No process is alive."""
+
+    # --- what was known ---------------------------------------------------------------------------------------------
+
+    def _clock(self, now: MissionTime) -> tuple[Header, ClockState]:
+        pace = self.time.pace
+        clock = ClockState(
+            mode=ClockMode.WALL, rate=pace, anchor_wall_ns=time.time_ns(), anchor_mission_ns=now,
+            start_ns=self._tape.start_ns,
+        )  # fmt: skip
+        header = Header(mission=self._tape.mission, source="link", incarnation=0, sequence=0, made_at=now)
+        return header, clock
+
+    def _last(self, topic: Topic, now: MissionTime) -> Heard | None:
+        newest: Heard | None = None
+        for heard in self._tape.of(topic, now):
+            if newest is None or supersedes(heard.header, newest.header):
+                newest = heard
+        return newest
+
+    def _commands(self) -> tuple[CommandStatus, ...]:
+        known: dict[str, CommandStatus] = {}
+        for heard in self._tape.of(COMMAND_STATUS, self.now()):
+            name = heard.body.command.command_id
+            if name not in known or len(known[name].stages) <= len(heard.body.stages):
+                known[name] = heard.body
+        return tuple(known.values())[-MAX_COMMANDS:]
+
+    def _interests(self) -> InterestList:
+        """The areas of interest; until the first change, those of the scenario."""
+        last = self._last(INTERESTS, self.now())
+        if last is not None:
+            listed: InterestList = last.body
+            return listed
+        scenario = self._tape.evidence.scenario
+        areas = {} if scenario is None else scenario.ground.interests
+        return InterestList(
+            areas=tuple(
+                InterestArea(area_id=name, polygon_m=tuple(area.polygon_m), weight=area.weight)
+                for name, area in areas.items()
+            )
+        )
+
+
