@@ -14,6 +14,7 @@ EXAMPLES = """\b
 Examples:
   he3 web                              the page at http://127.0.0.1:8030/
   he3 web --authority                  the page may command and change the link
+  he3 web --recording runs/a/mission.mcap                     the same page over a recording, at any time of it
   he3 web --bind 0.0.0.0 --allow-host moonbase.lan --identity keys/identities/operator-anna     for other machines
   he3 web --bind 10.0.0.2 --certificate page.pem --key page-key.pem --login-file logins
 """
@@ -63,6 +64,10 @@ def web(
         Path | None,
         typer.Option("--login-file", metavar="FILE", help="File for the addresses with logins; none is printed."),
     ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option("--recording", metavar="FILE", help="Show this recording, mission.mcap, in place of a mission."),
+    ] = None,
     mission: Mission = None,
     earth: Earth = None,
     identity: IdentityFolder = None,
@@ -73,6 +78,7 @@ def web(
     On this machine it can be read without a login. With --authority it commands; where the mission has keys, or other
     machines can reach the page, that takes the address with a login that it prints, or a certificate.
     For other machines the page is served over TLS: with --identity, or with --certificate and --key.
+    With --recording it shows a mission that was recorded, at any time and pace; nobody commands that.
     """
     from services.console.client.mission_client import MissionClient
     from services.console.web.identity import Tls
@@ -83,8 +89,19 @@ def web(
         raise InvalidInput("--certificate and --key: expected both or neither, got one")
     tls = None if certificate is None or key is None else Tls(certificate, key)
     own = None if page_identity is None else load_identity(page_identity)
+    hosts = tuple(allow_host or ())
+    if recording is not None:
+        from services.console.replay.mission import RecordedMission
+
+        if authority or mission is not None or earth is not None:
+            raise InvalidInput("--recording: expected none of --authority, --mission and --earth, got one")
+        options = PageOptions(bind, port, False, hosts, tls, own, insecure=insecure, login_file=login_file)
+        with RecordedMission(recording) as recorded:
+            for note in recorded.notes:
+                typer.echo(f"he3: {recording}: {note}", err=True)
+            serve(recorded, options, lambda line: typer.echo(line, err=True), recorded)
+        return
     with MissionClient(earth, mission, name="web", identity=identity, insecure=insecure) as client:
         who = client.identity if own is None else own
-        hosts = tuple(allow_host or ())
         options = PageOptions(bind, port, authority, hosts, tls, who, insecure=insecure, login_file=login_file)
         serve(client, options, lambda line: typer.echo(line, err=True))

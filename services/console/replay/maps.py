@@ -10,8 +10,8 @@ from __future__ import annotations
 import base64
 import threading
 from collections import OrderedDict
-from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -167,7 +167,9 @@ class RecordedMaps:
         known = set(names)
         between = [name for name in self._tape.evidence.samples if name not in known][: max(0, lost)]
         if len(between) != max(0, lost):
-            raise He3Error(f"revision {overviews[index].body.revision} of the map cannot be rebuilt: samples are missing")
+            raise He3Error(
+                f"revision {overviews[index].body.revision} of the map cannot be rebuilt: samples are missing"
+            )
         return (*between, *names)
 
 
@@ -179,7 +181,7 @@ def _last_fit(overviews: Sequence[MapOverview], index: int) -> int:
 def _scores_of_fits(tape: Tape) -> tuple[tuple[int, MapScore], ...]:
     """Revision and score of each map that was rebuilt with new hyperparameters, once a round."""
     revisions = [each.body for each in tape.overviews]
-    fitted = [later.revision for before, later in zip(revisions, revisions[1:], strict=False) if later.fits > before.fits]
+    fitted = [later.revision for before, later in pairwise(revisions) if later.fits > before.fits]
     return tuple((revision, tape.scores[revision]) for revision in fitted if revision in tape.scores)
 
 
@@ -214,8 +216,8 @@ def _open_cells(overview: MapOverview) -> BoolArray:
     if overview.values is None:
         return np.ones(shape, dtype=np.bool_)
     values = overview.values
-    coarse = np.frombuffer(base64.b64decode(values.traversable_base64), dtype=np.uint8).reshape(
-        values.rows, values.columns
-    )
-    rows, columns = (np.minimum(np.arange(cells) // overview.step, size - 1) for cells, size in zip(shape, coarse.shape, strict=True))
-    return coarse[np.ix_(rows, columns)] > 0
+    coarse = np.frombuffer(base64.b64decode(values.traversable_base64), dtype=np.uint8)
+    coarse = coarse.reshape(values.rows, values.columns)
+    rows = np.minimum(np.arange(shape[0]) // overview.step, values.rows - 1)
+    columns = np.minimum(np.arange(shape[1]) // overview.step, values.columns - 1)
+    return np.asarray(coarse[np.ix_(rows, columns)] > 0)

@@ -1,9 +1,9 @@
 """A recorded mission as the one client of running missions knows it: the same queries and facts, at a time that is set.
 
-    with RecordedMission(Path("runs/a/mission.mcap")) as mission:
-        mission.jump(mission.begin_ns + 3600 * 10**9)  # an hour after the beginning
-        mission.point(120, 340)                        # as the map was then
-        mission.set_pace(100.0)                        # and on from there
+with RecordedMission(Path("runs/a/mission.mcap")) as mission:
+    mission.jump(mission.begin_ns + 3600 * 10**9)  # an hour after the beginning
+    mission.point(120, 340)                        # as the map was then
+    mission.set_pace(100.0)                        # and on from there
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ class RecordedMission(MissionClient):
         self.earth = str(path)
         self.mission = self.tape.mission
         self.identity = self.warning = self.as_name = None
-        self.maps = RecordedMaps(self.tape, region)
+        self._maps = RecordedMaps(self.tape, region)
         start_ns = min(self.tape.start_ns, self.tape.times[0])
-        self._played = RecordedSession(self.tape, self.maps, PlayedTime(start_ns, self.tape.end_ns))
+        self._played = RecordedSession(self.tape, self._maps, PlayedTime(start_ns, self.tape.end_ns))
         self._session = self._played
         self._states: list[RecordedState] = []
 
     @property
     def notes(self) -> tuple[str, ...]:
         """One line on each part of the mission that is not shown as it was."""
-        return (*self.tape.evidence.problems, *self.maps.notes)
+        return (*self.tape.evidence.problems, *self._maps.notes)
 
     @property
     def begin_ns(self) -> MissionTime:

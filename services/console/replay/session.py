@@ -248,5 +248,3 @@ class RecordedSession(Client):
                 for name, area in areas.items()
             )
         )
-
-

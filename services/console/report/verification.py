@@ -172,7 +172,7 @@ class RebuiltBelief:
         """Whether every step since the last fit is known, in its order."""
 
     def begin_at(self, overview: MapOverview, samples: Iterable[str]) -> None:
-        """Begin at a revision that was rebuilt with new hyperparameters, from these samples; see `Belief.begin_with`."""
+        """Begin at a revision that was rebuilt with new hyperparameters, from these samples."""
         observed = {name: self._evidence.observation(name) for name in samples}
         self.belief.begin_with(observed, _hyperparameters(overview))
         self._fits, self.revision = overview.fits, overview.revision

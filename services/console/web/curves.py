@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 MAX_POINTS = 1500
 """Most points of a curve; beyond it every second point is dropped."""
-TAIL = 200
-"""Points sent when a curve has grown; the browser replaces overlapping ones."""
+TAIL = 2
+"""The last points of a curve, of which the very last may still move."""
 NAMES = ("energy_wh", "queue", "mean_std_ppb", "rmse_ppb")
 
 Point = tuple[float, float]
@@ -37,8 +39,14 @@ class Curves:
             points[:0] = [point for point in past._points[name] if point[0] < first]
 
     def tail(self, name: str) -> list[Point]:
-        """The last points of a curve."""
+        """The last two points of a curve."""
         return self._points[name][-TAIL:]
+
+    def since(self, name: str, at_s: float) -> list[Point]:
+        """The points of a curve from that time on; empty if the last two are of that time or earlier."""
+        points = self._points[name]
+        first = bisect_left(points, at_s, key=lambda point: point[0])
+        return points[first:] if points and points[-1][0] > at_s else []
 
     def document(self) -> dict[str, list[Point]]:
         """The curves as a JSON document for the page."""

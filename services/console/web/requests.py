@@ -63,6 +63,15 @@ class AcknowledgeRequest(PageRequest):
     id: Annotated[str, Field(max_length=100)]
 
 
+class PlayRequest(PageRequest):
+    """Another time of the recording that is shown, or another pace at which it goes on."""
+
+    at_s: Annotated[float, Field(ge=0, le=1e10)] | None = None
+    """Seconds since its beginning."""
+    pace: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Mission seconds a second; 0 stops it."""
+
+
 def parsed(kind: type[Request], body: bytes) -> Request:
     """The request in that JSON; raises InvalidInput with one line for anything else."""
     document(body)

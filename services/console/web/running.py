@@ -20,6 +20,7 @@ from services.runtime.service_manager import ServiceManager
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
+    from services.console.web.hub import Recording
     from services.runtime.trust.identity import Identity
 
 UNSAFE = "INSECURE: no TLS; anyone on the network path can read the logins and command"
@@ -45,8 +46,10 @@ class PageOptions:
     """File for the addresses with tokens; None: they are printed."""
 
 
-def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], None]) -> None:
-    """Serve until Ctrl-C; `say` gets the lines with the page's addresses.
+def serve(
+    mission: MissionClient, options: PageOptions, say: Callable[[str], None], recording: Recording | None = None
+) -> None:
+    """Serve until Ctrl-C; `say` gets the lines with the page's addresses. recording: see `Hub`.
 
     Raises InvalidInput for an address that is not this machine's or one off loopback without TLS, He3Error when the
     port is taken or packages are missing.
@@ -65,7 +68,7 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
         access = Access(
             raw.getsockname()[1],
             anonymous=_without_login(options, mission, local and tls is None),
-            able=READ if mission.identity is None else frozenset({Role.VIEWER, mission.identity.role}),
+            able=_able(mission, recording),
             secure=tls is not None,
             certified=no_certificates if options.identity is None or tls is None else certified_by(options.identity),
         )
@@ -74,7 +77,7 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
         allow_connections()
         share_heaps()
         with closing(BoundedListener(raw)) as listener:
-            hub = Hub(mission)
+            hub = Hub(mission, recording)
             hub.begin()
             config = uvicorn.Config(
                 page(hub, sorted(hosts), access, warning or mission.warning),
@@ -107,10 +110,17 @@ def serve(mission: MissionClient, options: PageOptions, say: Callable[[str], Non
                     await super().shutdown(sockets)
 
             try:
-                _announce(mission.mission, urls, access, options, say, warning)
+                _announce(mission.mission, urls, access, options, say, warning, recording is not None)
                 PageServer(config).run(sockets=[listener])
             finally:
                 hub.close()
+
+
+def _able(mission: MissionClient, recording: Recording | None) -> frozenset[Role]:
+    """The rights of the server itself."""
+    if recording is not None:
+        return READERS
+    return READ if mission.identity is None else frozenset({Role.VIEWER, mission.identity.role})
 
 
 def _without_login(options: PageOptions, mission: MissionClient, plain: bool) -> frozenset[Role]:
@@ -140,10 +150,17 @@ def _protection(options: PageOptions, local: bool) -> tuple[Tls | None, str | No
 
 
 def _announce(
-    mission: str, urls: list[str], access: Access, options: PageOptions, say: Callable[[str], None], warning: str | None
+    mission: str,
+    urls: list[str],
+    access: Access,
+    options: PageOptions,
+    say: Callable[[str], None],
+    warning: str | None,
+    recorded: bool,
 ) -> None:
     """Print the addresses of the page, and issue the tokens."""
     lines = []
+    what_of = "recording of mission" if recorded else "mission"
     local = access.caller("", None)
     needs_login = local is None
     if options.authority and local is not None and local.roles == COMMANDERS:
@@ -155,7 +172,7 @@ def _announce(
         token = access.new_token(Caller("page.reader", READERS))
         lines.append((f"login?token={token}", "read-only"))
     elif not options.authority:
-        lines.append(("", "read-only; --authority lets it command"))
+        lines.append(("", "read-only" if recorded else "read-only; --authority lets it command"))
     if warning is not None:
         say(f"he3 web: {warning}")
     if options.login_file is not None:
@@ -164,7 +181,7 @@ def _announce(
             replace_output(options.login_file, text.encode())
         except OSError as error:
             raise He3Error(f"--login-file {options.login_file}: cannot write: {error.strerror}") from None
-        say(f"mission '{mission}' at {', '.join(urls)}, logins in {options.login_file}; Ctrl-C stops it")
+        say(f"{what_of} '{mission}' at {', '.join(urls)}, logins in {options.login_file}; Ctrl-C stops it")
         return
     for path, what in lines:
-        say(f"mission '{mission}' at {', '.join(url + path for url in urls)} ({what}); Ctrl-C stops it")
+        say(f"{what_of} '{mission}' at {', '.join(url + path for url in urls)} ({what}); Ctrl-C stops it")

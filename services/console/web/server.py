@@ -47,6 +47,7 @@ from services.console.web.requests import (
     CommandRequest,
     InterestRequest,
     PlanRequest,
+    PlayRequest,
     document,
     parsed,
 )
@@ -57,6 +58,8 @@ MAX_AT_WORK = 64
 """Requests that may wait for the mission at a time; further ones are refused at once."""
 FRESH = {"cache-control": "no-store"}
 LOG_IN = "expected a login: open the address with a token that he3 web has printed, or present a certificate"
+AUTHORITY = "he3 web --authority prints an address that may command"
+RECORDED = "this is a recording, which nobody commands"
 BODY_WITHIN_S = 10.0
 """Longest time for a request's body to arrive."""
 
@@ -83,7 +86,7 @@ _PARAMETER = re.compile(r"[a-z_]{1,40}")
 
 def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = None) -> ASGIApp:
     """The application; hosts: names (without port) that it may be reached by. warning: shown on every page."""
-    answers = _Answers(access)
+    answers = _Answers(access, AUTHORITY if hub.recording is None else RECORDED)
 
     def get(path: str, answer: Answer) -> Route:
         return Route(path, answers.of(answer, READ), methods=["GET"])
@@ -107,6 +110,7 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         post("/api/interest", partial(_interest, hub), COMMAND),
         post("/api/link", partial(_link, hub), CONTROL),
         post("/api/acknowledge", partial(_acknowledge, hub), ACT),
+        post("/api/recording", partial(_play, hub), READ),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     return Starlette(
@@ -129,8 +133,10 @@ Answer = Callable[[Asked], Response]
 class _Answers:
     """Makes endpoints that know their caller, and that limit the number of requests at a time."""
 
-    def __init__(self, access: Access) -> None:
+    def __init__(self, access: Access, hint: str) -> None:
+        """hint: what a caller is told who lacks a right."""
         self._access = access
+        self._hint = hint
         self._at_work = 0
 
     def of(self, answer: Answer, roles: frozenset[Role]) -> Endpoint:
@@ -183,7 +189,7 @@ class _Answers:
             return _error(LOG_IN, 401)
         if not caller.roles & roles:
             wanted, came = " or ".join(sorted(roles)), ", ".join(sorted(caller.roles))
-            return _error(f"expected {wanted}, got {came}: he3 web --authority prints an address that may command", 403)
+            return _error(f"expected {wanted}, got {came}: {self._hint}", 403)
         return caller
 
 
@@ -333,6 +339,11 @@ def _areas(areas: Sequence[Any]) -> Response:
 
 def _acknowledge(hub: Hub, asked: Asked) -> Response:
     return JSONResponse({"acknowledged": hub.acknowledge(parsed(AcknowledgeRequest, asked.body).id)})
+
+
+def _play(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(PlayRequest, asked.body)
+    return JSONResponse(hub.play(wanted.at_s, wanted.pace), headers=FRESH)
 
 
 def _session(hub: Hub, warning: str | None, asked: Asked) -> Response:

@@ -33,9 +33,10 @@ listen({
   state: takeAll,
   clock: takeClock,
   beat: (beat) => { takeClock(beat); heard(beat.liveness); showPhase(); refreshHistory().then(showView); },
-  status: (status) => { state.status = status; showStatus(); wantMap(); mapIsAt(status.map_revision); },
-  rover: (rover) => { state.rover = rover; showRover(); },
-  link: (status) => { state.link = status; showLink(); },
+  // Of these only the fields come that are others than before.
+  status: (status) => { state.status = { ...state.status, ...status }; showStatus(); wantMap(); mapIsAt(state.status.map_revision); },
+  rover: (rover) => { state.rover = { ...state.rover, ...rover }; showRover(); },
+  link: (link) => { state.link = { ...state.link, ...link }; showLink(); },
   event: log,
   command: takeCommand,
   curve: ({ name, points }) => charts[name].extend(points),
@@ -95,7 +96,6 @@ function showStatus() {
   document.body.classList.toggle("simulated", Boolean(status.score));
   $("progress").textContent = `${status.samples} of ${status.samples_total}`;
   $("progress-bar").style.width = `${(100 * status.samples) / Math.max(1, status.samples_total)}%`;
-  if (!state.rover && status.rover) { state.rover = { made_at: status.rover_made_at, ...status.rover }; showRover(); }
 }
 
 function showPhase() {

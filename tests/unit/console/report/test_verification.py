@@ -7,56 +7,28 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fault_schedules import Fault, FaultKind
 from benchmarks.faults import World
 from he3.errors import He3Error, InvalidInput
-from schemas.codec import decode, encode
-from schemas.topics import MAP_OVERVIEW, SAMPLE, Side, Topic
+from schemas.codec import encode
+from schemas.topics import MAP_OVERVIEW, SAMPLE
 from services.console.__main__ import main
 from services.console.report.recorded_map import recorded_map
 from services.console.report.verification import TOLERANCE_PPB, verify
-from services.recorder.about import about
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
 from services.runtime.scheduler import InlineExecutor
-
-HOUR_S = 3600.0
-FAULTS = (
-    Fault(FaultKind.LOSS, 0.2 * HOUR_S, 3 * HOUR_S),
-    Fault(FaultKind.REORDERING, 0.3 * HOUR_S, 5 * HOUR_S),
-    Fault(FaultKind.DUPLICATION, 0.4 * HOUR_S, 5 * HOUR_S),
-    Fault(FaultKind.KILL, 1.0 * HOUR_S, 300.0, "ground"),
-    Fault(FaultKind.KILL, 2.0 * HOUR_S, 600.0, "rover"),
-    Fault(FaultKind.CRASH, 2.5 * HOUR_S, 900.0, "ground", torn=True),
-    Fault(FaultKind.CORRUPTION, 3.0 * HOUR_S, HOUR_S),
-    Fault(FaultKind.BLACKOUT, 4.0 * HOUR_S, HOUR_S),
-)
+from tests.unit.console.flown import SEED, Flown
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def flown(flown_with_faults: Flown) -> Path:
     """The recording of a mission that was flown with killed processes and a link that lost, doubled and damaged."""
-    path = tmp_path_factory.mktemp("flown") / "mission.mcap"
-    world = World(5, InlineExecutor(), planner="informative")
-    with path.open("wb") as stream, RecordingWriter(stream, "faults", about=about(world.scenario)) as writer:
-
-        def record(topic: Topic, side: Side, payload: bytes, now: int) -> None:
-            if side is Side.EARTH and topic.recorded:
-                try:
-                    header, body = decode(topic, payload, "faults")
-                except ValueError:
-                    return  # damaged on the link, as the fault schedule asks
-                writer.write(topic, encode(header, body), now, header.made_at, header.sequence)
-
-        world.simulation.tap(record)
-        world.suffer(FAULTS)
-        world.mission.run(world.revive)
-    return path
+    return flown_with_faults.path
 
 
 def test_the_rebuilt_belief_of_a_mission_flown_with_faults_is_the_recorded_map_at_every_revision(flown: Path) -> None:
     result = verify(flown)
-    assert result.samples == World(5, InlineExecutor()).scenario.samples
+    assert result.samples == World(SEED, InlineExecutor()).scenario.samples
     assert result.revisions > result.samples
     assert result.values == result.revisions * 60 * 60
     assert result.largest_ppb <= TOLERANCE_PPB

@@ -1,0 +1,103 @@
+"""A recorded mission shows at any time what a client saw live at that time, and cannot be commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from benchmarks.faults import small_region
+from he3.errors import InvalidInput, NotAllowed
+from schemas.maps import MapLayer, MapLayerQuery, MapTrackQuery
+from schemas.topics import MAP_LAYER, MAP_POINT, TRACK
+from services.console.replay.mission import RecordedMission
+from services.console.web.hub import Hub
+from services.mission.mission_time import SECOND
+from tests.unit.console.flown import HOUR_S, INSTANTS_S, PLACE, Flown
+
+ALL_OVER_THE_PLACE = (7, 2, 9, 0, 3, 3, 8, 1, 6, 4, 5)
+
+
+@pytest.fixture(scope="module")
+def recorded(flown_with_faults: Flown) -> Iterator[RecordedMission]:
+    with RecordedMission(flown_with_faults.path, small_region()) as mission:
+        yield mission
+
+
+@pytest.fixture(scope="module")
+def hub(recorded: RecordedMission) -> Hub:
+    hub = Hub(recorded, recorded)
+    recorded.on_time(hub._time_passes)
+    hub._state.follow()
+    return hub
+
+
+def page(document: dict[str, Any]) -> dict[str, Any]:
+    """What the page shows. Flights are drawn for a time of the wall clock, and only where they are."""
+    link = document["link"] and {key: value for key, value in document["link"].items() if key != "in_flight"}
+    alarms = [(each["kind"], each["active"], each["times"]) for each in document["alarms"]]
+    same = {key: document[key] for key in ("status", "rover", "commands", "events", "curves")}
+    return {**same, "link": link, "alarms": alarms, "liveness": document["liveness"]["condition"]}
+
+
+@pytest.mark.parametrize("number", ALL_OVER_THE_PLACE)
+def test_at_ten_instants_the_page_shows_what_it_showed_live(
+    hub: Hub, recorded: RecordedMission, flown_with_faults: Flown, number: int
+) -> None:
+    at_s = INSTANTS_S[number]
+    live = flown_with_faults.live[at_s]
+    hub.play(at_s, None)
+    shown = page(hub._document())
+    expected = page(dict(live.page))
+    for key, value in expected.items():
+        assert shown[key] == value, key
+    query = recorded._session.query
+    assert query(MAP_POINT, PLACE) == live.point
+    assert query(MAP_LAYER, MapLayerQuery(layer=MapLayer.STD, step=7)) == live.std
+    track = query(TRACK, MapTrackQuery()).model_dump(exclude={"plan_ends"})
+    assert live.track is not None
+    assert track == live.track.model_dump(exclude={"plan_ends"})
+
+
+def test_areas_of_interest_and_earlier_maps_are_those_of_the_time(recorded: RecordedMission) -> None:
+    begin = recorded.begin_ns
+    recorded.jump(begin + round(0.4 * HOUR_S * SECOND))
+    assert recorded.set_interest() == ()
+    early = recorded.history().revisions[-1]
+    recorded.jump(begin + round(0.6 * HOUR_S * SECOND))
+    assert [area.area_id for area in recorded.set_interest()] == ["look-here"]
+    recorded.jump(recorded.end_ns)
+    assert recorded.point(40, 30, as_of=early.revision).revision == early.revision
+    assert recorded.history().revisions[-1].revision > early.revision
+
+
+def test_nothing_that_changes_a_mission_is_answered(recorded: RecordedMission) -> None:
+    for change in (
+        lambda: recorded.command("pause"), lambda: recorded.set_link(loss=0.5), lambda: recorded.set_clock_rate(2.0),
+        lambda: recorded.set_interest("a", [(1, 1), (9, 1), (1, 9)]), lambda: recorded.take_authority(),
+    ):  # fmt: skip
+        with pytest.raises(NotAllowed, match="expected a running mission, got a recording"):
+            change()
+
+
+def test_a_time_or_a_pace_that_the_recording_does_not_have_is_refused(hub: Hub) -> None:
+    hub.play(60.0, 0.0)
+    with pytest.raises(InvalidInput, match="at: expected a time within the recording"):
+        hub.play(1e9, None)
+    with pytest.raises(InvalidInput, match="pace: expected 0 to 100000"):
+        hub.play(None, 1e6 - 1)
+    assert hub.play(None, None)["at_s"] == 60.0
+
+
+def test_time_goes_on_at_the_pace_that_is_set_and_stands_at_the_end(recorded: RecordedMission) -> None:
+    state = recorded.state()
+    recorded.jump(recorded.begin_ns)
+    recorded.set_pace(100_000.0)
+    while recorded.pace:
+        state.refresh()
+    state.refresh()
+    assert state.status is not None
+    assert state.status.is_over
+    assert recorded.now_ns == recorded.end_ns
+    recorded.set_pace(0.0)
