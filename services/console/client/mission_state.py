@@ -23,6 +23,7 @@ from schemas.topics import (
     EARTH_PRESENCE,
     EVENT,
     GROUND_STATUS,
+    INTERESTS,
     LINK_STATUS,
     LIST_COMMANDS,
     STATE,
@@ -48,7 +49,7 @@ REPORT_GAPS, MIN_REPORT_GAPS = 9, 2
 MAX_COMMANDS = 300  # the newest, as the ground lists them
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
 """Topics whose last message can be queried."""
-FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS)
+FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS, INTERESTS)
 TIMEKEEPER = "link"
 """The process that keeps mission time; its process id distinguishes one run of a mission from the next."""
 SET_BACK_S = 1.0

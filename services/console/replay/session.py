@@ -140,6 +140,8 @@ class RecordedSession(Client):
                 for topic, listener in list(self._listeners):
                     if topic is heard.topic:
                         listener(heard.header, heard.body)
+                for look in self._looks:
+                    look()
         finally:
             self._delivered, self._instant.at = count, None
 

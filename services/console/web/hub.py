@@ -17,7 +17,7 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Protocol
 
 from he3.errors import He3Error, InvalidInput
-from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EVENT, GROUND_STATUS, LINK_STATUS, STATE, Topic
+from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EVENT, GROUND_STATUS, INTERESTS, LINK_STATUS, STATE, Topic
 from services.console.client.liveness import Condition, Liveness, liveness
 from services.console.web.alarms import Alarms, documents
 from services.console.web.curves import NAMES, Curves
@@ -205,6 +205,8 @@ class Hub:
                 self._rover_changed()
             elif topic is EVENT:
                 self._events_changed()
+            elif topic is INTERESTS:
+                self._dirty.add("interests")
             elif topic is COMMAND_STATUS:
                 self._dirty.add("commands")
 
@@ -287,7 +289,7 @@ class Hub:
         self._new.clear()
         parts += [part for name in sorted(self._dirty) if (part := self._part(name, wall)) is not None]
         if beats:
-            parts.append(_message("beat", {"liveness": _liveness_document(alive), **self._clock_document()}))
+            parts.append(_message("beat", {"liveness": self._liveness_document(alive), **self._clock_document()}))
         if parts:
             self._send("".join(parts))
 
@@ -305,6 +307,9 @@ class Hub:
                 return _message("alarms", documents(self._alarms.current))
             case "curves":
                 return "".join(_message("curve", each) for each in self._new_points())
+            case "interests":
+                fact = self._state.fact(INTERESTS)
+                return None if fact is None else _message("interests", fact.body.model_dump(mode="json"))
             case "commands":
                 return None  # they are among what is new
         document = self._documents()[name]() or {}
@@ -353,6 +358,10 @@ class Hub:
     def _documents(self) -> dict[str, Callable[[], dict[str, Any] | None]]:
         """The documents of which only the fields that have changed are sent."""
         return {"status": self._status_document, "rover": self._rover_document, "link": self._link_document}
+
+    def _liveness_document(self, alive: Liveness) -> dict[str, str]:
+        text = alive.text if self.recording is None else f"recording; then {alive.text}"
+        return {"condition": alive.condition.value, "text": text}
 
     def _recording_document(self, recording: Recording) -> dict[str, Any]:
         begin = recording.begin_ns
@@ -405,7 +414,7 @@ class Hub:
             "events": [_event_document(happened) for happened in self._state.events],
             "curves": self._curves.document(),
             "alarms": documents(self._alarms.current),
-            "liveness": _liveness_document(liveness(self._state)),
+            "liveness": self._liveness_document(liveness(self._state)),
         }
 
 
@@ -414,10 +423,6 @@ def _event_document(happened: Happened) -> dict[str, Any]:
         "received_at": happened.received_at,
         **happened.event.model_dump(mode="json", exclude={"samples_done"}),
     }
-
-
-def _liveness_document(alive: Liveness) -> dict[str, str]:
-    return {"condition": alive.condition.value, "text": alive.text}
 
 
 def command_document(status: CommandStatus) -> dict[str, Any]:

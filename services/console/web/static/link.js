@@ -33,10 +33,12 @@ export class LinkPicture {
       if (!this.flights.has(key)) this.flights.set(key, { ...flight, seen: wall });
     }
     this.link = link;
+    this.flies = true; // drawn once at least
   }
 
   draw(now) {
     if (!this.link) return;
+    this.flies = this.flights.size > 0;
     const wall = performance.now();
     const shown = [];
     const counts = { up: 0, down: 0 };

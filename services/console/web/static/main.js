@@ -13,10 +13,13 @@ import "./measure.js";
 import "./picture.js";
 import { placeIsAt } from "./place.js";
 import { showPlan } from "./planreview.js";
+import { showRecording, takeRecording } from "./recording.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
 import { showView } from "./view.js";
 import { elapsed, grouped, utc } from "./words.js";
+
+const CLOCK_EVERY_MS = 100;
 
 const charts = {
   rmse_ppb: new Chart($("chart-rmse"), 3), mean_std_ppb: new Chart($("chart-std"), 3),
@@ -40,6 +43,7 @@ listen({
   event: log,
   command: takeCommand,
   curve: ({ name, points }) => charts[name].extend(points),
+  interests: takeInterests,
   alarms: (alarms) => { state.alarms = alarms; showAlarms(); },
 }, () => { state.connected = false; showLiveness(); });
 
@@ -52,7 +56,9 @@ function mapIsAt(revision) {
 }
 
 function takeAll(all) {
+  state.recording = all.recording;
   takeClock(all.clock);
+  takeRecording(all.recording);
   state.status = all.status;
   state.rover = all.rover;
   state.link = all.link;
@@ -60,7 +66,7 @@ function takeAll(all) {
   state.commands = new Map(all.commands.map((status) => [status.command.command_id, status]));
   askJson("session").then(takeSession).catch(() => {}); // the stream says that the connection is lost
   $("mission").textContent = all.mission;
-  document.title = `${all.mission}: helium-3 live map`;
+  document.title = all.recording ? `${all.mission}: recording` : `${all.mission}: helium-3 live map`;
   for (const [name, chart] of Object.entries(charts)) chart.set(all.curves[name]);
   showEvents(all.events);
   showStatus(); showRover(); showLink(); showCommands(); showAlarms();
@@ -74,7 +80,7 @@ function takeAll(all) {
 function takeSession({ name, commands, controls, warning }) {
   document.body.classList.toggle("commanding", commands);
   document.body.classList.toggle("controlling", controls);
-  $("authority").textContent = commands && controls ? "command authority" : commands ? "commands" : controls ? "link and clock" : "read-only";
+  $("authority").textContent = state.recording ? "recording" : commands && controls ? "command authority" : commands ? "commands" : controls ? "link and clock" : "read-only";
   $("authority").title = name;
   $("authority").classList.toggle("warn", commands || controls);
   rewrite($("warning"), warning ?? "");
@@ -85,7 +91,7 @@ function takeClock(clock) {
   keepClock(clock);
   picture.rate = clock.rate;
   const { rate, mode } = clock;
-  state.pace = mode === "lockstep" ? "lockstep" : mode === null ? "–" : rate === 0 ? "paused" : rate === 1 ? "real time" : `${grouped(rate, rate % 1 ? 2 : 0)}x`;
+  state.pace = mode === "lockstep" && !state.recording ? "lockstep" : mode === null && !state.recording ? "–" : rate === 0 ? "paused" : rate === 1 ? "real time" : `${grouped(rate, rate % 1 ? 2 : 0)}x`;
 }
 
 function showStatus() {
@@ -104,16 +110,21 @@ function showPhase() {
   rewrite($("phase"), phase);
 }
 
-function everyFrame() {
-  const time = now();
-  if (time !== null) {
-    const known = isTimeKnown();
-    $("utc").textContent = known ? utc(time) : "not known";
-    $("elapsed").textContent = known ? elapsed(sinceStart(time)) : "not known";
-    rewrite($("pace"), known ? state.pace : "not known");
-    if (known) { picture.draw(time); showAge(time); }
-  }
+// Several times a second, and each frame while messages fly; a browser calls this for a page that is seen alone.
+let drawnAt = -Infinity;
+function everyFrame(wall) {
   requestAnimationFrame(everyFrame);
+  const time = now();
+  if (time === null) return;
+  const known = isTimeKnown();
+  if (known && picture.flies) picture.draw(time);
+  if (wall - drawnAt < CLOCK_EVERY_MS) return;
+  drawnAt = wall;
+  rewrite($("utc"), known ? utc(time) : "not known");
+  rewrite($("elapsed"), known ? elapsed(sinceStart(time)) : "not known");
+  rewrite($("pace"), known ? state.pace : "not known");
+  if (known) showAge(time);
+  showRecording();
 }
 
 const remembered = localStorage.getItem("theme");
@@ -125,4 +136,4 @@ $("theme").addEventListener("click", () => {
   map.draw();
 });
 matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => map.draw());
-everyFrame();
+requestAnimationFrame(everyFrame);

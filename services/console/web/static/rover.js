@@ -1,7 +1,7 @@
 // The rover's panel: its last known state, and how old that is.
 
 import { map } from "./layers.js";
-import { $, state } from "./state.js";
+import { $, rewrite, state } from "./state.js";
 import { duration, element, fixed, grouped } from "./words.js";
 
 const LOW_ENERGY = .25;
@@ -35,7 +35,7 @@ export function showAge(time) {
   if (!state.rover) return;
   const light = state.link?.conditions.down.one_way_light_time_s ?? 0;
   const age = Math.max(0, (time - state.rover.made_at) / 1e9);
-  $("rover-age").textContent = `state ${duration(age)} old · light time ${duration(light)}`;
+  rewrite($("rover-age"), `state ${duration(age)} old · light time ${duration(light)}`);
 }
 
 export const fact = ([name, value, big]) => element("div", { class: big ? "big" : "" }, element("dt", {}, name), element("dd", {}, value));

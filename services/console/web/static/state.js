@@ -6,7 +6,7 @@ export const $ = (id) => document.getElementById(id);
 
 export const state = {
   clock: null, received: 0, status: null, rover: null, link: null, commands: new Map(), alarms: [], revisions: [],
-  past: null, interests: [], connected: false, liveness: null, heard: 0, pace: "–",
+  past: null, interests: [], connected: false, liveness: null, heard: 0, pace: "–", recording: null,
 };
 
 // Mission time now [ns]; null before the clock is known.
