@@ -108,7 +108,7 @@ async function opened(layer, threshold, revision) {
 }
 
 // The next map is loaded in any case: another mission may count its revisions from 0.
-export function forgetMap() { shownKey = trackKey = ""; sources.clear(); }
+export function forgetMap() { shownKey = trackKey = ""; trackAt = -Infinity; sources.clear(); }
 
 // --- colours --------------------------------------------------------------------------------------------------------
 
