@@ -23,8 +23,9 @@ from schemas.topics import MAP_HISTORY
 from services.console.replay.followed import FollowedGround
 from services.console.report.verification import RebuiltBelief
 from services.ground.map.history import revision_at
-from services.ground.map.queries import map_queries
 from services.ground.map.region_account import region_account
+from services.ground.map.rendering import Renderer
+from services.ground.map.service import answer
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.node import terrain_of
 from services.ground.terrain import GroundTerrain
@@ -65,7 +66,7 @@ class RecordedMaps:
         scenario = tape.evidence.scenario
         if scenario is not None and self._region is not None:
             self._account = region_account(scenario, self._region)
-        self._service = map_queries()
+        self._render = Renderer()
         self._lock = threading.Lock()
         self._rebuilt: tuple[int, RebuiltBelief] | None = None
         self._kept: OrderedDict[int, _Rebuilt] = OrderedDict()
@@ -85,8 +86,8 @@ class RecordedMaps:
         snapshot = self._snapshot(index, now)
         if when is not None:
             request = request.model_copy(update={"as_of": None})
-        rendered = self._service.render(topic, request, snapshot)
-        return rendered if rendered is not None else self._service.answer(topic, request, snapshot)
+        rendered = self._render(topic, request, snapshot)
+        return answer(topic, request, snapshot) if rendered is None else rendered
 
     def _history(self, known: Sequence[Heard]) -> MapHistory:
         first: MapOverview = known[0].body
