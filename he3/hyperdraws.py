@@ -1,7 +1,8 @@
 """Draws of the hyperparameters: how uncertain a fit of the covariance function to few samples is.
 
-The posterior of the logarithms theta of the kernel's parameters is taken as normal about the fitted ones (Laplace's
-approximation): its precision is minus the Hessian of the log marginal likelihood, plus that of a vague prior.
+Where they have alternatives (``he3.mixture``), those are drawn with their weights. Else the posterior of the logarithms
+theta of the kernel's parameters is taken as normal about the fitted ones (Laplace's approximation): its precision is
+minus the Hessian of the log marginal likelihood, plus that of a vague prior.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from he3.gp import GaussianProcess
 from he3.kernels import squared_distances, with_log_parameters
 from he3.likelihood import log_marginal_likelihood
+from he3.mixture import alternatives_of, with_hyperparameters
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
+    from he3.gp import GaussianProcess
 
 VAGUE_STD = 0.7  # 1, of the prior of each logarithm: a factor of two either way
 FARTHEST = 2.0  # 1, largest change of a logarithm, in standard deviations of that prior
@@ -24,8 +26,11 @@ _STEP = 0.05  # 1, of the second differences
 
 
 def redrawn(belief: GaussianProcess, random: np.random.Generator) -> GaussianProcess:
-    """The same observations under hyperparameters drawn about those of the belief; without observations, the belief."""
+    """The same observations under drawn hyperparameters; without observations or alternatives, the belief."""
     fitted, places = belief.hyperparameters, belief.places_m
+    if fitted.alternatives:
+        weights, each = zip(*alternatives_of(fitted), strict=True)
+        return with_hyperparameters(belief, each[int(random.choice(len(each), p=weights))])
     if not len(belief):
         return belief
     z = belief.factor @ belief.whitened
@@ -45,4 +50,4 @@ def redrawn(belief: GaussianProcess, random: np.random.Generator) -> GaussianPro
     change = axes @ (std * random.standard_normal(len(centre)))
     theta = centre + np.clip(change, -FARTHEST * VAGUE_STD, FARTHEST * VAGUE_STD)
     drawn = replace(fitted, kernel=with_log_parameters(fitted.kernel, theta), log_likelihood=float("nan"))
-    return GaussianProcess(drawn).condition(places, fitted.prior_mean_ppb(places) + fitted.scale_ppb * z)
+    return with_hyperparameters(belief, drawn)

@@ -86,7 +86,9 @@ Bounds = list[tuple[float, float]]
 class Hyperparameters:
     """Kernel in standardised units, noise, and the standardisation z = (y - trend - mean_ppb) / scale_ppb.
 
-    log_likelihood: of the observations [ppb] that they were fitted to, NaN if they were not fitted.
+    log_likelihood: of the observations [ppb] that they were fitted to, NaN if they were not fitted. alternatives:
+    weights, whose sum is 1, and kernels that together stand for what the samples leave possible (``he3.mixture``);
+    empty where ``kernel`` is taken for certain.
     """
 
     kernel: Kernel
@@ -95,6 +97,7 @@ class Hyperparameters:
     scale_ppb: float = 1.0
     log_likelihood: float = math.nan
     trend: Trend | None = None
+    alternatives: tuple[tuple[float, Kernel], ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale_ppb) and self.scale_ppb > 0 and math.isfinite(self.mean_ppb)):

@@ -1,4 +1,4 @@
-"""The most probable hyperparameters under priors: maximum a posteriori, with the constant mean marginalised.
+"""What the samples tell of the hyperparameters: the most probable ones, and a few weighted kernels for all of them.
 
 With log-normal priors (``he3.hyperprior``) the posterior of the logarithms theta of the kernel's parameters is
 
@@ -7,21 +7,36 @@ With log-normal priors (``he3.hyperprior``) the posterior of the logarithms thet
 where the constant mean, or a trend's coefficients, are marginalised in p(y | theta). Its mode is found by L-BFGS-B. The
 evidence of a kernel is Laplace's approximation of the integral. A likelihood alone has no lower bound on the variance
 but that of the samples: five nearly equal ones make a whole site look known. With a prior in ppb, they do not.
+
+The mode alone is still certain of whatever it says. So the whole posterior is represented in two steps, neither of
+which draws at random:
+
+1. *A weighted design.* Points of a low-discrepancy sequence, some after the normal approximation at the mode, a little
+   widened, and some after the prior, so that a second mode is not missed. Their weights are p / q, with q the density
+   of the whole design (multiple importance sampling with the balance heuristic: Veach & Guibas 1995).
+2. *A few of its points.* ``he3.condensation`` chooses those whose mixture has, at places all over the site, the
+   moments that all of them have together.
+
+On 20 maps of 10 to 30 samples of 16 fields, six points had the moments of 256: standard deviations within 1 % on
+average and 2 % at most, means within 2 and 5 % of a standard deviation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
+from he3.condensation import condensed
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, as_points
 from he3.hyperparameters import (
     CAUTIOUS_FIRST,
+    NOISE_VARIANCE_FLOOR,
     VERY_STRONG_EVIDENCE,
     Hyperparameters,
     LikelihoodProblem,
@@ -37,6 +52,13 @@ if TYPE_CHECKING:
     from he3.trend import OrbitalTrend
 
 LEAST_PRECISION = 0.5  # 1, of the normal approximation along any axis, in units of the prior's
+COMPONENTS = 6  # 1, kernels that stand for the posterior
+PROBES_PER_AXIS = 6  # 1, places per axis at which their moments are those of all points
+POINTS = ((40, 256), (200, 96), (400, 48))  # points of the design for up to so many samples
+POINTS_OF_MANY = 24
+WIDENING = 1.3  # 1, of the normal approximation; its tails are then never thinner than the posterior's
+_PRIOR_SHARE = 0.5  # 1, of the design, for up to 40 samples; less for more
+_LEAST_VARIANCE = 1e-9  # 1, of the prior's, where rounding leaves less
 _STEP = 0.05  # 1, of the second differences, in standard deviations of the prior
 _FOLLOWED_UP_TO = 150  # samples up to which the best points of the prior are starts, too
 _CANDIDATES = 16
@@ -52,11 +74,11 @@ def infer_hyperparameters(
     trend: OrbitalTrend | None = None,
     previous: Hyperparameters | None = None,
 ) -> Hyperparameters:
-    """The most probable hyperparameters given observations (n,) [ppb] at places (n, 2) [m]; medians for n = 0.
+    """The hyperparameters given observations (n,) [ppb] at places (n, 2) [m]: the most probable, and the alternatives.
 
     kernel_name: one of ``KERNELS``, or "auto", the most cautious kernel that the evidence allows. previous: a start of
-    the search. It draws nothing at random. Raises InvalidInput for shapes that do not fit,
-    values that are not finite, or an unknown kernel.
+    the search. Without samples, they are those of the prior. It draws nothing at random. Raises
+    InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
     """
     xy = as_points(np.asarray(xy_m, dtype=np.float64).reshape(-1, 2))
     values = np.asarray(values_ppb, dtype=np.float64)
@@ -64,8 +86,9 @@ def infer_hyperparameters(
         raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
     names = CAUTIOUS_FIRST if kernel_name == AUTO else (kernel_from(kernel_name).name,)
     found = [_inferred(xy, values, name, prior, noise_std_ppb, trend, previous) for name in names]
-    least = max(evidence for evidence, _ in found) - VERY_STRONG_EVIDENCE
-    return next(inferred for evidence, inferred in found if evidence >= least)
+    least = max(each.log_evidence for each in found) - VERY_STRONG_EVIDENCE
+    chosen = next(each for each in found if each.log_evidence >= least)
+    return chosen.with_alternatives(xy, prior.extent_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,16 +118,100 @@ class _Posterior:
         bounds = np.column_stack((-REACH / self.factors, REACH / self.factors))
         return best_optimum(self.cost, starts, bounds, f"a posterior for {self.likelihood.default.name!r}")
 
-    def log_volume(self, mode: FloatArray) -> float:
-        """Half the log determinant of the covariance of the normal approximation at the mode."""
+    def normal_at(self, mode: FloatArray) -> FloatArray:
+        """A matrix (p, p) whose outer product is the covariance of the normal approximation at the mode."""
         p = len(self)
         precision = np.empty((p, p))
         for k in range(p):
             step = np.zeros(p)
             step[k] = _STEP
             precision[k] = (self.cost(mode + step)[1] - self.cost(mode - step)[1]) / (2.0 * _STEP)
-        along = np.linalg.eigvalsh(0.5 * (precision + precision.T))
-        return -0.5 * float(np.log(np.maximum(along, LEAST_PRECISION)).sum())
+        along, axes = np.linalg.eigh(0.5 * (precision + precision.T))
+        spread: FloatArray = axes / np.sqrt(np.maximum(along, LEAST_PRECISION))
+        return spread
+
+    def weighted_design(self, mode: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points (N, p) after the normal approximation and the prior, and the logarithms of prior over density (N,)."""
+        n, p = len(self.likelihood.z), len(self)
+        count = next((count for most, count in POINTS if n <= most), POINTS_OF_MANY)
+        of_prior = round(_PRIOR_SHARE * count * min(1.0, POINTS[0][0] / max(n, 1)))
+        widened = WIDENING * spread
+        points = np.vstack((mode + _normal_design(count - of_prior, p) @ widened.T, _normal_design(of_prior, p)))
+        log_prior = -0.5 * (points * points).sum(axis=1)
+        whitened = np.linalg.solve(widened, (points - mode).T)
+        log_normal = -0.5 * (whitened * whitened).sum(axis=0) - float(np.linalg.slogdet(widened)[1])
+        with np.errstate(divide="ignore"):
+            shares = np.log(np.array([count - of_prior, of_prior]) / count)
+        density = np.logaddexp(shares[0] + log_normal, shares[1] + log_prior)
+        return points, log_prior - density
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Probed:
+    """The log likelihood of a kernel, and the moments of the field at places, from one factorisation.
+
+    r2: squared distances (n, m) [m^2] between samples and places; trend (n, m) and trend_variance (m,): of the trend.
+    """
+
+    likelihood: LikelihoodProblem
+    r2: FloatArray
+    trend: FloatArray
+    trend_variance: FloatArray
+
+    def moments(self, kernel: Kernel) -> tuple[float, FloatArray, FloatArray]:
+        """Log likelihood, means (m,) and variances (m,), in standardised units; minus infinity if it has no value."""
+        problem, n = self.likelihood, len(self.likelihood.z)
+        prior = kernel.prior_variance + self.trend_variance
+        if not n:
+            return 0.0, np.zeros(len(prior)), prior
+        noise = max(problem.noise, NOISE_VARIANCE_FLOOR * kernel.prior_variance)
+        total = kernel.of_squared_distance(problem.r2)
+        if problem.trend_covariance is not None:
+            total += problem.trend_covariance
+        total.flat[:: n + 1] += noise
+        try:
+            factor = np.linalg.cholesky(total)
+        except np.linalg.LinAlgError:
+            return -math.inf, np.zeros(len(prior)), prior
+        both = np.column_stack((problem.z, kernel.of_squared_distance(self.r2) + self.trend))
+        whitened = solve_triangular(factor, both, lower=True, check_finite=False)
+        value, cross = whitened[:, 0], whitened[:, 1:]
+        log_likelihood = -0.5 * float(value @ value) - float(np.log(factor.diagonal()).sum())
+        variance = np.maximum(prior - (cross * cross).sum(axis=0), _LEAST_VARIANCE * prior)
+        return log_likelihood, value @ cross, variance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Inference:
+    """The posterior of one kernel's parameters, its mode, and the evidence."""
+
+    posterior: _Posterior
+    mode: FloatArray
+    spread: FloatArray
+    log_evidence: float
+    fitted: Hyperparameters
+
+    def with_alternatives(self, xy: FloatArray, extent_m: float) -> Hyperparameters:
+        """The hyperparameters at the mode, with the kernels that stand for the posterior."""
+        axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
+        probes = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
+        trend, scale = self.fitted.trend, self.fitted.scale_ppb
+        assert trend is not None
+        basis = trend.basis(probes, scale)
+        probed = _Probed(
+            self.posterior.likelihood,
+            squared_distances(xy, probes),
+            trend.basis(xy, scale) @ basis.T,
+            (basis * basis).sum(axis=1),
+        )
+        points, log_weights = self.posterior.weighted_design(self.mode, self.spread)
+        kernels = [self.posterior.kernel(u) for u in points]
+        log_likelihoods, means, variances = zip(*(probed.moments(kernel) for kernel in kernels), strict=True)
+        log_weights = log_weights + np.array(log_likelihoods)
+        weights = np.exp(log_weights - log_weights.max())
+        chosen, shares = condensed(weights, np.array(means), np.array(variances), COMPONENTS)
+        alternatives = tuple((float(share), kernels[number]) for number, share in zip(chosen, shares, strict=True))
+        return replace(self.fitted, alternatives=alternatives)
 
 
 def _inferred(
@@ -115,8 +222,8 @@ def _inferred(
     noise_std_ppb: float,
     trend: OrbitalTrend | None,
     previous: Hyperparameters | None,
-) -> tuple[float, Hyperparameters]:
-    """The log evidence of a kernel, and the mode of its parameters."""
+) -> _Inference:
+    """The posterior of a kernel's parameters."""
     scale = prior.field_std_ppb
     residual = values if trend is None else values - trend.at(xy)
     sample_mean = float(residual.mean()) if len(residual) else 0.0
@@ -124,6 +231,7 @@ def _inferred(
         mean = prior.mean_ppb
         away = abs(sample_mean - mean) if len(residual) else 0.0
         unknown: UnknownConstant | OrbitalTrend = UnknownConstant(max(prior.mean_std_ppb, away))
+        scale *= max(1.0, away / prior.mean_std_ppb)
     else:
         mean, unknown = sample_mean, trend  # the trend's own offset lies about the samples' misfit
     basis = unknown.basis(xy, scale)
@@ -138,11 +246,11 @@ def _inferred(
     )
     posterior = _Posterior(problem, medians, factors)
     mode = posterior.mode(_starts(posterior, kernel_name, previous, scale))
-    cost = posterior.cost(mode)[0]
-    # In the unit of the samples, not in standardised ones.
-    likelihood = 0.5 * float(mode @ mode) - cost - len(values) * math.log(scale) if len(values) else math.nan
+    spread = posterior.normal_at(mode)
+    log_posterior = -posterior.cost(mode)[0] - len(values) * math.log(scale)  # of the samples in ppb
+    likelihood = 0.5 * float(mode @ mode) + log_posterior if len(values) else math.nan
     fitted = Hyperparameters(posterior.kernel(mode), noise_std_ppb, mean, scale, likelihood, unknown)
-    return posterior.log_volume(mode) - cost, fitted
+    return _Inference(posterior, mode, spread, log_posterior + float(np.linalg.slogdet(spread)[1]), fitted)
 
 
 def _starts(

@@ -3,10 +3,11 @@
 Standard deviations and length scales are log-normal, the constant mean is normal, and the noise is the instrument's:
 
 - **mean**: the means of six landing sites lie at 1.4 to 15.1 ppb, so 7.5 +- 4 ppb. Samples that lie farther away widen
-  it to their distance, so that a field in another unit is not drawn towards that of helium-3;
-- **standard deviation**: the two regions of 500 m have 0.6 and 1.0 ppb, the six sites differ by 4.5. So 1.4 ppb within
-  a factor of 2 (68 %) and 4 (95 %), whatever the width of the site. With an orbital map as trend, the map's own spread
-  takes the place of 1.4 ppb for what remains;
+  it to their distance, and the field's standard deviation in the same proportion, so that a field in another unit is
+  not drawn towards that of helium-3;
+- **standard deviation**: the two regions of 500 m have 0.6 and 1.0 ppb, the six sites differ by 4.5. So 1.7 ppb within
+  a factor of 2.5 (68 %) and 6 (95 %), whatever the width of the site. With an orbital map as trend, the map's own
+  spread takes the place of 1.7 ppb for what remains;
 - **length scales**: in proportion to the width of the site. Of a sum, the smooth part's is about a quarter of the width
   and the rough part's a sixteenth; a single part's lies in between.
 
@@ -29,16 +30,16 @@ if TYPE_CHECKING:
 
 MEAN_PPB = 7.5  # ppb, middle of the means of six landing sites, 1.4 to 15.1 [assumed]
 MEAN_STD_PPB = 4.0  # ppb, standard deviation of those means [assumed]
-FIELD_STD_PPB = 1.4  # ppb, between the spreads of 500 m (0.6, 1.0) and of the six sites (4.5) [assumed]
-FIELD_STD_FACTOR = 2.0  # 1
+FIELD_STD_PPB = 1.7  # ppb, between the spreads of 500 m (0.6, 1.0) and of the six sites (4.5) [assumed]
+FIELD_STD_FACTOR = 2.5  # 1
 # 1, shares of the field's standard deviation in the parts of a sum: a smooth part and a rough one, as 0.7 and 0.3 of
 # the variance, which are the parts' default
 PART_STD_SHARES = {"smooth_variance": 0.84, "rough_variance": 0.55, "variance": 1.0}
 # 1, median of a length scale in widths of the site, and its factor [assumed]
 LENGTH_SCALES = {
-    "smooth_length_scale_m": (0.25, 2.0),
-    "rough_length_scale_m": (0.06, 2.0),
-    "length_scale_m": (0.15, 2.2),
+    "smooth_length_scale_m": (0.25, 2.5),
+    "rough_length_scale_m": (0.06, 2.5),
+    "length_scale_m": (0.15, 2.5),
 }
 REACH = 10.0
 """Bounds of the search, in logarithms of the factor on either side of the median: for fields in other units."""

@@ -11,6 +11,9 @@ uncertainty under a vague prior, propagated to the average (eq. 2.42 with H = 1)
 
     + (1 - 1' K_X^-1 K(X, cells) w)^2 / (1' K_X^-1 1)
 
+Where the hyperparameters have alternatives (``he3.mixture``), the variance is the mean of their variances and the
+variance of their means, by the law of total variance.
+
 The first term needs no sum over pairs of cells: a stationary covariance depends on the offset alone, and the number of
 pairs at each offset is the autocorrelation of the area's mask (by FFT). The second term is integrated over blocks of
 cells, each represented by the centre of its cells; its error is estimated from blocks twice as wide.
@@ -28,6 +31,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
+from he3.mixture import ProcessMixture, mixture_moments
 
 if TYPE_CHECKING:
     from he3.frames import BoolArray, FloatArray, SiteGrid
@@ -62,16 +66,17 @@ def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.flo
     if cells == 0:
         raise InvalidInput("expected an area that contains the centre of at least one cell, got one that contains none")
     block = max(1, math.ceil(math.sqrt(cells / MAX_NODES)))
-    prior = _prior_variance(process, grid, area)
-    variance = max(0.0, prior - _explained(process, *_nodes(grid, area, block)))
-    coarser = max(0.0, prior - _explained(process, *_nodes(grid, area, 2 * block)))
+    mixture = ProcessMixture.of(process)
+    lags = _pairs_at_lags(grid, area)
+    prior = [_prior_variance(each, grid, area, *lags) for each in mixture.processes]
+    std, coarser = (_std_of_mean(mixture, prior, *_nodes(grid, area, size)) for size in (block, 2 * block))
     scale = process.hyperparameters.scale_ppb
     return AreaMean(
         mean_ppb=float(mean_ppb[area].mean(dtype=np.float64)),
-        std_ppb=scale * math.sqrt(variance),
+        std_ppb=scale * std,
         cells=cells,
         spacing_m=block * grid.resolution_m,
-        std_error_ppb=scale * abs(math.sqrt(variance) - math.sqrt(coarser)),
+        std_error_ppb=scale * abs(std - coarser),
     )
 
 
@@ -90,11 +95,13 @@ def drawn_fields(
     """Fields (draws, k) [ppb] drawn from the joint posterior at k blocks of cells, and the blocks' area shares (k,).
 
     The estimated constant mean is drawn too, as ``area_mean`` counts it. Patches smaller than a block are not resolved.
+    Under a mixture, the draws are normal with its mean and covariance.
     """
     block = max(1, math.ceil(math.sqrt(int(area.sum()) / MAX_DRAWN_NODES)))
     places, weights = _nodes(grid, area, block)
-    mean, _ = process.predict(places)
-    covariance = process.posterior_covariance(places)
+    mixture = ProcessMixture.of(process)
+    mean, _ = mixture.predict(places)
+    covariance = mixture.posterior_covariance(places)
     if len(process):
         crossing = process.hyperparameters.covariance(process.places_m, places)
         unknown = process.hyperparameters.scale_ppb * _of_constant(process, _whitened(process, crossing))
@@ -117,30 +124,49 @@ def _nodes(grid: SiteGrid, area: BoolArray, block: int) -> tuple[FloatArray, Flo
     return np.column_stack((x, y)), counts / counts.sum()
 
 
-def _prior_variance(process: GaussianProcess, grid: SiteGrid, area: BoolArray) -> float:
-    """w' K w over all pairs of cells, in standardised units."""
+def _pairs_at_lags(grid: SiteGrid, area: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """How many pairs of the area's cells lie at each lag, and the lag's squared length [m^2]: arrays of one shape."""
     rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
     mask = area[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(np.float64)
     shape = tuple(next_fast_len(2 * size, real=True) for size in mask.shape)
     spectrum = rfft2(mask, shape)
     pairs = np.maximum(irfft2(spectrum * spectrum.conj(), shape), 0.0)
     lags = [np.minimum(np.arange(size), size - np.arange(size)) * grid.resolution_m for size in shape]
-    r2 = lags[0][:, None] ** 2 + lags[1][None, :] ** 2
+    return pairs, lags[0][:, None] ** 2 + lags[1][None, :] ** 2
+
+
+def _prior_variance(
+    process: GaussianProcess, grid: SiteGrid, area: BoolArray, pairs: FloatArray, r2: FloatArray
+) -> float:
+    """w' K w over all pairs of cells, in standardised units. pairs and r2: those of ``_pairs_at_lags``."""
     hyperparameters = process.hyperparameters
-    cells = mask.sum()
-    total: float = float((pairs * hyperparameters.kernel.of_squared_distance(r2)).sum()) / cells**2
+    total: float = float((pairs * hyperparameters.kernel.of_squared_distance(r2)).sum()) / float(area.sum()) ** 2
     basis = hyperparameters.trend_basis(grid.points()[area.ravel()])
     if basis is not None:
         total += float((basis.mean(axis=0) ** 2).sum())
     return total
 
 
-def _explained(process: GaussianProcess, places: FloatArray, weights: FloatArray) -> float:
-    """The variance of the average that the samples explain, less what the unknown constant adds; standardised units."""
+def _std_of_mean(mixture: ProcessMixture, prior: list[float], places: FloatArray, weights: FloatArray) -> float:
+    """Standard deviation of the average in standardised units. prior: its variance before any sample, by process."""
+    means, variances = [], []
+    for process, before in zip(mixture.processes, prior, strict=True):
+        moved, explained = _learned(process, places, weights)
+        means.append(moved)
+        variances.append(max(0.0, before - explained))
+    return float(mixture_moments(mixture.weights, np.array(means), np.sqrt(variances))[1])
+
+
+def _learned(process: GaussianProcess, places: FloatArray, weights: FloatArray) -> tuple[float, float]:
+    """How far the samples move the average from its expectation, and the variance that they explain of it.
+
+    The latter is less what the unknown constant adds; both are in standardised units.
+    """
     if len(process) == 0:
-        return 0.0
+        return 0.0, 0.0
     whitened = _whitened(process, process.hyperparameters.covariance(process.places_m, places) @ weights)
-    return float(whitened @ whitened) - float(_of_constant(process, whitened)) ** 2
+    explained = float(whitened @ whitened) - float(_of_constant(process, whitened)) ** 2
+    return float(whitened @ process.whitened), explained
 
 
 def _whitened(process: GaussianProcess, with_samples: FloatArray) -> FloatArray:

@@ -26,6 +26,13 @@ def _is_none(value: object) -> bool:
     return value is None
 
 
+class WeightedKernel(Wire):
+    """One of the kernels of a mixture, of the same name and in the same units as the one in use."""
+
+    weight: Annotated[float, Field(gt=0, le=1)]
+    parameters: dict[str, float]
+
+
 class KernelParameters(Wire):
     """The covariance function in use, in standardised units, with the scale of those units in ppb."""
 
@@ -36,6 +43,10 @@ class KernelParameters(Wire):
     scale_ppb: float
     mean_std_ppb: float | None = Field(default=None, exclude_if=_is_none)
     """Prior standard deviation of what the mean may be off by; None where the mean is taken for certain."""
+    alternatives: Annotated[tuple[WeightedKernel, ...], Field(max_length=100)] | None = Field(
+        default=None, exclude_if=_is_none
+    )
+    """The kernels that together stand for what the samples leave possible; None where this one is taken for certain."""
 
 
 class GroundStatus(Wire):

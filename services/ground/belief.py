@@ -20,7 +20,8 @@ from he3.errors import InvalidInput
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import MEAN_PPB, Hyperprior
 from he3.kernels import AUTO, kernel_from
-from he3.posterior.grid import GridPosterior, PosteriorMap
+from he3.posterior.grid import PosteriorMap
+from he3.posterior.mixture import MixturePosterior
 from services.ground.fitting import FitRequest, fit
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class Belief:
         self._trend = trend
         self._prior = None if likeliest else hyperprior(grid, trend)
         self._observations: dict[str, Observation] = {}
-        self._posterior: GridPosterior | None = GridPosterior(grid, self._first(), threads=MAP_THREADS)
+        self._posterior: MixturePosterior | None = MixturePosterior(grid, self._first(), threads=MAP_THREADS)
         self._map, self._process = self._posterior.snapshot(), self._posterior.process
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
@@ -104,7 +105,10 @@ class Belief:
 
     @property
     def process(self) -> GaussianProcess:
-        """The belief as an immutable Gaussian process, which predicts at any place."""
+        """The belief as an immutable Gaussian process under the most probable kernel.
+
+        ``ProcessMixture.of`` gives those under its alternatives, whose moments the map has.
+        """
         return self._process
 
     @property
@@ -165,16 +169,16 @@ class Belief:
         self._observations.update(observations)
         self.adopt(fitted)
 
-    def _rebuilt(self, hyperparameters: Hyperparameters) -> GridPosterior:
+    def _rebuilt(self, hyperparameters: Hyperparameters) -> MixturePosterior:
         """The map of the last refit, without the samples added since."""
         built = [self._observations[name] for name in self._built]
         places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
         values = np.array([observed.value_ppb for observed in built], dtype=np.float64)
         if not built:
-            return GridPosterior(self.grid, hyperparameters, threads=MAP_THREADS)
-        return GridPosterior.build(self.grid, hyperparameters, places, values, threads=MAP_THREADS)
+            return MixturePosterior(self.grid, hyperparameters, threads=MAP_THREADS)
+        return MixturePosterior.build(self.grid, hyperparameters, places, values, threads=MAP_THREADS)
 
-    def _standing(self) -> GridPosterior:
+    def _standing(self) -> MixturePosterior:
         """The present posterior, to which the next sample is added; a restart recomputes it in the same steps."""
         if self._posterior is None:
             self._posterior = self._rebuilt(self.hyperparameters)

@@ -213,6 +213,9 @@ def _hyperparameters(overview: MapOverview) -> Hyperparameters:
         kernel.mean_ppb,
         kernel.scale_ppb,
         trend=None if kernel.mean_std_ppb is None else UnknownConstant(kernel.mean_std_ppb),
+        alternatives=tuple(
+            (each.weight, kernel_from(kernel.name, each.parameters)) for each in kernel.alternatives or ()
+        ),
     )
 
 

@@ -20,6 +20,7 @@ from schemas.ground import (
     KernelParameters,
     MapOverview,
     MapValues,
+    WeightedKernel,
 )
 
 if TYPE_CHECKING:
@@ -73,6 +74,11 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
         noise_std_ppb=hyperparameters.noise_std_ppb,
         mean_ppb=hyperparameters.mean_ppb,
         scale_ppb=hyperparameters.scale_ppb,
+        alternatives=tuple(
+            WeightedKernel(weight=weight, parameters=kernel.parameters())
+            for weight, kernel in hyperparameters.alternatives
+        )
+        or None,
     )
 
 

@@ -84,8 +84,8 @@ def test_a_coarse_integration_states_its_error() -> None:
     # The truth, with every cell a node of its own.
     from he3 import resource
 
-    prior = resource._prior_variance(process, fine, whole)
-    exact = np.sqrt(prior - resource._explained(process, *resource._nodes(fine, whole, 1)))
+    prior = resource._prior_variance(process, fine, whole, *resource._pairs_at_lags(fine, whole))
+    exact = np.sqrt(prior - resource._learned(process, *resource._nodes(fine, whole, 1))[1])
     assert abs(got.std_ppb - exact) <= max(got.std_error_ppb, 1e-6)
 
 

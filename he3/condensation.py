@@ -1,0 +1,55 @@
+"""A few of many weighted distributions whose mixture has the same moments at all places.
+
+The moments of a mixture are linear in its weights: at each place, sum w m and sum w (v + m^2). So weights on one
+distribution more than there are moments, or fewer, keep all of them (Tchakaloff 1957); and as means and variances vary
+smoothly over places and distributions, far fewer keep them almost. They are chosen one by one, each time the one that
+explains most of what is still missing, and the weights of all are then the non-negative least squares solution
+(orthogonal matching pursuit with weights that cannot be negative: Bruckstein, Elad & Zibulevsky 2008).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import nnls
+
+from he3.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from he3.frames import FloatArray, IntArray
+
+_SUM_OF_WEIGHTS = 3.0  # 1, how much the sum of the weights counts beside a moment at a place
+_NO_WEIGHT = 1e-6  # 1, below it a distribution is left out
+
+
+def condensed(weights: FloatArray, means: FloatArray, variances: FloatArray, most: int) -> tuple[IntArray, FloatArray]:
+    """At most ``most`` of N distributions: their numbers (k,) and weights (k,), whose sum is 1, the heaviest first.
+
+    weights: (N,), not negative and not all 0. means and variances: (N, P) at P places, variances positive. Raises
+    InvalidInput for shapes that do not fit.
+    """
+    if means.shape != variances.shape or weights.shape != means.shape[:1] or most < 1:
+        raise InvalidInput(f"expected N weights and N x P moments, got {weights.shape}, {means.shape}, {most}")
+    weights = weights / weights.sum()
+    mean = weights @ means
+    apart = means - mean
+    second = apart * apart + variances
+    variance = weights @ second
+    moments = np.hstack((apart / np.sqrt(variance), second / variance, np.full((len(weights), 1), _SUM_OF_WEIGHTS)))
+    wanted = weights @ moments
+    directions = moments / np.linalg.norm(moments, axis=1)[:, None]
+    chosen: list[int] = []
+    found = np.empty(0)
+    for _ in range(most):
+        gain = directions @ (wanted - found @ moments[chosen])
+        gain[chosen] = -np.inf
+        best = int(np.argmax(gain))
+        if not gain[best] > 0.0:
+            break
+        chosen.append(best)
+        found, _ = nnls(moments[chosen].T, wanted)
+        kept = found > _NO_WEIGHT
+        chosen, found = [number for number, keep in zip(chosen, kept, strict=True) if keep], found[kept]
+    order = np.argsort(-found, kind="stable")
+    return np.array(chosen, dtype=np.intp)[order], found[order] / found.sum()

@@ -1,0 +1,141 @@
+"""The posterior on every cell of the site under a mixture of kernels: the law of total variance, cell by cell.
+
+One kernel, the hyperparameters' own, has its exact posterior on every cell. The kernels of the mixture have theirs,
+exact too, on a coarser grid of at most ``MOST_CELLS`` cells over the same site. There the mixture's mean differs from
+that of the one kernel, and its standard deviation is in some ratio to that of the one kernel. Both change from sample
+to sample rather than from cell to cell: near a sample all kernels agree, far from it they do not. So they are
+interpolated bilinearly on the cells, and correct the one kernel's map:
+
+    mean = mean_one + (mean_mixture - mean_one),      std = std_one (std_mixture / std_one)
+
+On a site of no more cells than that, nothing is interpolated and the moments are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from he3.frames import Float32Array, FloatArray, SiteGrid
+from he3.mixture import alternatives_of, mixture_moments
+from he3.posterior.grid import GridPosterior, PosteriorMap
+
+if TYPE_CHECKING:
+    from he3.gp import GaussianProcess
+    from he3.hyperparameters import Hyperparameters
+
+MOST_CELLS = 4096
+
+
+class MixturePosterior:
+    """The belief on every cell, as ``GridPosterior``; where the kernel is certain, it is that, to the byte."""
+
+    def __init__(self, grid: SiteGrid, hyperparameters: Hyperparameters, *, threads: int = 1) -> None:
+        """The prior: no samples yet. threads: those of ``GridPosterior``."""
+        self._begin(grid, hyperparameters, threads, lambda on, under, count: GridPosterior(on, under, threads=count))
+
+    @classmethod
+    def build(
+        cls,
+        grid: SiteGrid,
+        hyperparameters: Hyperparameters,
+        xy_m: ArrayLike,
+        values_ppb: ArrayLike,
+        *,
+        threads: int = 1,
+    ) -> MixturePosterior:
+        """The posterior given observations (n,) [ppb] at places (n, 2) [m]; raises as ``GridPosterior.build``."""
+        posterior = cls.__new__(cls)
+        posterior._begin(
+            grid, hyperparameters, threads,
+            lambda on, under, count: GridPosterior.build(on, under, xy_m, values_ppb, threads=count),
+        )  # fmt: skip
+        return posterior
+
+    def _begin(
+        self,
+        grid: SiteGrid,
+        hyperparameters: Hyperparameters,
+        threads: int,
+        posterior: Callable[[SiteGrid, Hyperparameters, int], GridPosterior],
+    ) -> None:
+        self._one = posterior(grid, hyperparameters, threads)
+        self._weights, self._parts = np.empty(0), []
+        self._map: PosteriorMap | None = None
+        if not hyperparameters.alternatives:
+            return
+        coarse = coarser(grid)
+        weights, each = zip(*alternatives_of(hyperparameters), strict=True)
+        self._weights = np.array(weights)
+        self._parts = [posterior(coarse, one, 1) for one in each]
+        centre = replace(hyperparameters, alternatives=())
+        self._coarse_one = self._one if coarse == grid else posterior(coarse, centre, 1)
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self._one)
+
+    @property
+    def process(self) -> GaussianProcess:
+        """The belief as an immutable process under the one kernel; ``ProcessMixture.of`` gives that of the mixture."""
+        return self._one.process
+
+    def add(self, xy_m: ArrayLike, value_ppb: float) -> None:
+        """Add one observation [ppb] at the place (2,) [m]; raises, and changes nothing, as ``GridPosterior.add``."""
+        self._one.add(xy_m, value_ppb)
+        self._map = None
+        if self._parts and self._coarse_one is not self._one:
+            self._coarse_one.add(xy_m, value_ppb)
+        for part in self._parts:
+            part.add(xy_m, value_ppb)
+
+    def snapshot(self) -> PosteriorMap:
+        """The present map, safe to pass to other threads: its arrays never change."""
+        one = self._one.snapshot()
+        if not self._parts:
+            return one
+        if self._map is None:
+            maps = [part.snapshot() for part in self._parts]
+            coarse = self._coarse_one.snapshot()
+            mean, std = mixture_moments(
+                self._weights, np.stack([part.mean_ppb for part in maps]), np.stack([part.std_ppb for part in maps])
+            )
+            corrected = (
+                one.mean_ppb + on_cells(mean - coarse.mean_ppb, self._one.grid, self._coarse_one.grid),
+                one.std_ppb * on_cells(std / coarse.std_ppb, self._one.grid, self._coarse_one.grid),
+            )
+            for values in corrected:
+                values.setflags(write=False)
+            self._map = PosteriorMap(one.samples, *corrected)
+        return self._map
+
+
+def coarser(grid: SiteGrid) -> SiteGrid:
+    """The grid of at most ``MOST_CELLS`` cells over the same site; the grid itself if it has no more."""
+    step = 1
+    while -(-grid.rows // step) * -(-grid.columns // step) > MOST_CELLS:
+        step += 1
+    if step == 1:
+        return grid
+    return SiteGrid(-(-grid.rows // step), -(-grid.columns // step), step * grid.resolution_m)
+
+
+def on_cells(values: FloatArray, grid: SiteGrid, coarse: SiteGrid) -> Float32Array:
+    """Values (rows, columns) of the coarse grid at the cells of the grid: bilinear, constant beyond the outermost."""
+    across = values.astype(np.float32)
+    if coarse == grid:
+        return across
+    step = coarse.resolution_m / grid.resolution_m
+    for axis, cells in enumerate(grid.shape):
+        count = across.shape[axis]
+        at = np.clip((np.arange(cells) + 0.5) / step - 0.5, 0.0, count - 1.0)
+        below = np.minimum(at.astype(np.intp), max(count - 2, 0))
+        share = (at - below).astype(np.float32)[(slice(None), None) if axis == 0 else (None, slice(None))]
+        above = np.minimum(below + 1, count - 1)
+        low, high = across.take(below, axis=axis), across.take(above, axis=axis)
+        across = low + share * (high - low)
+    return across

@@ -1,0 +1,81 @@
+"""The alternatives to the most probable hyperparameters stand for the whole posterior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from he3.frames import FloatArray
+from he3.gp import GaussianProcess, Hyperparameters
+from he3.hyperposterior import COMPONENTS, infer_hyperparameters
+from he3.hyperprior import Hyperprior
+from he3.kernels import Matern52, squared_distances
+from he3.likelihood import log_marginal_likelihood
+from he3.mixture import ProcessMixture, mixture_moments
+from he3.trend import UnknownConstant
+
+PRIOR = Hyperprior(500.0)
+NOISE_PPB = 0.1
+POINTS = np.random.default_rng(8).uniform(0.0, 500.0, (60, 2))
+
+
+def samples(count: int) -> tuple[FloatArray, FloatArray]:
+    random = np.random.default_rng(count)
+    places = random.uniform(0.0, 500.0, (count, 2))
+    return places, 7.0 + np.sin(places[:, 0] / 70.0) + random.normal(0.0, NOISE_PPB, count)
+
+
+def by_quadrature(places: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and standard deviation at the points, over a fine lattice of variance and length scale."""
+    medians, factors = PRIOR.log_normal("matern52")
+    axis = np.linspace(-4.0, 4.0, 33)
+    logs, means, stds = [], [], []
+    scale = PRIOR.field_std_ppb
+    trend = UnknownConstant(PRIOR.mean_std_ppb)
+    for u in np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2):
+        kernel = Matern52(*np.exp(medians + factors * u))
+        each = Hyperparameters(kernel, NOISE_PPB, PRIOR.mean_ppb, scale, trend=trend)
+        basis = trend.basis(places, scale)
+        z = each.standardise(places, values)
+        likelihood, _ = log_marginal_likelihood(
+            kernel, each.noise_variance, squared_distances(places, places), z, basis @ basis.T
+        )
+        mean, std = GaussianProcess(each).condition(places, values).predict(POINTS)
+        logs.append(likelihood - 0.5 * float(u @ u))
+        means.append(mean)
+        stds.append(std)
+    weights = np.exp(np.array(logs) - max(logs))
+    return mixture_moments(weights / weights.sum(), np.array(means), np.array(stds))
+
+
+@pytest.mark.parametrize("count", [1, 6, 30])
+def test_the_mixture_has_the_moments_of_the_posterior_by_quadrature(count: int) -> None:
+    places, values = samples(count)
+    mean, std = by_quadrature(places, values)
+    found = infer_hyperparameters(places, values, "matern52", PRIOR, noise_std_ppb=NOISE_PPB)
+    mixed_mean, mixed_std = ProcessMixture.of(GaussianProcess(found).condition(places, values)).predict(POINTS)
+    assert np.sqrt((((mixed_mean - mean) / std) ** 2).mean()) < 0.05
+    assert np.sqrt(((mixed_std / std - 1.0) ** 2).mean()) < 0.1
+
+
+def test_there_are_a_few_alternatives_and_their_weights_sum_to_one() -> None:
+    for kernel in ("se", "smooth+rough"):
+        found = infer_hyperparameters(*samples(9), kernel, PRIOR, noise_std_ppb=NOISE_PPB)
+        assert 1 < len(found.alternatives) <= COMPONENTS
+        assert sum(weight for weight, _ in found.alternatives) == pytest.approx(1.0)
+        assert {alternative.name for _, alternative in found.alternatives} == {kernel}
+
+
+def test_many_samples_leave_little_to_the_alternatives() -> None:
+    places, values = samples(150)
+    found = infer_hyperparameters(places, values, "matern52", PRIOR, noise_std_ppb=NOISE_PPB)
+    process = GaussianProcess(found).condition(places, values)
+    assert np.allclose(ProcessMixture.of(process).predict(POINTS)[1], process.predict(POINTS)[1], rtol=0.1)
+
+
+def test_a_field_in_another_unit_is_given_room_in_that_unit() -> None:
+    places, values = samples(8)
+    found = infer_hyperparameters(places, 40.0 * values, "smooth+rough", PRIOR, noise_std_ppb=4.0)
+    mean, std = ProcessMixture.of(GaussianProcess(found).condition(places, 40.0 * values)).predict(POINTS)
+    truth = 40.0 * (7.0 + np.sin(POINTS[:, 0] / 70.0))
+    assert (np.abs(mean - truth) < 2.0 * std).mean() > 0.9
