@@ -45,7 +45,7 @@ class Flight:
     variation: int | None = None
     """Seed of another variation of an embedded region; its own if None. A region from a file has no other."""
     likeliest: bool = True
-    """Hyperparameters of maximum likelihood, as the paper has them; else the most probable under priors."""
+    """Hyperparameters of maximum likelihood, as the paper has them; else all that the samples leave possible."""
 
     @property
     def name(self) -> str:

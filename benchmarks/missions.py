@@ -92,9 +92,9 @@ def run_mission(
     """A mission with this planner over the region, with its row of figures.
 
     prior: None or "orbital", a trend learned from the region's orbital map or from ``orbital_ppb`` in its place.
-    likeliest: hyperparameters of maximum likelihood, else the most probable under priors. start_m: where the rover
-    stands at first, ``start_of`` the region if None. progress is called with the number of samples taken and the total.
-    Raises InvalidInput for names that are not known.
+    likeliest: hyperparameters of maximum likelihood, else all that the samples leave possible. start_m: where the
+    rover stands at first, ``start_of`` the region if None. progress is called with the number of samples taken and
+    the total. Raises InvalidInput for names that are not known.
     """
     begun = time.perf_counter()
     if prior not in (None, "orbital"):

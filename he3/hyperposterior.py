@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 LEAST_PRECISION = 0.5  # 1, of the normal approximation along any axis, in units of the prior's
 COMPONENTS = 6  # 1, kernels that stand for the posterior
 PROBES_PER_AXIS = 6  # 1, places per axis at which their moments are those of all points
-POINTS = ((40, 256), (200, 96), (400, 48))  # points of the design for up to so many samples
+POINTS = ((40, 128), (200, 64), (400, 40))  # points of the design for up to so many samples
 POINTS_OF_MANY = 24
 WIDENING = 1.3  # 1, of the normal approximation; its tails are then never thinner than the posterior's
 _PRIOR_SHARE = 0.5  # 1, of the design, for up to 40 samples; less for more

@@ -20,8 +20,8 @@ from he3.errors import InvalidInput
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import MEAN_PPB, Hyperprior
 from he3.kernels import AUTO, kernel_from
-from he3.posterior.grid import PosteriorMap
-from he3.posterior.mixture import MixturePosterior
+from he3.mixture_posterior import MixturePosterior
+from he3.posterior.grid import GridPosterior, PosteriorMap
 from services.ground.fitting import FitRequest, fit
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Belief:
         self._trend = trend
         self._prior = None if likeliest else hyperprior(grid, trend)
         self._observations: dict[str, Observation] = {}
-        self._posterior: MixturePosterior | None = MixturePosterior(grid, self._first(), threads=MAP_THREADS)
+        self._posterior: MixturePosterior | None = MixturePosterior(grid, self._first(), self._empty)
         self._map, self._process = self._posterior.snapshot(), self._posterior.process
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
@@ -175,8 +175,17 @@ class Belief:
         places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
         values = np.array([observed.value_ppb for observed in built], dtype=np.float64)
         if not built:
-            return MixturePosterior(self.grid, hyperparameters, threads=MAP_THREADS)
-        return MixturePosterior.build(self.grid, hyperparameters, places, values, threads=MAP_THREADS)
+            return MixturePosterior(self.grid, hyperparameters, self._empty)
+
+        def posterior(grid: SiteGrid, of: Hyperparameters) -> GridPosterior:
+            return GridPosterior.build(grid, of, places, values, threads=MAP_THREADS)
+
+        return MixturePosterior(self.grid, hyperparameters, posterior)
+
+    @staticmethod
+    def _empty(grid: SiteGrid, hyperparameters: Hyperparameters) -> GridPosterior:
+        """The posterior of one kernel before any sample."""
+        return GridPosterior(grid, hyperparameters, threads=MAP_THREADS)
 
     def _standing(self) -> MixturePosterior:
         """The present posterior, to which the next sample is added; a restart recomputes it in the same steps."""

@@ -145,9 +145,9 @@ class GroundConfig(Section):
     planner: PlannerName = "rrtstar"
     kernel: KernelName = "matern52"
     """The covariance function. The paper states squared exponential, but its figures come from Matern 5/2."""
-    hyperparameters: Literal["ml", "bayes"] = "ml"
-    """The kernel's parameters: of maximum likelihood, as the paper's, or the most probable ones under priors in ppb and
-    metres, with the uncertainty of the mean in the map's."""
+    hyperparameters: Literal["ml", "bayes"] = "bayes"
+    """The kernel's parameters: all that the samples leave possible under priors in ppb and metres, their uncertainty
+    and that of the mean in the map's; or those of maximum likelihood, taken for certain, as the paper's."""
     prior: Literal["constant", "orbital"] = "constant"
     """Prior mean: a learned constant, or the coarse orbital map with learned gain and offset."""
     planning_s: Duration = 30.0

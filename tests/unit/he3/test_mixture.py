@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from he3.frames import SiteGrid
+from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperdraws import redrawn
 from he3.kernels import Matern32, SmoothPlusRough
 from he3.mixture import ProcessMixture, mixture_moments
+from he3.mixture_posterior import MOST_CELLS, MixturePosterior, coarser
 from he3.posterior.grid import GridPosterior
-from he3.posterior.mixture import MOST_CELLS, MixturePosterior, coarser
 from he3.resource import area_mean, drawn_fields
 from he3.trend import UnknownConstant
 
@@ -22,7 +22,7 @@ ALTERNATIVES = ((0.5, Matern32(1.0, 60.0)), (0.3, Matern32(0.2, 150.0)), (0.2, M
 SPREAD = Hyperparameters(Matern32(0.8, 70.0), 0.1, 7.5, 1.5, trend=UnknownConstant(4.0), alternatives=ALTERNATIVES)
 
 
-def samples(count: int, grid: SiteGrid = GRID) -> tuple[np.ndarray, np.ndarray]:
+def samples(count: int, grid: SiteGrid = GRID) -> tuple[FloatArray, FloatArray]:
     random = np.random.default_rng(4)
     places = random.uniform((0.0, 0.0), (grid.width_m, grid.height_m), (count, 2))
     return places, 8.0 + np.sin(places[:, 0] / 40.0) + random.normal(0.0, 0.1, count)
@@ -30,6 +30,10 @@ def samples(count: int, grid: SiteGrid = GRID) -> tuple[np.ndarray, np.ndarray]:
 
 def known(count: int) -> GaussianProcess:
     return GaussianProcess(SPREAD).condition(*samples(count))
+
+
+def mixed_map(grid: SiteGrid, spread: Hyperparameters, places: FloatArray, values: FloatArray) -> MixturePosterior:
+    return MixturePosterior(grid, spread, lambda on, of: GridPosterior.build(on, of, places, values))
 
 
 def test_the_moments_are_those_of_the_density_by_quadrature() -> None:
@@ -72,7 +76,7 @@ def test_fields_drawn_from_the_mixture_have_its_spread() -> None:
 
 def test_a_small_map_has_the_moments_of_the_mixture_and_keeps_them_with_one_sample_more() -> None:
     places, values = samples(13)
-    posterior = MixturePosterior.build(GRID, SPREAD, places[:12], values[:12])
+    posterior = mixed_map(GRID, SPREAD, places[:12], values[:12])
     before = GaussianProcess(SPREAD).condition(places[:12], values[:12])
     for process in (before, before.condition(places[12:], values[12:])):
         mean, std = ProcessMixture.of(process).predict(GRID.points())
@@ -86,7 +90,7 @@ def test_a_large_map_has_the_moments_of_the_mixture_nearly() -> None:
     kernels = [SmoothPlusRough(0.5, 120.0, 0.5, 25.0), SmoothPlusRough(1.5, 200.0, 0.3, 40.0)]
     mixed = replace(SPREAD, kernel=kernels[0], alternatives=((0.6, kernels[0]), (0.4, kernels[1])))
     places, values = samples(40, grid)
-    posterior = MixturePosterior.build(grid, mixed, places, values)
+    posterior = mixed_map(grid, mixed, places, values)
     mean, std = ProcessMixture.of(posterior.process).predict(grid.points())
     assert np.sqrt((((posterior.snapshot().mean_ppb.ravel() - mean) / std) ** 2).mean()) < 0.02
     assert np.sqrt(((posterior.snapshot().std_ppb.ravel() / std - 1.0) ** 2).mean()) < 0.02
@@ -106,7 +110,7 @@ def test_the_coarser_grid_covers_the_site(shape: tuple[int, int]) -> None:
 def test_the_map_of_a_kernel_that_is_certain_is_its_own_to_the_byte() -> None:
     certain = replace(SPREAD, alternatives=())
     places, values = samples(12)
-    mixed = MixturePosterior.build(GRID, certain, places, values).snapshot()
+    mixed = mixed_map(GRID, certain, places, values).snapshot()
     own = GridPosterior.build(GRID, certain, places, values).snapshot()
     assert mixed.mean_ppb.tobytes() == own.mean_ppb.tobytes()
     assert mixed.std_ppb.tobytes() == own.std_ppb.tobytes()

@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike
 
 from he3.frames import Float32Array, FloatArray, SiteGrid
 from he3.mixture import alternatives_of, mixture_moments
-from he3.posterior.grid import GridPosterior, PosteriorMap
 
 if TYPE_CHECKING:
     from he3.gp import GaussianProcess
     from he3.hyperparameters import Hyperparameters
+    from he3.posterior.grid import GridPosterior, PosteriorMap
 
 MOST_CELLS = 4096
 
@@ -34,46 +34,25 @@ MOST_CELLS = 4096
 class MixturePosterior:
     """The belief on every cell, as ``GridPosterior``; where the kernel is certain, it is that, to the byte."""
 
-    def __init__(self, grid: SiteGrid, hyperparameters: Hyperparameters, *, threads: int = 1) -> None:
-        """The prior: no samples yet. threads: those of ``GridPosterior``."""
-        self._begin(grid, hyperparameters, threads, lambda on, under, count: GridPosterior(on, under, threads=count))
-
-    @classmethod
-    def build(
-        cls,
-        grid: SiteGrid,
-        hyperparameters: Hyperparameters,
-        xy_m: ArrayLike,
-        values_ppb: ArrayLike,
-        *,
-        threads: int = 1,
-    ) -> MixturePosterior:
-        """The posterior given observations (n,) [ppb] at places (n, 2) [m]; raises as ``GridPosterior.build``."""
-        posterior = cls.__new__(cls)
-        posterior._begin(
-            grid, hyperparameters, threads,
-            lambda on, under, count: GridPosterior.build(on, under, xy_m, values_ppb, threads=count),
-        )  # fmt: skip
-        return posterior
-
-    def _begin(
+    def __init__(
         self,
         grid: SiteGrid,
         hyperparameters: Hyperparameters,
-        threads: int,
-        posterior: Callable[[SiteGrid, Hyperparameters, int], GridPosterior],
+        posterior: Callable[[SiteGrid, Hyperparameters], GridPosterior],
     ) -> None:
-        self._one = posterior(grid, hyperparameters, threads)
-        self._weights, self._parts = np.empty(0), []
+        """posterior: makes the posterior of one kernel on a grid, from the same samples each time."""
+        self._one = posterior(grid, hyperparameters)
+        self._coarse_one = self._one
+        self._weights = np.empty(0)
+        self._parts: list[GridPosterior] = []
         self._map: PosteriorMap | None = None
-        if not hyperparameters.alternatives:
-            return
-        coarse = coarser(grid)
-        weights, each = zip(*alternatives_of(hyperparameters), strict=True)
-        self._weights = np.array(weights)
-        self._parts = [posterior(coarse, one, 1) for one in each]
-        centre = replace(hyperparameters, alternatives=())
-        self._coarse_one = self._one if coarse == grid else posterior(coarse, centre, 1)
+        if hyperparameters.alternatives:
+            coarse = coarser(grid)
+            weights, each = zip(*alternatives_of(hyperparameters), strict=True)
+            self._weights = np.array(weights)
+            self._parts = [posterior(coarse, one) for one in each]
+            if coarse != grid:
+                self._coarse_one = posterior(coarse, replace(hyperparameters, alternatives=()))
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -88,10 +67,9 @@ class MixturePosterior:
         """Add one observation [ppb] at the place (2,) [m]; raises, and changes nothing, as ``GridPosterior.add``."""
         self._one.add(xy_m, value_ppb)
         self._map = None
-        if self._parts and self._coarse_one is not self._one:
-            self._coarse_one.add(xy_m, value_ppb)
-        for part in self._parts:
-            part.add(xy_m, value_ppb)
+        for other in (self._coarse_one, *self._parts):
+            if other is not self._one:
+                other.add(xy_m, value_ppb)
 
     def snapshot(self) -> PosteriorMap:
         """The present map, safe to pass to other threads: its arrays never change."""
@@ -104,13 +82,12 @@ class MixturePosterior:
             mean, std = mixture_moments(
                 self._weights, np.stack([part.mean_ppb for part in maps]), np.stack([part.std_ppb for part in maps])
             )
-            corrected = (
-                one.mean_ppb + on_cells(mean - coarse.mean_ppb, self._one.grid, self._coarse_one.grid),
-                one.std_ppb * on_cells(std / coarse.std_ppb, self._one.grid, self._coarse_one.grid),
-            )
-            for values in corrected:
+            grids = self._one.grid, self._coarse_one.grid
+            mean_ppb = one.mean_ppb + on_cells(mean - coarse.mean_ppb, *grids)
+            std_ppb = one.std_ppb * on_cells(std / coarse.std_ppb, *grids)
+            for values in (mean_ppb, std_ppb):
                 values.setflags(write=False)
-            self._map = PosteriorMap(one.samples, *corrected)
+            self._map = replace(one, mean_ppb=mean_ppb, std_ppb=std_ppb)
         return self._map
 
 
