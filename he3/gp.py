@@ -62,6 +62,12 @@ class GaussianProcess:
         """The belief after samples at places (k, 2) [m] with values yet unknown: less variance, the same mean."""
         return self._extend(as_points(np.asarray(xy_m, dtype=np.float64)), None)
 
+    def under(self, hyperparameters: Hyperparameters) -> GaussianProcess:
+        """The belief after the same observations under other hyperparameters."""
+        own, places = self.hyperparameters, self.places_m
+        values = own.prior_mean_ppb(places) + own.scale_ppb * (self.factor @ self.whitened)
+        return GaussianProcess(hyperparameters).condition(places, values)
+
     def _extend(self, xy: FloatArray, z: FloatArray | None) -> GaussianProcess:
         n, k = len(self), len(xy)
         if k == 0:

@@ -14,7 +14,7 @@ import numpy as np
 
 from he3.kernels import squared_distances, with_log_parameters
 from he3.likelihood import log_marginal_likelihood
-from he3.mixture import alternatives_of, with_hyperparameters
+from he3.mixture import alternatives_of
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -30,7 +30,7 @@ def redrawn(belief: GaussianProcess, random: np.random.Generator) -> GaussianPro
     fitted, places = belief.hyperparameters, belief.places_m
     if fitted.alternatives:
         weights, each = zip(*alternatives_of(fitted), strict=True)
-        return with_hyperparameters(belief, each[int(random.choice(len(each), p=weights))])
+        return belief.under(each[int(random.choice(len(each), p=weights))])
     if not len(belief):
         return belief
     z = belief.factor @ belief.whitened
@@ -50,4 +50,4 @@ def redrawn(belief: GaussianProcess, random: np.random.Generator) -> GaussianPro
     change = axes @ (std * random.standard_normal(len(centre)))
     theta = centre + np.clip(change, -FARTHEST * VAGUE_STD, FARTHEST * VAGUE_STD)
     drawn = replace(fitted, kernel=with_log_parameters(fitted.kernel, theta), log_likelihood=float("nan"))
-    return with_hyperparameters(belief, drawn)
+    return belief.under(drawn)

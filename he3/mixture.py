@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from he3.gp import GaussianProcess
-
 if TYPE_CHECKING:
     from he3.frames import FloatArray
+    from he3.gp import GaussianProcess
     from he3.hyperparameters import Hyperparameters
 
 
@@ -56,7 +55,7 @@ class ProcessMixture:
         if not process.hyperparameters.alternatives:
             return cls(np.ones(1), (process,))
         weights, each = zip(*alternatives_of(process.hyperparameters), strict=True)
-        return cls(np.array(weights), tuple(with_hyperparameters(process, one) for one in each))
+        return cls(np.array(weights), tuple(process.under(one) for one in each))
 
     def predict(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (k,) and standard deviation (k,) [ppb] of the field at places (k, 2) [m], noise excluded."""
@@ -71,10 +70,3 @@ class ProcessMixture:
         for weight, process in zip(self.weights, self.processes, strict=True):
             covariance += weight * process.posterior_covariance(points_m)
         return covariance
-
-
-def with_hyperparameters(process: GaussianProcess, hyperparameters: Hyperparameters) -> GaussianProcess:
-    """The process's samples under other hyperparameters."""
-    own, places = process.hyperparameters, process.places_m
-    values = own.prior_mean_ppb(places) + own.scale_ppb * (process.factor @ process.whitened)
-    return GaussianProcess(hyperparameters).condition(places, values)
