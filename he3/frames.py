@@ -73,6 +73,11 @@ class SiteGrid:
         )
         return inside
 
+    def has(self, place_m: Place) -> bool:
+        """Whether the place (x, y) [m] lies in the region, edge included."""
+        x_m, y_m = place_m
+        return 0 <= x_m <= self.width_m and 0 <= y_m <= self.height_m
+
     def cells_of(self, points_m: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns, each (N,), of the cells that contain the places (N, 2) [m].
 

@@ -36,6 +36,17 @@ class Damaged(Refused):
     """A payload whose checksum is wrong: it was changed on the way."""
 
 
+class Passed(bytes):
+    """A message of `encode`, with the header and the body that it was made of, for a reader in the same process.
+
+    Messages are frozen, so such a reader is given the same objects, and nothing is parsed. The bytes are those of
+    `encode`. Any copy of them that was changed is plain bytes again, and is checked like every other message.
+    """
+
+    header: Header
+    body: Wire
+
+
 def encode(header: Header, body: Wire, sign: Sign | None = None) -> bytes:
     """The message as JSON in UTF-8, sealed with its checksum.
 
@@ -43,6 +54,16 @@ def encode(header: Header, body: Wire, sign: Sign | None = None) -> bytes:
     """
     content = body.model_dump_json().encode()
     return _sealed(header if sign is None else sign(header, content), content)
+
+
+def passed(header: Header, body: Wire) -> Passed:
+    """The same bytes as `encode` gives, for readers in this process."""
+    content = body.model_dump_json().encode()
+    head, checksum = _head_and_checksum(header, content)
+    message = Passed(_joined(head, checksum, content))
+    message.header = header.model_copy(update={"checksum": checksum})
+    message.body = body
+    return message
 
 
 def restamped(payload: bytes, held_from: int | None, repetition: int) -> bytes:
@@ -57,14 +78,22 @@ def restamped(payload: bytes, held_from: int | None, repetition: int) -> bytes:
 
 
 def _sealed(header: Header, body: bytes) -> bytes:
+    return _joined(*_head_and_checksum(header, body), body)
+
+
+def _joined(head: bytes, checksum: int, body: bytes) -> bytes:
+    return b'%b%b,"checksum":%d},"body":%b}' % (_OPENING, head[:-1], checksum, body)
+
+
+def _head_and_checksum(header: Header, body: bytes) -> tuple[bytes, int]:
+    """The header as it is sent, without its checksum, and the checksum of header and body."""
     left_out = {"checksum"}
     if header.held_from is None:
         left_out.add("held_from")
     if header.repetition == 0:
         left_out.add("repetition")
     head = header.model_dump_json(exclude=left_out).encode()
-    checksum = zlib.crc32(body, zlib.crc32(head))
-    return b'%b%b,"checksum":%d},"body":%b}' % (_OPENING, head[:-1], checksum, body)
+    return head, zlib.crc32(body, zlib.crc32(head))
 
 
 def body_of(payload: bytes) -> bytes:
@@ -106,6 +135,8 @@ def raw_objection(topic: Topic, payload: bytes) -> str | None:
 
 def header_of(payload: bytes) -> dict[str, Any]:
     """The header as it is in the payload, unchecked; empty if it cannot be read."""
+    if isinstance(payload, Passed):
+        return vars(payload.header)
     try:
         if payload.startswith(_OPENING):
             text = payload[len(_OPENING) : _HEADER_LIMIT_BYTES].decode("utf-8", "replace")
@@ -130,22 +161,29 @@ def _decode(
 ) -> tuple[Header, Any]:
     if len(payload) > limit:
         raise Refused(f"{where}: expected at most {limit} bytes, got {len(payload)}")
-    sealed = _check_seal(payload, where)
-    try:
-        envelope = _adapter(body_type).validate_json(payload)
-    except ValidationError as error:
-        _refuse_other_version(payload, where)
-        raise Refused(f"{where}: {one_line(error)}") from None
-    header: Header = envelope.header
-    if header.checksum is not None and not sealed:
-        raise Refused(f"{where}: expected the checksum last in a header without spaces, or none, got another form")
+    header, body = _parts(body_type, payload, where)
     if header.version != SCHEMA_VERSION:
         raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {header.version}")
     if header.mission != mission:
         raise Refused(f"{where}: expected mission '{mission}', got '{header.mission}'")
     if sources is not None and header.source not in sources:
         raise Refused(f"{where}: expected a message of {' or '.join(sorted(sources))}, got one of '{header.source}'")
-    return header, envelope.body
+    return header, body
+
+
+def _parts(body_type: type[Wire], payload: bytes, where: str) -> tuple[Header, Any]:
+    """Header and body, each of the right form; raises Refused."""
+    if isinstance(payload, Passed) and type(payload.body) is body_type:
+        return payload.header, payload.body
+    sealed = _check_seal(payload, where)
+    try:
+        envelope = _adapter(body_type).validate_json(payload)
+    except ValidationError as error:
+        _refuse_other_version(payload, where)
+        raise Refused(f"{where}: {one_line(error)}") from None
+    if envelope.header.checksum is not None and not sealed:
+        raise Refused(f"{where}: expected the checksum last in a header without spaces, or none, got another form")
+    return envelope.header, envelope.body
 
 
 _ADAPTERS: dict[type[Wire], TypeAdapter[Any]] = {}

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
 from services.ground.obstacles import MetObstacles
 from services.ground.rover_position import RoverPosition
@@ -95,7 +93,7 @@ class ExecutionMonitor:
 
     def objection(self, event: RoverEvent) -> LogRecord | None:
         """A warning if the event's place is outside the region."""
-        if self._grid.contains(np.array([(event.x_m, event.y_m)]))[0]:
+        if self._grid.has((event.x_m, event.y_m)):
             return None
         where = f"({event.x_m:g}, {event.y_m:g})"
         return _warning(f"event {event.kind.value}: expected a place in the region, got {where}")

@@ -90,6 +90,7 @@ from services.runtime.node import (
 if TYPE_CHECKING:
     from he3.frames import SiteGrid
     from he3.reference import Region
+    from schemas.ground import GroundStatus
     from services.ground.map.snapshot import MapSnapshot
     from services.ground.planners.interface import Planner
     from services.mission.scenario import Scenario
@@ -171,6 +172,11 @@ class GroundNode:
     def snapshot(self) -> MapSnapshot | None:
         """The present live map."""
         return self._publisher.snapshot
+
+    @property
+    def status(self) -> GroundStatus:
+        """The status, as operators would receive it now."""
+        return self._status.status
 
     def handle(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         match event:
@@ -269,7 +275,7 @@ class GroundNode:
         self._stall.progress(now)
 
     def _locate(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> Iterable[Effect]:
-        if not self._terrain.grid.contains(np.array([(state.x_m, state.y_m)]))[0]:
+        if not self._terrain.grid.has((state.x_m, state.y_m)):
             return [
                 LogRecord(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")
             ]

@@ -25,6 +25,7 @@ class RoundLog:
         self.chain: list[RoundRecord] = []
         self._versions: list[RoundRecord] = []
         self._paths_of: object = None
+        self._paths_at: tuple[object, int, int] | None = None
         self._paths: tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]] = ((), ())
         self._of_sample: dict[str, tuple[RoundRecord, int]] = {}
 
@@ -104,6 +105,10 @@ class RoundLog:
 
         The same objects as before as long as neither has changed.
         """
+        at = (self.chain, sum([record.changes for record in self.chain]), len(self.chain))
+        if self._paths_at is not None and at[0] is self._paths_at[0] and at[1:] == self._paths_at[1:]:
+            return self._paths
+        self._paths_at = at
         key = tuple((record.introduced, record.begun, record.ended, record.reached_m) for record in self.chain)
         if key != self._paths_of:
             self._paths_of = key
@@ -138,10 +143,10 @@ class RoundLog:
 
         If two versions of a round have begun, the rover gave up the older one.
         """
-        record.begun = True
+        record.begin()
         if record in self.chain:
             for earlier in self.chain[: self.chain.index(record)]:
-                earlier.begun = True
+                earlier.begin()
             return False
         order = (record.number, record.introduced)
         before = [other for other in self.chain if (other.number, other.introduced) < order]
@@ -171,7 +176,7 @@ class RoundLog:
         """Restore the round log from this state."""
         self._versions = [RoundRecord(**record) for record in state["versions"]]
         self.chain = [self._versions[number] for number in state["chain"]]
-        self._paths_of, self._paths = state["paths_of"], state["paths"]
+        self._paths_of, self._paths, self._paths_at = state["paths_of"], state["paths"], None
         self._of_sample = {}
         for record in self._versions:
             self._number_samples(record)

@@ -35,13 +35,25 @@ class RoundRecord:
     """Samples that the rover reported as measured when the round ended."""
     reached_m: float = 0.0
     """Farthest place reached along the path [m]."""
+    changes: int = field(default=0, init=False)
+    """Counts what has changed in it since it was made here, apart from its samples."""
     _arc_m: FloatArray = field(init=False)
     _path_m: FloatArray = field(init=False)
+    _begin_x: FloatArray = field(init=False)
+    _begin_y: FloatArray = field(init=False)
+    _leg_x: FloatArray = field(init=False)
+    _leg_y: FloatArray = field(init=False)
+    _squared: FloatArray = field(init=False)
+    _root: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         self._path_m = np.array(self.plan.path_m, dtype=np.float64)
         steps = np.hypot(*np.diff(self._path_m, axis=0).T)
         self._arc_m = np.concatenate(([0.0], np.cumsum(steps)))
+        self._begin_x, self._begin_y = self._path_m[:-1, 0].copy(), self._path_m[:-1, 1].copy()
+        self._leg_x, self._leg_y = np.diff(self._path_m[:, 0]), np.diff(self._path_m[:, 1])
+        self._squared = np.maximum(self._leg_x**2 + self._leg_y**2, 1e-12)
+        self._root = np.sqrt(self._squared)
 
     @property
     def number(self) -> int:
@@ -76,27 +88,37 @@ class RoundRecord:
     @property
     def closed(self) -> bool:
         """Whether no sample of it is still to come."""
-        return not self.pending
+        return len(self.settled) == len(self.plan.samples) or not self.pending
+
+    def begin(self) -> None:
+        """Note that the rover has begun it."""
+        if not self.begun:
+            self.begun = True
+            self.changes += 1
 
     def start(self, at: MissionTime) -> None:
         """Note the start at that time; a round aborted before may start again from an older plan."""
         if self.ended_early and at > self.ended_at:
             self.ended = self.ended_early = False
+            self.changes += 1
 
     def complete(self) -> None:
         """Note that the rover has completed it."""
         if not self.ended:
             self.ended = True
             self.reached_m = self.length_m
+            self.changes += 1
 
     def break_off(self, at: MissionTime) -> None:
         """Note that the rover aborted it at that time."""
         self.ended = self.ended_early = True
         self.ended_at = at
+        self.changes += 1
 
     def give_up(self) -> None:
         """Give it up: the rover executes another version of the round."""
         self.ended = self.ended_early = True
+        self.changes += 1
 
     def settle(self, sample_id: str, arrived: bool = False) -> bool:
         """Close a sample, which arrived or never will; returns whether it was open."""
@@ -110,17 +132,16 @@ class RoundRecord:
         """Note the progress along the path, if the place is on the part still ahead."""
         if len(self._path_m) < 2:
             return
-        a, b = self._path_m[:-1], self._path_m[1:]
-        leg = b - a
-        squared = np.maximum((leg * leg).sum(axis=1), 1e-12)
-        share = np.clip(((np.array(place_m) - a) * leg).sum(axis=1) / squared, 0.0, 1.0)
-        foot = a + share[:, None] * leg
-        off = np.hypot(foot[:, 0] - place_m[0], foot[:, 1] - place_m[1])
-        arc = self._arc_m[:-1] + share * np.sqrt(squared)
-        ahead = np.flatnonzero((arc >= self.reached_m - 1e-6) & (off <= tolerance_m))
-        if ahead.size:
+        x_m, y_m = place_m
+        along = (x_m - self._begin_x) * self._leg_x + (y_m - self._begin_y) * self._leg_y
+        share = np.clip(along / self._squared, 0.0, 1.0)
+        off_x, off_y = self._begin_x + share * self._leg_x - x_m, self._begin_y + share * self._leg_y - y_m
+        arc = self._arc_m[:-1] + share * self._root
+        ahead = np.flatnonzero((arc >= self.reached_m - 1e-6) & (np.hypot(off_x, off_y) <= tolerance_m))
+        if ahead.size and (reached_m := float(arc[ahead[0]])) > self.reached_m:
             # The first passage that fits: a path that crosses itself is not cut short.
-            self.reached_m = max(self.reached_m, float(arc[ahead[0]]))
+            self.reached_m = reached_m
+            self.changes += 1
 
     def driven(self) -> tuple[Waypoint, ...]:
         """The part of the path up to the farthest place reached."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.topics import GROUND_STATUS
 from services.ground.map.overview import kernel_parameters
-from services.runtime.node import Send
+from services.runtime.node import SendIfHeard
 
 if TYPE_CHECKING:
+    from he3.hyperparameters import Hyperparameters
+    from schemas.maps import MapScore
     from schemas.telemetry import RoverState
     from services.ground.belief import Belief
     from services.ground.director import Director, MissionProgress
@@ -19,6 +22,25 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.mission.scenario import Scenario
     from services.runtime.node import SavedState
+
+
+class _Facts(NamedTuple):
+    """What the status says, apart from what never changes; what changes most often comes first."""
+
+    rover_made_at: MissionTime | None
+    rounds_completed: int
+    samples: int
+    driven_m: float
+    plan_revision: int
+    planning: bool
+    map_revision: int
+    mean_std_ppb: float
+    phase: MissionPhase
+    detail: str
+    proposal: int | None
+    rover: RoverState | None
+    score: MapScore | None
+    hyperparameters: Hyperparameters
 
 
 class StatusReporter:
@@ -42,7 +64,7 @@ class StatusReporter:
         self._note = note
         self._rover: RoverState | None = None
         self._rover_made_at: MissionTime | None = None
-        self._sent: GroundStatus | None = None
+        self._sent: _Facts | None = None
 
     @property
     def rover(self) -> RoverState | None:
@@ -54,34 +76,57 @@ class StatusReporter:
         if self._rover_made_at is None or made_at >= self._rover_made_at:
             self._rover, self._rover_made_at = state, made_at
 
-    def send(self, anyway: bool) -> Iterable[Send]:
-        """The status if it has changed; with `anyway`, also if it has not."""
-        status = self._status()
-        if anyway or status != self._sent:
-            self._sent = status
-            yield Send(GROUND_STATUS, status)
+    @property
+    def status(self) -> GroundStatus:
+        """The status now."""
+        return self._status(self._facts())
 
-    def _status(self) -> GroundStatus:
+    def send(self, anyway: bool) -> Iterable[SendIfHeard]:
+        """The status if it has changed; with `anyway`, also if it has not."""
+        facts = self._facts()
+        if anyway or facts != self._sent:
+            self._sent = facts
+            yield SendIfHeard(GROUND_STATUS, partial(self._status, facts))
+
+    def _facts(self) -> _Facts:
         progress = self._director.progress()
-        return GroundStatus(
-            phase=self._phase(progress),
-            planner=self._scenario.ground.planner,
-            round=progress.rounds_completed,
-            rounds=self._scenario.rounds,
+        return _Facts(
+            rover_made_at=self._rover_made_at,
+            rounds_completed=progress.rounds_completed,
             samples=progress.samples,
-            samples_total=self._scenario.samples,
             driven_m=progress.driven_m,
-            budget_m=self._scenario.ground.budget_m,
             plan_revision=progress.plan_revision,
-            plans_in_work=int(progress.planning),
+            planning=progress.planning,
             map_revision=self._publisher.revision,
             mean_std_ppb=self._publisher.mean_std_ppb,
-            kernel=kernel_parameters(self._belief.hyperparameters),
-            score=self._publisher.score,
-            rover=self._rover,
-            rover_made_at=self._rover_made_at,
+            phase=self._phase(progress),
             detail=self._detail(progress)[:500],
             proposal=None if progress.proposed is None else progress.proposed.number,
+            rover=self._rover,
+            score=self._publisher.score,
+            hyperparameters=self._belief.hyperparameters,
+        )
+
+    def _status(self, facts: _Facts) -> GroundStatus:
+        return GroundStatus(
+            phase=facts.phase,
+            planner=self._scenario.ground.planner,
+            round=facts.rounds_completed,
+            rounds=self._scenario.rounds,
+            samples=facts.samples,
+            samples_total=self._scenario.samples,
+            driven_m=facts.driven_m,
+            budget_m=self._scenario.ground.budget_m,
+            plan_revision=facts.plan_revision,
+            plans_in_work=int(facts.planning),
+            map_revision=facts.map_revision,
+            mean_std_ppb=facts.mean_std_ppb,
+            kernel=kernel_parameters(facts.hyperparameters),
+            score=facts.score,
+            rover=facts.rover,
+            rover_made_at=facts.rover_made_at,
+            detail=facts.detail,
+            proposal=facts.proposal,
         )
 
     def _phase(self, progress: MissionProgress) -> MissionPhase:
@@ -99,15 +144,14 @@ class StatusReporter:
         return "; ".join((*details, detail) if detail else details)
 
     def checkpoint(self) -> SavedState:
-        """The whole state, as named parts."""
+        """The state, as named parts, without what was sent: an equal status may be sent once more."""
         return {
             "rover": self._rover,
             "rover_made_at": self._rover_made_at,
-            "sent": self._sent,
         }
 
     def restore(self, state: SavedState) -> None:
         """Restore the reporter from this state."""
         self._rover = state["rover"]
         self._rover_made_at = state["rover_made_at"]
-        self._sent = state["sent"]
+        self._sent = None  # a status is sent once more after a restart

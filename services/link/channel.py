@@ -168,9 +168,14 @@ class Channel:
         return not len(self._queue) and not self._flying
 
     @property
+    def in_flight(self) -> int:
+        """Packets whose sending has begun and that have not arrived."""
+        return len(self._flying)
+
+    @property
     def counts(self) -> DirectionCounts:
         """Counts of what happened to the packets offered."""
-        return self._counts.report(waiting=len(self._queue), in_flight=len(self._flying))
+        return self._counts.report(waiting=len(self._queue), in_flight=self.in_flight)
 
     # --- the queue ------------------------------------------------------------------------------------------------
 

@@ -24,7 +24,7 @@ from services.runtime.node import (
     QueryReceived,
     ReceivedRaw,
     RefuseQuery,
-    Send,
+    SendIfHeard,
     SendReply,
     SetTimer,
     Started,
@@ -67,6 +67,11 @@ class LinkNode:
     @property
     def interface(self) -> Interface:
         return self._interface
+
+    @property
+    def in_flight(self) -> int:
+        """Packets in flight, in both directions together."""
+        return self._relay.in_flight
 
     def handle(self, event: Event, now: MissionTime) -> Iterator[Effect]:
         """Effects of the event, in order."""
@@ -116,7 +121,7 @@ class LinkNode:
             self._report_due = now
             yield LogRecord(Level.INFO, "contact regained" if contact else "contact lost", self._until(now))
         if self._report_due is not None and self._report_due <= now:
-            yield Send(LINK_STATUS, self._relay.status(now, self._incarnation))
+            yield SendIfHeard(LINK_STATUS, lambda: self._relay.status(now, self._incarnation))
             self._reported_at = now
             self._report_due = now + (STATUS_INTERVAL_BUSY if self._relay.busy else STATUS_INTERVAL_IDLE)
         yield from self._set_timer(_TRAFFIC, self._relay.next_event())

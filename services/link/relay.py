@@ -112,6 +112,11 @@ class Relay:
         """Whether a packet waits or is in flight."""
         return not all(channel.idle for channel in self._channels.values())
 
+    @property
+    def in_flight(self) -> int:
+        """Packets in flight, in both directions together."""
+        return sum(channel.in_flight for channel in self._channels.values())
+
     def status(self, now: MissionTime, incarnation: int) -> LinkStatus:
         """The link's status now."""
         shown = [

@@ -6,22 +6,22 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
-from schemas.codec import Refused, decode
-from schemas.ground import GroundStatus, MissionPhase
-from schemas.topics import GROUND_STATUS, LINK_STATUS, Side, Topic
-from services.mission.mission_time import SECOND, MissionTime
+from schemas.ground import MissionPhase
+from services.mission.mission_time import SECOND
 from services.runtime.drivers.simulation import Simulation
 from services.runtime.node import Node
 
 if TYPE_CHECKING:
     from he3.reference import Region
-    from schemas.link import LinkStatus
+    from schemas.ground import GroundStatus
+    from schemas.topics import Topic
     from schemas.wire import Wire
     from services.mission.scenario import Scenario
     from services.runtime.host import EventSink
     from services.runtime.scheduler import Executor
 
-ENDED = frozenset({MissionPhase.COMPLETED, MissionPhase.FAILED})
+GROUND = "ground"
+"""The node whose end is the end of the mission."""
 
 RECORDING_FLUSH_S = 3600.0
 """Mission time between flushes of an in-process recording, which no other process reads while it runs [s]."""
@@ -54,15 +54,22 @@ class InProcessMission:
         executor: Executor | None = None,
         event_sink: EventSink | None = None,
         nodes: Iterable[Node] | None = None,
+        passes_objects: bool = True,
     ) -> None:
+        """passes_objects: see `Simulation`."""
         self.scenario = scenario
-        self.status: GroundStatus | None = None
-        """The ground's last status."""
-        self.link: LinkStatus | None = None
-        """The link's last status."""
         built = build_nodes(scenario) if nodes is None else tuple(nodes)
-        self.simulation = Simulation(built, scenario.name, scenario.start_ns, executor, event_sink, scenario.link)
-        self.simulation.tap(self._listen)
+        self.simulation = Simulation(
+            built, scenario.name, scenario.start_ns, executor, event_sink, scenario.link, passes_objects
+        )
+
+    @property
+    def status(self) -> GroundStatus | None:
+        """The ground's status now; None while no ground station runs."""
+        from services.ground.node import GroundNode
+
+        ground = self.simulation.node(GROUND)
+        return ground.status if isinstance(ground, GroundNode) else None
 
     @property
     def mission_time_s(self) -> float:
@@ -72,7 +79,10 @@ class InProcessMission:
     @property
     def end(self) -> MissionPhase | None:
         """The phase in which the mission ended, completed or failed; None while it runs."""
-        return None if self.status is None or self.status.phase not in ENDED else self.status.phase
+        end = self.simulation.finished.get(GROUND)
+        if end is None:
+            return None
+        return MissionPhase.COMPLETED if end.ok else MissionPhase.FAILED
 
     def run(self, watch: Callable[[], None] = lambda: None, until_s: float | None = None) -> MissionPhase:
         """Run the mission to its end and return the phase in which it ended; `watch` is called after every instant.
@@ -99,17 +109,3 @@ class InProcessMission:
     def ask(self, topic: Topic, request: Wire) -> Any:
         """The reply to an operator's query; raises He3Error with the refusal."""
         return self.simulation.ask(topic, request)
-
-    def _listen(self, topic: Topic, side: Side, payload: bytes, now: MissionTime) -> None:
-        if side is not Side.EARTH:
-            return
-        if topic is not GROUND_STATUS and topic is not LINK_STATUS:
-            return
-        try:
-            said = decode(topic, payload, self.scenario.name)[1]
-        except Refused:
-            return  # not of this mission: the nodes count it
-        if topic is GROUND_STATUS:
-            self.status = said
-        else:
-            self.link = said

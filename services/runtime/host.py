@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
-from schemas.codec import Refused, decode, decode_reply, encode, header_of, raw_objection
+from schemas.codec import Refused, decode, decode_reply, encode, header_of, passed, raw_objection
 from schemas.refusal import RefusalCode
 from schemas.signing import Part
 from schemas.topics import COMMAND, Crosses, Query, Side, Topic, under_custody
@@ -56,6 +56,7 @@ from services.runtime.node import (
     RefuseQuery,
     ReplyReceived,
     Send,
+    SendIfHeard,
     SendQuery,
     SendReply,
     Started,
@@ -131,12 +132,17 @@ class Host:
         contains_defects: bool = False,
         gate: Gate | None = None,
         audit: AuditTrail | None = None,
+        passes_objects: bool = False,
+        heard: Callable[[Topic, Side], bool] = lambda topic, side: True,
     ) -> None:
         """contains_defects: whether an exception upon an input from outside sets that input aside. False: it is raised,
         so that simulations and tests show it. gate: signs and verifies messages; None in a mission without keys. audit:
-        where changes are written down.
+        where changes are written down. passes_objects: whether messages carry what they were made of, for readers in
+        the same process. heard: whether anyone receives messages of that topic there; others are not made.
         """
         self._node = node
+        self._encode = passed if passes_objects else encode
+        self._heard = heard
         self._contains_defects = contains_defects
         self._given: Input | None = None
         self._defects = 0
@@ -158,6 +164,10 @@ class Host:
         if interface.custody and any(under_custody(topic) for topic in interface.subscribes):
             self._custody = CustodyEndpoint(interface.name, interface.sides[0], custody, self._encoded)
         self._reported_depth = 0
+
+    @property
+    def node(self) -> Node:
+        return self._node
 
     @property
     def interface(self) -> Interface:
@@ -190,6 +200,11 @@ class Host:
     def events(self) -> int:
         """Events handled since the start."""
         return self._events
+
+    @property
+    def admits_all(self) -> bool:
+        """Whether `admit` has nothing to check, and `answered` nothing to write down."""
+        return self._gate is None and self._audit is None
 
     def receives(self, topic: Topic, side: Side) -> bool:
         """Whether a message published on that side is for this node.
@@ -286,7 +301,7 @@ class Host:
         It is asked once about each input, before a journal keeps it, as its answer depends on wall time and on the
         present roster. What it refuses changes nothing.
         """
-        if self._gate is None and self._audit is None:
+        if self.admits_all:
             return given, []
         try:
             match given:
@@ -444,7 +459,8 @@ class Host:
 
     def _message(self, topic: Topic, payload: bytes, objection: str | None, now: MissionTime) -> list[Action]:
         """The actions for an incoming message; one that its topic does not admit is refused and counted."""
-        what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}"
+        logs = self._event_sink is not None
+        what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}" if logs else None
         if topic in self._interface.receives_raw:
             why = raw_objection(topic, payload)
             if why is not None:
@@ -497,9 +513,9 @@ class Host:
         except Refused as refusal:
             unanswered = QueryFailed(topic, query, NoReply.REFUSED, str(refusal))
             return [*self.refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
-        return self._handle(
-            ReplyReceived(topic, query, reply), now, f"answered {topic.name} {zlib.crc32(payload):08x} {query}"
-        )
+        logs = self._event_sink is not None
+        what = f"answered {topic.name} {zlib.crc32(payload):08x} {query}" if logs else None
+        return self._handle(ReplyReceived(topic, query, reply), now, what)
 
     def _unanswered(self, query: str, why: NoReply, detail: str, now: MissionTime) -> list[Action]:
         put = self._queries.pop(query, None)
@@ -555,6 +571,12 @@ class Host:
     def _actions(self, effects: Iterable[Effect], now: MissionTime) -> Iterable[Action]:
         for effect in effects:
             match effect:
+                case SendIfHeard(topic, make):
+                    side = self._side_of(topic)
+                    if self._heard(topic, side):
+                        yield Publish(topic, side, self._encoded(topic, self._header(topic, now), make()))
+                    else:
+                        self._next_sequence(topic)
                 case Send(topic, body):
                     header = self._header(topic, now)
                     if self._custody is not None and under_custody(topic):
@@ -590,21 +612,24 @@ class Host:
 
     def _encoded(self, topic: Topic, header: Header, body: Wire, part: Part = Part.MESSAGE) -> bytes:
         if self._gate is None:
-            return encode(header, body)
+            return self._encode(header, body)
         if part is Part.QUERY and topic.signed:
             header = header.model_copy(update={"expires_at": header.made_at + REQUEST_VALID_NS})
         return self._gate.encode(part, topic, header, body)
 
     def _header(self, topic: Topic, now: MissionTime) -> Header:
-        sequence = self._sequences.get(topic.name, 0)
-        self._sequences[topic.name] = sequence + 1
         return Header(
             mission=self._mission,
             source=self._interface.name,
             incarnation=self._incarnation,
-            sequence=sequence,
+            sequence=self._next_sequence(topic),
             made_at=now,
         )
+
+    def _next_sequence(self, topic: Topic) -> int:
+        sequence = self._sequences.get(topic.name, 0)
+        self._sequences[topic.name] = sequence + 1
+        return sequence
 
     def refuse(self, why: str) -> list[Action]:
         """The log record of something from outside that was refused, and is counted; of a flood few have one."""

@@ -132,6 +132,17 @@ class Send:
 
 
 @dataclass(frozen=True, slots=True)
+class SendIfHeard:
+    """Publish a message that is made at once if anyone receives it, and else not: for what costs much to make.
+
+    Its topic is not under custody. It counts in the topic's sequence either way.
+    """
+
+    topic: Topic
+    make: Callable[[], Wire]
+
+
+@dataclass(frozen=True, slots=True)
 class Forward:
     """Publish a message on one side, byte for byte as it arrived (the link only)."""
 
@@ -224,7 +235,17 @@ class Finish:
 
 
 Effect = (
-    Send | Forward | SendQuery | SendReply | RefuseQuery | SetTimer | Compute | PublishSnapshot | LogRecord | Finish
+    Send
+    | SendIfHeard
+    | Forward
+    | SendQuery
+    | SendReply
+    | RefuseQuery
+    | SetTimer
+    | Compute
+    | PublishSnapshot
+    | LogRecord
+    | Finish
 )
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from enum import IntEnum
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from he3.errors import InvalidInput
@@ -118,11 +119,14 @@ class NodeScheduler:
 
         wait: whether computations that still run count (virtual time), or only those that have ended.
         """
-        while self._heap and self._timers.get(self._heap[0][1]) != self._heap[0][0]:
-            heapq.heappop(self._heap)
-        times = [self._heap[0][0]] if self._heap else []
-        times.extend(each.ends for each in self._running if wait or each.future.done())
-        return min(times) if times else None
+        heap, timers = self._heap, self._timers
+        while heap and timers.get(heap[0][1]) != heap[0][0]:
+            heapq.heappop(heap)
+        earliest = heap[0][0] if heap else None
+        for each in self._running:
+            if (earliest is None or each.ends < earliest) and (wait or each.future.done()):
+                earliest = each.ends
+        return earliest
 
     def computations(self) -> list[str]:
         """Names of the computations under way."""
@@ -137,19 +141,25 @@ class NodeScheduler:
 
         wait: whether to wait for a computation that is due (virtual time), or to leave it until it has ended.
         """
-        self._collect_results(now, wait)
+        if self._running:
+            self._collect_results(now, wait)
         self._collect_timers(now)
-        batch = [given for _, given in sorted(self._inbox, key=lambda entry: entry[0])]
+        if len(self._inbox) > 1:
+            self._inbox.sort(key=itemgetter(0))
+        batch = [given for _, given in self._inbox]
         self._inbox = []
         outward: list[Action] = []
-        batch = self._admitted(batch, now, outward)
+        audited = not self.host.admits_all
+        if audited:
+            batch = self._admitted(batch, now, outward)
         if self._journal is not None and batch:
             self._journal.append(now, batch)
         self.last = now
         for given in batch:
             actions = [action for action in self.host.handle(given, now) if not self._performed(action, now)]
-            for action in actions:
-                self.host.answered(action, now)
+            if audited:
+                for action in actions:
+                    self.host.answered(action, now)
             outward += actions
         if self._journal is not None and batch:
             self._keep_state(batch)

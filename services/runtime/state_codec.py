@@ -115,7 +115,7 @@ class _Encoder:
             return self._items(value)
         if kind is dict:
             return self._dict(value)
-        if kind is bytes:
+        if isinstance(value, bytes):  # a message that was passed on in this process, too
             return {"$bytes": self._blob(value, lambda: ({}, value))}
         if kind is np.ndarray:
             return {"$array": self._blob(value, lambda: _described(value))}

@@ -21,6 +21,7 @@ from services.runtime.event_log import EventLog, merge_event_logs
 if TYPE_CHECKING:
     from he3.reference import Region
     from schemas.ground import MissionTrack
+    from services.link.node import LinkNode
     from services.mission.scenario import Scenario
     from services.runtime.node import Node
 
@@ -48,6 +49,7 @@ def _run_in_process(
 ) -> tuple[Outcome, list[str]]:
     """The outcome of the mission, and one line on each output that could not be written while it ran."""
     from services.ground.planner_process import PlannerProcess
+    from services.link.node import LinkNode
     from services.recorder.about import about
     from services.recorder.files import open_recording
     from services.recorder.node import build_node as build_recorder
@@ -55,6 +57,7 @@ def _run_in_process(
 
     began = time.monotonic()
     sink: RecordingSink | None = None
+    link = next(node for node in nodes if isinstance(node, LinkNode))
     with ExitStack() as stack:
         if where.recording is not None:
             recording = open_recording(where.recording)
@@ -64,7 +67,7 @@ def _run_in_process(
         log = None if events is None else stack.enter_context(closing(EventLog(events)))
         mission = InProcessMission(scenario, planners, log, nodes)
         stack.enter_context(progress)
-        mission.run(lambda: progress.show(lambda: _moment(mission)))
+        mission.run(lambda: progress.show(lambda: _moment(mission, link)))
         if log is not None and events is not None:
             log.close()  # the queries for the report are no part of the mission
             merge_event_logs([events], events)
@@ -98,6 +101,5 @@ class _Asked:
         return score
 
 
-def _moment(mission: InProcessMission) -> Moment:
-    in_flight = 0 if mission.link is None else mission.link.up.in_flight + mission.link.down.in_flight
-    return moment_of(mission.status, mission.mission_time_s, in_flight)
+def _moment(mission: InProcessMission, link: LinkNode) -> Moment:
+    return moment_of(mission.status, mission.mission_time_s, link.in_flight)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from schemas.ground import KeepOutArea
 from schemas.topics import MAP_OVERVIEW
 from services.ground.map.overview import overview
 from services.ground.map.snapshot import MapSnapshot
-from services.runtime.node import PublishSnapshot, Send
+from services.runtime.node import PublishSnapshot, SendIfHeard
 
 if TYPE_CHECKING:
     from he3.posterior.grid import PosteriorMap
@@ -64,7 +65,7 @@ class MapPublisher:
 
     def publish(
         self, now: MissionTime, ended: bool, plan_ends: Callable[[MissionTime], MissionTime | None]
-    ) -> Iterable[PublishSnapshot | Send]:
+    ) -> Iterable[PublishSnapshot | SendIfHeard]:
         """A new snapshot if there is something new, with an overview if the map is; ended: whether the mission is over.
 
         plan_ends: the expected end of all planned rounds; called for new snapshots only.
@@ -111,7 +112,7 @@ class MapPublisher:
         yield PublishSnapshot(self.snapshot, awaited=self._shown_at_the_end)
         if before is None or before.revision != self.revision:
             known = 0 if before is None else len(before.samples)
-            yield Send(MAP_OVERVIEW, overview(self.snapshot, known, self._belief.fits))
+            yield SendIfHeard(MAP_OVERVIEW, partial(overview, self.snapshot, known, self._belief.fits))
 
     def _note_changes(self, now: MissionTime) -> None:
         """A new revision, with its score, if map or terrain are other objects than before."""

@@ -43,8 +43,14 @@ class Simulation:
         executor: Executor | None = None,
         event_sink: EventSink | None = None,
         link: LinkConditions | None = None,
+        passes_objects: bool = True,
     ) -> None:
-        """link: the conditions that the nodes' custody expects of the link; None: the default ones."""
+        """link: the conditions that the nodes' custody expects of the link; None: the default ones.
+
+        passes_objects: whether a message that was not changed on its way reaches its readers as the objects that it was
+        made of, and one that nobody receives is not made. False: all are made and parsed, as between processes.
+        """
+        self._passes_objects = passes_objects
         self._link = link or LinkConditions()
         self._event_sink = event_sink
         self._journals: dict[str, list[SimulatedJournal]] = {}
@@ -61,14 +67,14 @@ class Simulation:
         self._mission = mission
         self._executor = executor or InlineExecutor()
         self._schedulers: dict[str, NodeScheduler] = {}
-        self._taps: list[Tap] = []
+        self._taps: list[tuple[Tap, frozenset[Topic] | None]] = []
+        self._receivers: dict[tuple[Topic, Side], list[NodeScheduler]] = {}
         self._order = 0
         self._queries: dict[int, tuple[str, str]] = {}
         self._outside: dict[int, list[bytes | str]] = {}
         self._served_by: dict[int, str] = {}
         for node in nodes:
-            host = Host(node, mission, event_sink, custody_config(self._link, node.interface))
-            self._add_scheduler(NodeScheduler(host, self._executor))
+            self._add_scheduler(NodeScheduler(self._host_of(node, event_sink), self._executor))
 
     # --- driving ------------------------------------------------------------------------------------------------
 
@@ -77,9 +83,7 @@ class Simulation:
         instant = self._next_instant()
         if instant is None:
             return False
-        self.now = instant
-        while self._next_instant() == self.now:
-            self._round()
+        self._handle(instant)
         return True
 
     def run(self, until: MissionTime | None = None, stop: Callable[[], bool] = lambda: False) -> None:
@@ -88,7 +92,7 @@ class Simulation:
             instant = self._next_instant()
             if instant is None or (until is not None and instant > until):
                 break
-            self.step()
+            self._handle(instant)
         if until is not None and not stop():
             self.now = max(self.now, until)
 
@@ -96,9 +100,9 @@ class Simulation:
         """Step through that many seconds of mission time."""
         self.run(until=self.now + seconds(duration_s))
 
-    def tap(self, tap: Tap) -> None:
-        """Call `tap` for each message from now on."""
-        self._taps.append(tap)
+    def tap(self, tap: Tap, topics: Iterable[Topic] | None = None) -> None:
+        """Call `tap` for each message from now on. topics: only for messages of these topics."""
+        self._taps.append((tap, None if topics is None else frozenset(topics)))
 
     # --- faults -------------------------------------------------------------------------------------------------
 
@@ -109,6 +113,7 @@ class Simulation:
             journal = SimulatedJournal(identity, host.codec)
             self._journals[name] = [journal]
             self._schedulers[name] = NodeScheduler(host, self._executor, journal)
+            self._receivers.clear()
             self._schedulers[name].put((Kind.MESSAGE, OUTSIDE, 0), ProcessStarted(1))
 
     def alive(self, name: str) -> bool:
@@ -124,6 +129,7 @@ class Simulation:
         """End the node's process now. Its inputs are lost, and the queries that it serves end without a reply."""
         if self._schedulers.pop(name, None) is None:
             return
+        self._receivers.clear()
         self._crashing.discard(name)
         self.finished.pop(name, None)
         for token, server in list(self._served_by.items()):
@@ -136,7 +142,7 @@ class Simulation:
         torn_tail: the beginning of a record that its last start did not finish.
         """
         name = node.interface.name
-        host = Host(node, self._mission, self._event_sink, custody_config(self._link, node.interface))
+        host = self._host_of(node, self._event_sink)
         journals = self._journals.get(name)
         if journals is None:
             self._add_scheduler(NodeScheduler(host, self._executor))
@@ -160,7 +166,7 @@ class Simulation:
     def replayed_snapshot(self, node: Node) -> object | None:
         """The snapshot that a new node publishes after its journals alone; this mission is not changed."""
         name = node.interface.name
-        host = Host(node, self._mission, None, custody_config(self._link, node.interface))
+        host = self._host_of(node, None)
         kept = [entry for journal in self._journals[name] for entry in journal.entries()]
         shown = [
             action.snapshot
@@ -169,10 +175,21 @@ class Simulation:
         ]
         return shown[-1] if shown else None
 
+    def _host_of(self, node: Node, event_sink: EventSink | None) -> Host:
+        return Host(
+            node,
+            self._mission,
+            event_sink,
+            custody_config(self._link, node.interface),
+            passes_objects=self._passes_objects,
+            heard=self._is_heard,
+        )
+
     def _add_scheduler(self, scheduler: NodeScheduler) -> None:
         starts = self._starts.get(scheduler.name, 0) + 1
         self._starts[scheduler.name] = starts
         self._schedulers[scheduler.name] = scheduler
+        self._receivers.clear()
         scheduler.put((Kind.MESSAGE, OUTSIDE, 0), ProcessStarted(starts))
 
     # --- the outside world --------------------------------------------------------------------------------------
@@ -196,14 +213,20 @@ class Simulation:
         self._outside[token] = answers
         self._route_query(topic, topic.sides[0], payload, token, OUTSIDE)
         while not answers:
-            if self._next_instant() != self.now:
+            ready = [each for each in self._schedulers.values() if each.waiting or self._is_due(each)]
+            if not ready:
                 raise He3Error(f"{topic.name}: no reply")
-            self._round()
+            self._round(ready)
         return answers[0]
 
     def host(self, name: str) -> Host:
         """The host of that node."""
         return self._schedulers[name].host
+
+    def node(self, name: str) -> Node | None:
+        """The node of that name; None while its process does not run."""
+        scheduler = self._schedulers.get(name)
+        return None if scheduler is None else scheduler.host.node
 
     # --- inside -------------------------------------------------------------------------------------------------
 
@@ -213,14 +236,23 @@ class Simulation:
 
     def _next_instant(self) -> MissionTime | None:
         """When something happens next, now or later; None if nothing is left."""
-        if any(scheduler.waiting for scheduler in self._schedulers.values()):
-            return self.now
-        times = [wake for scheduler in self._schedulers.values() if (wake := scheduler.next_wake()) is not None]
-        return max(self.now, min(times)) if times else None
+        earliest: MissionTime | None = None
+        for scheduler in self._schedulers.values():
+            if scheduler.waiting:
+                return self.now
+            wake = scheduler.next_wake()
+            if wake is not None and (earliest is None or wake < earliest):
+                earliest = wake
+        return None if earliest is None else max(self.now, earliest)
 
-    def _round(self) -> None:
-        """Let every node handle the inputs that waited when the round began."""
-        ready = [scheduler for scheduler in self._schedulers.values() if scheduler.waiting or self._is_due(scheduler)]
+    def _handle(self, instant: MissionTime) -> None:
+        """Move time to that instant, and let the nodes handle all that happens then."""
+        self.now = instant
+        while ready := [each for each in self._schedulers.values() if each.waiting or self._is_due(each)]:
+            self._round(ready)
+
+    def _round(self, ready: Iterable[NodeScheduler]) -> None:
+        """Let these nodes handle the inputs that wait now."""
         for scheduler, actions in [(scheduler, scheduler.run(self.now)) for scheduler in ready]:
             if scheduler.name in self._crashing:
                 self.kill(scheduler.name)
@@ -254,11 +286,32 @@ class Simulation:
 
     def _publish(self, action: Publish, sender: str, emission: int) -> None:
         self.messages += 1
-        for tap in self._taps:
-            tap(action.topic, action.side, action.payload, self.now)
-        for name, scheduler in self._schedulers.items():
-            if name != sender and scheduler.host.receives(action.topic, action.side):
-                scheduler.put((Kind.MESSAGE, sender, emission), MessageArrived(action.topic, action.payload))
+        topic, payload = action.topic, action.payload
+        for tap, topics in self._taps:
+            if topics is None or topic in topics:
+                tap(topic, action.side, payload, self.now)
+        receivers = self._receivers_of(topic, action.side)
+        if not receivers:
+            return
+        order, message = (Kind.MESSAGE, sender, emission), MessageArrived(topic, payload)
+        for scheduler in receivers:
+            if scheduler.name != sender:
+                scheduler.put(order, message)
+
+    def _receivers_of(self, topic: Topic, side: Side) -> list[NodeScheduler]:
+        """The nodes that receive what is published there, in the order in which they were started."""
+        receivers = self._receivers.get((topic, side))
+        if receivers is None:
+            receivers = [each for each in self._schedulers.values() if each.host.receives(topic, side)]
+            self._receivers[topic, side] = receivers
+        return receivers
+
+    def _is_heard(self, topic: Topic, side: Side) -> bool:
+        return (
+            not self._passes_objects
+            or any(topics is None or topic in topics for _, topics in self._taps)
+            or bool(self._receivers_of(topic, side))
+        )
 
     def _route_query(self, topic: Topic, side: Side, payload: bytes, token: int, sender: str) -> None:
         for scheduler in self._schedulers.values():

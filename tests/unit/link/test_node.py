@@ -30,6 +30,7 @@ from services.runtime.node import (
     ReceivedRaw,
     RefuseQuery,
     Send,
+    SendIfHeard,
     SendReply,
     SetTimer,
     Started,
@@ -53,8 +54,10 @@ class Endpoint:
         self.give(Started(1))
 
     def give(self, event: Event) -> list[Effect]:
-        effects = list(self.node.handle(event, self.now))
-        for effect in effects:
+        effects: list[Effect] = []
+        for given in self.node.handle(event, self.now):
+            effect = Send(given.topic, given.make()) if isinstance(given, SendIfHeard) else given
+            effects.append(effect)
             if isinstance(effect, SetTimer):
                 self.timers.pop(effect.timer, None)
                 if effect.at is not None:

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from schemas.link import LinkStatus
 from services.link.node import build_node
 from services.mission.link_presets import PRESETS
 from services.mission.scenario import load_scenario
-from services.runtime.node import Started
+from services.runtime.node import SendIfHeard, Started
 
 SCENARIOS = Path(__file__).parents[3] / "deploy" / "scenarios"
 NAMES = {"nominal": "t1", "zero": "t1-zero-delay"}
@@ -24,5 +25,6 @@ def test_the_link_of_every_shipped_scenario_starts_in_contact(path: Path) -> Non
     scenario = load_scenario(path)
     assert scenario.name == path.stem
     effects = list(build_node(scenario).handle(Started(1), scenario.start_ns))
-    (status,) = [effect.body for effect in effects if hasattr(effect, "body")]
+    (status,) = [effect.make() for effect in effects if isinstance(effect, SendIfHeard)]
+    assert isinstance(status, LinkStatus)
     assert status.contact
