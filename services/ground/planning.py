@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 MAX_ATTEMPTS = 3  # plannings of one round, each with its own seed, before the ground gives up on it
 MAX_BACK = 200  # vertices of the driven path over which the rover may be sent back the way it came
+IGNORE_STD = frozenset({"informative", "tour"})  # planners that never read the map's standard deviation
 _SEED = 2  # tells the seeds of plans from those of fits
 
 
@@ -225,7 +226,7 @@ def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) 
     Pure and picklable, made to run elsewhere. The posterior variance does not depend on values, so places whose values
     are not known yet lower it all the same. Raises NoRoute, or InvalidInput for an answer that cannot be driven.
     """
-    if pending:
+    if pending and not (isinstance(planner, str) and planner in IGNORE_STD):
         values = np.zeros(len(request.observed_m))
         ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values)
         request = replace(request, std_ppb=ahead.std_ppb)

@@ -15,7 +15,7 @@ from he3.posterior.grid import PosteriorMap
 from he3.trend import OrbitalTrend, UnknownConstant
 from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
-from schemas.ground import GroundStatus, KeepOutArea
+from schemas.ground import KeepOutArea, MissionPhase
 from schemas.link import LinkConditions
 from schemas.maps import MapRegion, MapScore
 from schemas.plans import RoundPlan
@@ -31,7 +31,6 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     CommandStatus,
     FitRequest,
     GaussianProcess,
-    GroundStatus,
     Hyperparameters,
     Hyperprior,
     KeepOutArea,
@@ -42,6 +41,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     Matern12,
     Matern32,
     Matern52,
+    MissionPhase,
     Observation,
     OrbitalTrend,
     PlannedRound,

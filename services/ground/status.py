@@ -144,14 +144,15 @@ class StatusReporter:
         return "; ".join((*details, detail) if detail else details)
 
     def checkpoint(self) -> SavedState:
-        """The state, as named parts, without what was sent: an equal status may be sent once more."""
+        """The whole state, as named parts."""
         return {
             "rover": self._rover,
             "rover_made_at": self._rover_made_at,
+            "sent": None if self._sent is None else tuple(self._sent),
         }
 
     def restore(self, state: SavedState) -> None:
         """Restore the reporter from this state."""
         self._rover = state["rover"]
         self._rover_made_at = state["rover_made_at"]
-        self._sent = None  # a status is sent once more after a restart
+        self._sent = None if state["sent"] is None else _Facts(*state["sent"])

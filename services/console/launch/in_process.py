@@ -48,7 +48,7 @@ def _run_in_process(
     scenario: Scenario, region: Region, nodes: tuple[Node, ...], where: Outputs, progress: Progress, events: Path | None
 ) -> tuple[Outcome, list[str]]:
     """The outcome of the mission, and one line on each output that could not be written while it ran."""
-    from services.ground.planner_process import PlannerProcess
+    from services.ground.pure_tasks import MissionExecutor
     from services.link.node import LinkNode
     from services.recorder.about import about
     from services.recorder.files import open_recording
@@ -63,9 +63,9 @@ def _run_in_process(
             recording = open_recording(where.recording)
             sink = stack.enter_context(RecordingSink(recording, scenario.name, about=about(scenario)))
             nodes = (*nodes, build_recorder(scenario, sink, RECORDING_FLUSH_S))
-        planners = stack.enter_context(PlannerProcess())
+        executor = stack.enter_context(MissionExecutor())
         log = None if events is None else stack.enter_context(closing(EventLog(events)))
-        mission = InProcessMission(scenario, planners, log, nodes)
+        mission = InProcessMission(scenario, executor, log, nodes)
         stack.enter_context(progress)
         mission.run(lambda: progress.show(lambda: _moment(mission, link)))
         if log is not None and events is not None:

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from concurrent.futures import CancelledError, wait
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +24,9 @@ from he3.kernels import Matern52
 from services.ground.bounded_task import BoundedTask
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners import plan
-from services.ground.planners.interface import PlanningRequest
+from services.ground.planners.interface import PlannerOptions, PlanningRequest
+from services.ground.planning import IGNORE_STD, run_planner
+from services.ground.pure_tasks import MissionExecutor
 from tests.waiting import PATIENCE_S, until
 
 
@@ -278,3 +281,27 @@ def test_the_owner_answers_others_while_a_plan_is_computed(planners):
         answers += sum(range(100)) == 4950
     assert future.result() == sum(range(30_000_000))
     assert answers > 10
+
+
+QUICK = PlannerOptions(max_iterations=300, extra={"designs": 1, "first_steps": 3, "final_steps": 0})
+
+
+def test_a_mission_in_one_process_computes_there_what_uses_no_global_state_and_the_rest_elsewhere(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+    quick = replace(request(), options=QUICK)
+    with MissionExecutor() as executor:
+        here = executor.submit(run_planner, "tour", quick, 1)
+        assert here.done()
+        assert executor._elsewhere is None
+        executor.submit(run_planner, "rrt", request(), 0).result(PATIENCE_S)
+        assert executor._elsewhere is not None
+        there = executor._elsewhere.submit(run_planner, "tour", quick, 1).result(PATIENCE_S)
+    np.testing.assert_array_equal(here.result().path_m, there.path_m)
+    np.testing.assert_array_equal(here.result().outlook_m, there.outlook_m)
+
+
+def test_a_planner_that_ignores_the_standard_deviation_plans_the_same_with_another():
+    for name in sorted(IGNORE_STD):
+        first = replace(request(), options=QUICK if name == "tour" else replace(QUICK, extra={}))
+        other = replace(first, std_ppb=np.ones_like(first.std_ppb))
+        np.testing.assert_array_equal(plan(name, first).path_m, plan(name, other).path_m)
