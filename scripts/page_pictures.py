@@ -7,6 +7,7 @@ phone, dark and light. Needs a Chromium and its driver (Debian: chromium, chromi
 from __future__ import annotations
 
 import base64
+import io
 import json
 import re
 import shutil
@@ -77,6 +78,7 @@ def fly() -> None:
     """Bring the mission to its 75th sample, with telecommands shortly before, and slow it down."""
     wait_for(lambda: samples() >= SAMPLES - 3, "samples")
     he3("time", "rate", "500")
+    he3("area", "add", "ridge", "60,330", "150,345", "170,270", "80,250", "--interest", "--weight", "3")
     he3("command", "keep-out", "boulders", "400,420", "450,440", "460,390", "410,380", "--wait", "completed")
     he3("command", "pause", "--wait", "completed", "--timeout", "120")
     he3("command", "resume", "--wait", "completed", "--timeout", "120")
@@ -84,24 +86,33 @@ def fly() -> None:
     he3("time", "rate", f"{SPEED}")
 
 
-def take(driver: Any, name: str, metrics: dict[str, Any], theme: str, layer: str, most_pixels: int) -> None:
-    """One picture of the whole page, cut off below `most_pixels`."""
+def take(
+    driver: Any, name: str, metrics: dict[str, Any], theme: str, view: str, most_pixels: int, part: str = "body"
+) -> None:
+    """One picture of a part of the page, cut off below `most_pixels`; view: as the page's address has it."""
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    driver.execute_script("document.documentElement.dataset.theme = arguments[0]", theme)
-    driver.execute_script(f"document.querySelector('#layers input[value={layer}]').click()")
-    time.sleep(3.0)  # for the map to be drawn, and a message or two to cross the link
-    path = IMAGES / f"{name}.png"
-    taken = driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True})
-
-    path.write_bytes(base64.b64decode(taken["data"]))
-    with Image.open(path) as whole:
-        cut = whole.convert("RGB").crop((0, 0, whole.width, min(whole.height, most_pixels)))
-    cut.save(path, optimize=True)
-    print(path.relative_to(ROOT), f"{cut.width} x {cut.height}", file=sys.stderr)
+    driver.execute_script(
+        "document.documentElement.dataset.theme = arguments[0]; location.hash = arguments[1];"
+        "document.getElementById('view-options').open = arguments[1].includes('compare')",
+        theme,
+        view,
+    )
+    time.sleep(4.0)  # for the map to be drawn, and a message or two to cross the link
+    box = driver.execute_script(
+        "const b = document.querySelector(arguments[0]).getBoundingClientRect();"
+        "return {x: b.left + scrollX, y: b.top + scrollY, width: b.width, height: b.height}",
+        part,
+    )
+    clip = {**box, "height": min(box["height"], most_pixels / metrics["deviceScaleFactor"]), "scale": 1}
+    taken = driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True, "clip": clip})
+    path = IMAGES / f"{name}.webp"
+    with Image.open(io.BytesIO(base64.b64decode(taken["data"]))) as whole:
+        whole.convert("RGB").save(path, quality=82, method=6)
+        print(path.relative_to(ROOT), f"{whole.width} x {whole.height}", file=sys.stderr)
 
 
 def main() -> None:
-    """Fly, serve, take four pictures."""
+    """Fly, serve, take the pictures."""
     chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
     if chromium is None or chromedriver is None:
         raise SystemExit("page_pictures: expected chromium and chromedriver on the path")
@@ -127,11 +138,16 @@ def main() -> None:
                 driver.get(address[0])
                 wait_for(lambda: driver.find_element("id", "rover-facts").text, "the page")
                 driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", LAPTOP)
-                driver.find_element("id", "map").click()
-                take(driver, "web-laptop-dark", LAPTOP, "dark", "mean", LAPTOP_PIXELS)
-                take(driver, "web-laptop-light", LAPTOP, "light", "std", LAPTOP_PIXELS)
-                take(driver, "web-phone-dark", PHONE, "dark", "mean", PHONE_PIXELS)
-                take(driver, "web-phone-light", PHONE, "light", "exceedance", PHONE_PIXELS)
+                take(driver, "web-laptop-dark", LAPTOP, "dark", "sample=r08s2", LAPTOP_PIXELS)
+                take(driver, "web-laptop-light", LAPTOP, "light", "layer=std&at=330,120", LAPTOP_PIXELS)
+                swipe, measured = (
+                    "compare=swipe&with=error&relief=1",
+                    "zoom=2.6&centre=130,240&measure=60,190,90,300,190,320",
+                )
+                take(driver, "web-map-swipe", LAPTOP, "dark", swipe, LAPTOP_PIXELS, ".map-card")
+                take(driver, "web-map-zoom", LAPTOP, "light", f"{measured}&relief=1", LAPTOP_PIXELS, ".map-card")
+                take(driver, "web-phone-dark", PHONE, "dark", "zoom=2&centre=150,250&sample=r08s2", PHONE_PIXELS)
+                take(driver, "web-phone-light", PHONE, "light", "layer=exceedance&threshold=8.5", PHONE_PIXELS)
             finally:
                 driver.quit()
 

@@ -800,6 +800,18 @@ def test_what_the_map_shows_is_what_the_ground_answers_for_differences_and_layer
     assert browser.current_url.endswith(wanted)
     value = in_module(browser, "layers.js", "it.map.panes[1].source.valueAt([200.5, 300.5]).value")
     assert value == pytest.approx(float(mission.layer("slope").values[300, 200]), abs=1e-3)
+    # Of 4 million cells a view takes the tiles that it shows, at the level of its pixels.
+    site, parts = "{rows: 2000, columns: 2000, resolution_m: 1}", ((0, 2000, 0.4), (700, 1100, 2.0), (900, 910, 80.0))
+    counts = [
+        in_module(
+            browser,
+            "raster.js",
+            f"new it.TileSource({site}, {{layer: 'mean'}})"
+            f".needed({{west: {low}, south: {low}, east: {high}, north: {high}}}, {scale}).map(([level]) => level)",
+        )
+        for low, high, scale in parts
+    ]
+    assert counts == [[1] * 4, [0] * 4, [0]]
     browser.get("about:blank")
     browser.get(address)
 

@@ -8,6 +8,7 @@ import { drawRaster } from "./raster.js";
 export { nice }; // the charts use it, too
 
 const ZOOM_STEP = 1.5, PAN_SHARE = .25;
+const TILES_A_FRAME = 2;
 const BESIDE_PX = 58; // room for the zoom's buttons
 const NEAR_PX = { mouse: 9, pen: 11, touch: 16 }; // how near to a sample a click selects it
 
@@ -185,12 +186,14 @@ export class SiteMap {
       const context = this.canvas.getContext("2d");
       context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
       context.clearRect(0, 0, ...this.projection.size);
-      this.paint(context, this.ratio);
+      const effort = { tiles: TILES_A_FRAME, short: false };
+      this.paint(context, this.ratio, effort);
+      if (effort.short) this.draw();
     });
   }
 
-  // Draws the map into a context whose unit is a pixel of the page; ratio: pixels of the picture in it.
-  paint(context, ratio) {
+  // Draws the map into a context whose unit is a pixel of the page; ratio: pixels of the picture in it. effort: of drawRaster.
+  paint(context, ratio, effort = { tiles: Infinity }) {
     const { projection } = this, style = getComputedStyle(document.documentElement), known = {};
     const colour = (name) => (known[name] ??= style.getPropertyValue(name).trim());
     const { left, right, top, bottom } = projection.box;
@@ -201,7 +204,7 @@ export class SiteMap {
     context.beginPath();
     context.rect(left, top, right - left, bottom - top);
     context.clip();
-    this.rasters(context, ratio);
+    this.rasters(context, ratio, effort);
     for (const each of this.areas) marks.area(context, projection, colour, each);
     if (this.track && this.show.paths) marks.paths(context, projection, colour, this.track);
     if (this.track && this.show.samples) marks.samples(context, projection, colour, this.track.samples, this.sample);
@@ -220,7 +223,7 @@ export class SiteMap {
     context.restore();
   }
 
-  rasters(context, ratio) {
+  rasters(context, ratio, effort) {
     const { left, right, top, bottom } = this.projection.box;
     this.panes.forEach((pane, index) => {
       context.save();
@@ -229,19 +232,19 @@ export class SiteMap {
         context.rect(this.splitAt, top, right - this.splitAt, bottom - top);
         context.clip();
       }
-      this.raster(context, pane.source, pane, ratio);
+      this.raster(context, pane.source, pane, ratio, effort);
       context.restore();
     });
     if (!this.relief) return;
     context.save();
     context.globalCompositeOperation = "soft-light"; // grey in the middle changes nothing
     const flat = Math.SQRT1_2, most = .3;
-    this.raster(context, this.relief, { stops: ["#000000", "#ffffff"], range: [flat - most, flat + most], blended: true }, ratio);
+    this.raster(context, this.relief, { stops: ["#000000", "#ffffff"], range: [flat - most, flat + most], blended: true }, ratio, effort);
     context.restore();
   }
 
-  raster(context, source, look, ratio) {
-    const places = drawRaster(context, source, look, this.projection, ratio);
+  raster(context, source, look, ratio, effort) {
+    const places = drawRaster(context, source, look, this.projection, ratio, effort);
     source.fetch(places, () => this.draw());
   }
 

@@ -10,7 +10,7 @@ const STEPS = 65535;
 // One layer at one revision of the map.
 export class TileSource {
   constructor(site, { layer, threshold, revision }) {
-    Object.assign(this, { site, layer, threshold, revision, about: null });
+    Object.assign(this, { site, layer, threshold, revision, about: null, kept: KEPT });
     this.tiles = new Map();     // key -> tile; the last used is the last
     this.waiting = new Map();   // key -> promise
     this.failed = new Map();    // key -> when
@@ -37,6 +37,7 @@ export class TileSource {
     for (let row = Math.max(0, Math.floor(south / side)); row <= last(north); row++) {
       for (let column = Math.max(0, Math.floor(west / side)); column <= last(east); column++) places.push([level, row, column]);
     }
+    this.kept = Math.max(KEPT, 2 * places.length); // never fewer than what is seen
     return places;
   }
 
@@ -71,7 +72,7 @@ export class TileSource {
   keep(key, tile) {
     this.tiles.set(key, tile);
     for (const old of this.tiles.keys()) {
-      if (this.tiles.size <= KEPT) break;
+      if (this.tiles.size <= this.kept) break;
       if (old !== `${this.top} 0 0`) this.tiles.delete(old);
     }
     return tile;
@@ -146,12 +147,21 @@ function unpacked(planes, { rows, columns, low, high }) {
 }
 
 // Draws what there is of a source; what is missing is drawn from the whole site, coarse. What is blended is drawn once.
-export function drawRaster(context, source, look, projection, ratio) {
+// `effort.tiles`: how many tiles may be coloured now, so that a frame stays short; `effort.short`: whether that was too few.
+export function drawRaster(context, source, look, projection, ratio, effort) {
   const places = source.needed(projection.window, projection.scale * ratio);
-  const missing = places.some((place) => !source.tile(place));
-  if (missing) drawTile(context, source.tile([source.top, 0, 0]), look, projection);
-  if (!missing || !look.blended) for (const place of places) drawTile(context, source.tile(place), look, projection);
+  const ready = places.filter((place) => source.tile(place) && isColoured(source.tile(place), look, effort)).map((place) => source.tile(place));
+  const complete = ready.length === places.length;
+  if (!complete) drawTile(context, source.tile([source.top, 0, 0]), look, projection);
+  if (complete || !look.blended) for (const tile of ready) drawTile(context, tile, look, projection);
   return places;
+}
+
+function isColoured(tile, look, effort) {
+  if (tile.pictureKey === keyOf(look)) return true;
+  if (effort.tiles <= 0) { effort.short = true; return false; }
+  effort.tiles -= 1;
+  return true;
 }
 
 function drawTile(context, tile, look, projection) {
@@ -164,9 +174,11 @@ function drawTile(context, tile, look, projection) {
   context.drawImage(pictureOf(tile, look), x, y, x2 - x, y2 - y);
 }
 
+const keyOf = ({ stops, range: [low, high] }) => `${stops.join()} ${low} ${high}`;
+
 // The tile in colour, one pixel a cell, north up.
-function pictureOf(tile, { stops, range: [low, high] }) {
-  const key = `${stops.join()} ${low} ${high}`;
+function pictureOf(tile, look) {
+  const { stops, range: [low, high] } = look, key = keyOf(look);
   if (tile.pictureKey === key) return tile.picture;
   const { rows, columns } = tile.about, { values } = tile;
   const picture = new OffscreenCanvas(columns, rows), context = picture.getContext("2d");
