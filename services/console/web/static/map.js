@@ -148,6 +148,9 @@ export class SiteMap {
     this.draw();
   }
 
+  // Where the keyboard is: at the cross-hair, else where something was set last.
+  get cursor() { return this.cross ?? (this.drawing ? this.draft : this.measuring ? this.legs : []).at(-1) ?? this.chosen ?? this.projection.middle.map(tenth); }
+
   key(event) {
     const { frame } = this.projection, step = event.shiftKey ? 25 : event.altKey ? 1 : 5;
     const directions = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -156,7 +159,7 @@ export class SiteMap {
       const [dx, dy] = directions[event.key];
       this.panBy(-dx * frame.width * PAN_SHARE, dy * frame.height * PAN_SHARE);
     } else if (event.key in directions) {
-      const [dx, dy] = directions[event.key], [x, y] = this.cross ?? this.chosen ?? this.projection.middle;
+      const [dx, dy] = directions[event.key], [x, y] = this.cursor;
       this.cross = [tenth(clamp(x + dx * step, 0, this.width)), tenth(clamp(y + dy * step, 0, this.height))];
       if (!this.isWhole()) { this.projection.reveal(...this.cross); this.seen(); }
       this.onHover(this.cross, this.at(...this.cross), event);
@@ -168,7 +171,7 @@ export class SiteMap {
       this.fit();
       this.onSay("whole site");
     } else if (event.key === "Enter" || event.key === " ") {
-      const place = this.cross ?? this.projection.middle.map(tenth), [px, py] = this.at(...place);
+      const place = this.cursor, [px, py] = this.at(...place);
       const near = this.drawing || this.measuring ? null : this.sampleNear(px, py, NEAR_PX.mouse);
       this.choose(near ? [near.x_m, near.y_m] : place, near?.sample_id ?? null);
     } else return;
