@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from services.console.__main__ import main
 from services.console.client.areas import AreaKind
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import Endpoints, free_endpoints
@@ -844,6 +845,12 @@ def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_befor
     kept = {area.name for area in before if area.kind is AreaKind.INTEREST} - {"old", "gone"}
     until(lambda: names() == kept | {"new"}, "the new names at the ground")
     assert [area.weight for area in mission.areas_of(AreaKind.INTEREST) if area.name == "new"] == [4.0]
+    # The same in the command line, which refuses a name that is in use.
+    where = ["--mission", mission.mission, "--earth", mission.earth]
+    assert main(["area", "rename", "new", "newer", *where]) == 0
+    assert main(["area", "add", "newer", "10,10", "20,10", "20,20", "--interest", *where]) == 2
+    assert main(["area", "remove", "newer", *where]) == 0
+    assert names() == kept
 
 
 def test_the_page_says_who_is_silent_and_greys_what_is_no_longer_known(browser: Any, launcher: Launcher) -> None:
