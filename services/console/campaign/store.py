@@ -70,6 +70,24 @@ def _row(found: tuple[Any, ...]) -> Row:
     return Row(key, status, json.loads(labels), None if result is None else json.loads(result), error, wall_s)
 
 
+def _values(task: Task, reply: Reply) -> dict[str, Any]:
+    if reply.status not in (DONE, FAILED):
+        raise ValueError(f"expected a reply of a task that was computed, got {reply.status}")
+    return {
+        "key": task.key,
+        "status": reply.status,
+        "labels": canonical(task.labels),
+        "result": None if reply.result is None else canonical(reply.result),
+        "error": reply.error,
+        "wall_s": reply.wall_s,
+        "worker": reply.worker,
+        "written_at": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "work": task.work,
+        "software": task.software,
+        "arguments": zlib.compress(canonical(task.arguments).encode()),
+    }
+
+
 class Store:
     """A store that is open; use it in a `with` statement."""
 
@@ -114,7 +132,7 @@ class Store:
 
         Rows of other tasks stay in the store: of a study as it was before a change, or of other software.
         """
-        with self._told(), self._database:
+        with self._told():
             self._database.execute("BEGIN IMMEDIATE")
             known = dict(self._database.execute("SELECT key, status FROM rows"))
             self._database.execute("UPDATE rows SET current = 0")
@@ -128,25 +146,15 @@ class Store:
 
     def write(self, task: Task, reply: Reply) -> None:
         """Write the row of that task, durably. A row with a result is never replaced, one with an error is."""
-        if reply.status not in (DONE, FAILED):
-            raise ValueError(f"expected a reply of a task that was computed, got {reply.status}")
         with self._told():
-            self._database.execute(
-                _WRITE,
-                {
-                    "key": task.key,
-                    "status": reply.status,
-                    "labels": canonical(task.labels),
-                    "result": None if reply.result is None else canonical(reply.result),
-                    "error": reply.error,
-                    "wall_s": reply.wall_s,
-                    "worker": reply.worker,
-                    "written_at": datetime.now(UTC).isoformat(timespec="milliseconds"),
-                    "work": task.work,
-                    "software": task.software,
-                    "arguments": zlib.compress(canonical(task.arguments).encode()),
-                },
-            )
+            self._database.execute(_WRITE, _values(task, reply))
+
+    def write_all(self, rows: Iterable[tuple[Task, Reply]]) -> None:
+        """Write many rows in one transaction."""
+        with self._told():
+            self._database.execute("BEGIN IMMEDIATE")
+            self._database.executemany(_WRITE, (_values(task, reply) for task, reply in rows))
+            self._database.execute("COMMIT")
 
     def rows(self) -> Iterator[Row]:
         """Every current row, in the order of the keys, which does not depend on the order of computing."""

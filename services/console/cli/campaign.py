@@ -19,6 +19,7 @@ Examples:
   he3 campaign run studies/link.toml                        on every processor of this host
   he3 campaign run studies/link.toml                        again: continues where it was ended
   he3 campaign run studies/link.toml --engine dask:tcp://10.0.0.2:8786
+  he3 campaign report studies/link.sqlite --out link.html
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -136,3 +137,62 @@ def _shown(quiet: bool) -> Callable[[Progress], None]:
         typer.echo(f"\r\x1b[K{line}" if terminal else line, nl=not terminal or progress.left == 0, err=True)
 
     return show
+
+
+@app.command("report", short_help="Distributions, comparisons, what explains the spread.", epilog=EXAMPLES)
+def report(
+    store: Annotated[Path, typer.Argument(metavar="STORE", help="The store that 'he3 campaign run' wrote.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Write one HTML page that needs no other file.")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the rows as CSV.")] = None,
+    parquet: Annotated[
+        Path | None, typer.Option("--parquet", metavar="FILE", help="Write the rows as Parquet.")
+    ] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option("--compare", metavar="NAME", help="Compare the values of this parameter, such as planner."),
+    ] = None,
+    figures: Annotated[
+        str | None,
+        typer.Option("--figures", metavar="NAMES", help="Report on these figures, such as rmse_ppb,mission_time_s."),
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Report on the rows of a store, also while a campaign still writes it."""
+    import json as json_format
+
+    from he3.errors import He3Error
+    from services.console.campaign.findings import findings_of
+    from services.console.campaign.store import Store
+    from services.console.campaign.table import shown_figures, table_of, write_csv, write_parquet
+    from services.runtime.files.output import write_output
+
+    with Store(store, write=False) as rows:
+        name, about = rows.about("study") or store.stem, rows.about("description")
+        facts = [("software", rows.about("software")), ("store", str(store))]
+        if others := rows.others:
+            facts.append(("left out", f"{others} rows of the study as it was before, or of other software"))
+        table = table_of(rows.rows())
+    wanted = [] if figures is None else [word for word in figures.split(",") if word]
+    found = findings_of(table, shown_figures(table, wanted), compare)
+    if csv is not None:
+        write_csv(table, csv)
+    if parquet is not None:
+        write_parquet(table, parquet)
+    if out is not None:
+        from services.console.campaign.page import page_of
+
+        try:
+            write_output(out, page_of(found, name, about, facts).encode())
+        except OSError as error:
+            raise He3Error(f"{out}: cannot write the page: {error.strerror}") from None
+    if json:
+        typer.echo(json_format.dumps({"study": name, **dict(facts), **found.document()}, indent=2))
+        return
+    from services.console.campaign.summary import summary_lines
+
+    typer.echo("\n".join(summary_lines(name, found)))
+    for path in (out, csv, parquet):
+        if path is not None:
+            typer.echo(f"written      {path}")

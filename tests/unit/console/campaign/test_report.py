@@ -1,0 +1,177 @@
+"""The report: statistics with known answers, and the page."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shlex
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from he3.errors import InvalidInput
+from services.console.campaign.drawing import Axis
+from services.console.campaign.findings import findings_of
+from services.console.campaign.page import page_of
+from services.console.campaign.statistics import paired, summary_of, variance_share
+from services.console.campaign.store import Row
+from services.console.campaign.summary import summary_lines
+from services.console.campaign.table import Table, shown_figures, table_of, write_csv, write_parquet
+from services.console.campaign.task import DONE, FAILED
+from services.mission.deployment import find_scenario
+from services.mission.scenario import load_scenario
+from services.runtime.options import parse_setting, with_settings
+
+
+def rows(count: int = 400) -> list[Row]:
+    """Pairs of missions: `tour` drives 1,000 m less, light time alone decides on the mission's time, one fails."""
+    rng, found = np.random.default_rng(1), []
+    for seed in range(1, count + 1):
+        light_time, metres = float(rng.random() * 100), float(rng.normal(3000, 50))
+        for planner in ("rrtstar", "tour"):
+            labels: dict[str, Any] = {
+                "scenario": "short",
+                "seed": seed,
+                "parameters": {"planner": planner, "light_time": light_time},
+                "settings": {"ground.planner": planner, "link.up.one_way_light_time_s": light_time},
+            }
+            key = f"{seed:05d}{planner}"
+            if seed == 1 and planner == "tour":
+                found.append(Row(key, FAILED, labels, None, "it stands <still>", 1.0))
+                continue
+            result = {
+                "completed": seed != 2,
+                "detail": "too few samples" if seed == 2 else "",
+                "path_length_m": metres - (1000 if planner == "tour" else 0),
+                "mission_time_s": 3600 * (10 + light_time),
+                "samples": 9,
+                "map_sha256": "0",
+            }
+            found.append(Row(key, DONE, labels, result, "", 1.0))
+    return found
+
+
+@pytest.fixture(name="table", scope="module")
+def _table() -> Table:
+    return table_of(rows())
+
+
+def test_a_summary_has_mean_deviation_and_quantiles_of_what_is_there() -> None:
+    one = summary_of(np.array([*range(101), np.nan]))
+    assert (one.count, one.mean) == (101, 50.0)
+    assert one.std == pytest.approx(np.sqrt(101 * 102 / 12))
+    assert one.quantiles == (1, 5, 25, 50, 75, 95, 99)
+
+
+@pytest.mark.parametrize("count", [300, 6000])
+def test_a_bootstrap_interval_is_that_of_the_normal_distribution_for_many_pairs(count: int) -> None:
+    rng = np.random.default_rng(7)
+    second = rng.normal(100, 20, count)
+    first = second + rng.normal(3, 5, count)
+    one = paired(first, second, ("a", "b"))
+    spread = float((first - second).std(ddof=1)) / np.sqrt(count)
+    assert one.difference == pytest.approx(float((first - second).mean()))
+    assert one.low == pytest.approx(one.difference - 1.96 * spread, abs=0.2 * spread)
+    assert one.high == pytest.approx(one.difference + 1.96 * spread, abs=0.2 * spread)
+    assert one.ratio == pytest.approx(first.mean() / second.mean())
+    assert one.ratio_low < one.ratio < one.ratio_high
+    assert paired(first, second, ("a", "b")) == one, "the same rows have the same interval"
+
+
+def test_the_share_of_the_variance_is_that_of_the_linear_model() -> None:
+    rng = np.random.default_rng(1)
+    x, y, nothing = rng.random(4000), rng.random(4000), rng.random(4000)
+    figure = 3 * x + y + rng.normal(0, 0.5, 4000)
+    whole = 9 / 12 + 1 / 12 + 0.25
+    for values, share in ((x, 9 / 12 / whole), (y, 1 / 12 / whole), (nothing, 0.0)):
+        found = variance_share("one", values.tolist(), figure)
+        assert found is not None
+        assert found.share == pytest.approx(share, abs=0.02)
+        assert found.counts == (share > 0)
+    names = ["a" if each < 0.5 else "b" for each in x]
+    of_names = variance_share("name", names, figure)
+    assert of_names is not None
+    assert of_names.rank_correlation is None
+    assert of_names.share == pytest.approx(9 / 16 / whole, abs=0.03)
+
+
+def test_a_parameter_without_effect_is_above_the_mark_of_chance_in_five_of_a_hundred_studies() -> None:
+    rng = np.random.default_rng(11)
+    found = [variance_share("x", rng.random(200).tolist(), rng.normal(size=200)) for _ in range(300)]
+    assert 0.02 < np.mean([one is not None and one.counts for one in found]) < 0.09
+
+
+def test_findings_say_what_the_rows_were_made_to_say(table: Table) -> None:
+    findings = findings_of(table, shown_figures(table))
+    assert (findings.rows, findings.failed, findings.incomplete) == (800, 1, 2)
+    assert findings.compared == "planner"
+    assert findings.counts == {"rrtstar": (400, 399), "tour": (400, 398)}
+    metres, hours = findings.figures
+    assert [metres.name, hours.name] == ["path_length_m", "mission_time_s"]
+    (pair,) = metres.comparisons
+    assert (pair.first, pair.second, pair.pairs) == ("rrtstar", "tour", 399)
+    assert pair.low == pytest.approx(1000) == pair.high
+    assert hours.shares["tour"][0].parameter == "light_time"
+    assert hours.shares["tour"][0].share > 0.95
+    assert hours.shares["all"][-1].parameter == "planner"
+    assert {trend.parameter for trend in hours.trends} == {"light_time"}
+    assert hours.worst[0].value == hours.sorted_values["tour"][-1]
+    assert "compared" in json.dumps(findings.document(), allow_nan=False)
+    lines = summary_lines("made", findings)
+    assert any("rrtstar - tour: +1000 (95%: +1000 to +1000), ratio" in line for line in lines)
+
+
+def test_the_worst_case_s_command_flies_that_mission(table: Table) -> None:
+    worst = findings_of(table, ["mission_time_s"]).figures[0].worst[0]
+    words = shlex.split(worst.command)
+    assert words[:4] == ["he3", "run", "short", "--in-process"]
+    changes = [parse_setting(text) for flag, text in pairwise(words) if flag == "--set"]
+    scenario = with_settings(load_scenario(find_scenario(words[2])), changes)
+    assert scenario.link.up.one_way_light_time_s == worst.labels["light_time"]
+    assert scenario.ground.planner == worst.labels["planner"]
+
+
+def test_the_page_needs_no_other_file_and_says_what_is_not_complete(table: Table) -> None:
+    page = page_of(findings_of(table, shown_figures(table)), "a <study>", "about it", [("software", "this")])
+    assert not re.search(r"<script|<link|src=|url\(|https?:", page)
+    assert "a &lt;study&gt;" in page
+    assert "it stands &lt;still&gt;" in page
+    assert "Path length is higher with rrtstar than with tour, by 1000&nbsp;m" in page
+    assert page.count("<svg") == page.count("</svg>") == 5
+    assert "NaN" not in page
+    assert "nan" not in page
+
+
+def test_rows_come_out_as_csv_and_parquet(table: Table, tmp_path: Path) -> None:
+    write_csv(table, tmp_path / "rows.csv")
+    lines = list(csv.DictReader((tmp_path / "rows.csv").read_text().splitlines()))
+    assert len(lines) == 800
+    assert float(lines[5]["mission_time_s"]) == table.figures["mission_time_s"][5]
+    assert lines[1] | {"key": ""} == lines[1] | {"key": "", "path_length_m": "", "error": "it stands <still>"}
+    parquet = pytest.importorskip("pyarrow.parquet")
+    write_parquet(table, tmp_path / "rows.parquet")
+    read = parquet.read_table(tmp_path / "rows.parquet").to_pydict()
+    assert read["light_time"] == table.labels["light_time"]
+    assert read["completed"] == table.completed.tolist()
+
+
+def test_what_the_rows_do_not_have_is_refused(table: Table) -> None:
+    with pytest.raises(InvalidInput, match="--figures: expected some of"):
+        shown_figures(table, ["charm"])
+    with pytest.raises(InvalidInput, match="--compare: expected one of scenario, seed"):
+        findings_of(table, ["mission_time_s"], "charm")
+    with pytest.raises(InvalidInput, match="expected at most 6 values, got 400"):
+        findings_of(table, ["mission_time_s"], "seed")
+    with pytest.raises(InvalidInput, match="expected one row at least"):
+        findings_of(table_of([]), [])
+
+
+def test_ticks_are_round_and_within_the_axis() -> None:
+    assert Axis(0.13, 0.97, "x").ticks() == pytest.approx([0.2, 0.4, 0.6, 0.8])
+    assert Axis(0.5, 40.0, "x", log=True).ticks() == [0.5, 1, 2, 5, 10, 20]
+    assert Axis(0.1, 1200.0, "x", log=True).ticks() == pytest.approx([0.1, 1, 10, 100, 1000])
+    assert Axis(3.0, 3.0, "x").share(3.0) == 0.5
