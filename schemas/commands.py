@@ -8,7 +8,7 @@ from typing import Annotated, Final
 from pydantic import Field, model_validator
 
 from schemas.plans import Waypoint
-from schemas.wire import CommonName, Count, Identifier, MissionTimeNs, PositionM, Signature, Text, Wire
+from schemas.wire import CommonName, Count, Identifier, MissionTimeNs, PositionM, Signature, Text, Wire, is_none
 
 
 class CommandKind(StrEnum):
@@ -57,10 +57,6 @@ class Authorization(Wire):
     signature: Signature
 
 
-def _is_none(value: object) -> bool:
-    return value is None
-
-
 class Telecommand(Wire):
     """A command to the rover, executed at most once and not after it expires."""
 
@@ -73,11 +69,11 @@ class Telecommand(Wire):
     """Corners of the area that the rover may not enter (`set_keep_out` only); None removes the area."""
     area_id: Identifier | None = None
     """The keep-out area that is set or removed (`set_keep_out` only)."""
-    issued_by: Text | None = Field(default=None, exclude_if=_is_none)
+    issued_by: Text | None = Field(default=None, exclude_if=is_none)
     """The name that the sender gives, which nothing proves: a user and a machine. None where there is an identity."""
-    authorization: Authorization | None = Field(default=None, exclude_if=_is_none)
+    authorization: Authorization | None = Field(default=None, exclude_if=is_none)
     """The signed consent of the person who issued it; None in a mission without keys."""
-    objection: Text | None = Field(default=None, exclude_if=_is_none)
+    objection: Text | None = Field(default=None, exclude_if=is_none)
     """Why the receiver must not carry it out, as its own check of signatures found; a sender has no use for it."""
 
     @model_validator(mode="after")

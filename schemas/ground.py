@@ -10,7 +10,7 @@ from pydantic import Field
 from schemas.maps import MapScore
 from schemas.plans import Waypoint
 from schemas.telemetry import RoverState, SampleReport
-from schemas.wire import Count, Identifier, MissionTimeNs, Text, Wire
+from schemas.wire import Count, Identifier, MissionTimeNs, PersonName, Text, Wire, is_none
 
 
 class MissionPhase(StrEnum):
@@ -20,10 +20,6 @@ class MissionPhase(StrEnum):
     EXECUTING = "executing"
     COMPLETED = "completed"
     FAILED = "failed"
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class WeightedKernel(Wire):
@@ -41,10 +37,10 @@ class KernelParameters(Wire):
     noise_std_ppb: float
     mean_ppb: float
     scale_ppb: float
-    mean_std_ppb: float | None = Field(default=None, exclude_if=_is_none)
+    mean_std_ppb: float | None = Field(default=None, exclude_if=is_none)
     """Prior standard deviation of what the mean may be off by; None where the mean is taken for certain."""
     alternatives: Annotated[tuple[WeightedKernel, ...], Field(max_length=100)] | None = Field(
-        default=None, exclude_if=_is_none
+        default=None, exclude_if=is_none
     )
     """The kernels that together stand for what the samples leave possible; None where this one is taken for certain."""
 
@@ -74,7 +70,7 @@ class GroundStatus(Wire):
     rover_made_at: MissionTimeNs | None
     """Mission time at which the rover reported its last state; None if it has reported none."""
     detail: Text = ""
-    proposal: Count | None = Field(default=None, exclude_if=_is_none)
+    proposal: Count | None = Field(default=None, exclude_if=is_none)
     """Number of the plan that waits for the operator's approval; None if none does."""
 
     @property
@@ -161,6 +157,8 @@ class InterestChange(Wire):
     polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)] | None = None
     """Corners [m]; None removes the area."""
     weight: Annotated[float, Field(ge=0, le=1000)] = 2.0
+    by: PersonName | None = Field(default=None, exclude_if=is_none)
+    """Who changes it; in a mission with keys, the signer of the request."""
 
 
 class InterestList(Wire):

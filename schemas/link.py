@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from schemas.wire import Count, Identifier, MissionTimeNs, Text, Wire
+from schemas.wire import Count, Identifier, MissionTimeNs, PersonName, Text, Wire, is_none
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, le=86_400)]
@@ -114,6 +114,8 @@ class LinkChange(Wire):
     contact_as_scheduled: bool = False
     """Return to windows or duty cycle after `contact` overrode them."""
     at_edge: AtEdge | None = None
+    by: PersonName | None = Field(default=None, exclude_if=is_none)
+    """Who changes it; in a mission with keys, the signer of the request."""
 
     @model_validator(mode="after")
     def _says_one_thing(self) -> LinkChange:
@@ -122,6 +124,21 @@ class LinkChange(Wire):
         if self.rate_bit_s is not None and self.unlimited_rate:
             raise ValueError("expected rate_bit_s or unlimited_rate, got both")
         return self
+
+
+class LinkEvent(Wire):
+    """A change of the link's conditions by a person, or a begin or an end of contact."""
+
+    at: MissionTimeNs
+    contact: bool
+    """Whether there was contact from then on."""
+    what: Text = ""
+    """What a person changed, in words; empty where contact began or ended by the schedule."""
+    by: Text = ""
+
+
+MAX_LINK_EVENTS = 24
+"""Newest events that the link's status shows."""
 
 
 class InFlight(Wire):
@@ -188,6 +205,8 @@ class LinkStatus(Wire):
     """The last 10 telecommands that arrived, so that an infrequent reader misses none."""
     contact_forced: bool | None = None
     """Contact as set by an operator; None: as scheduled."""
+    events: Annotated[tuple[LinkEvent, ...], Field(max_length=MAX_LINK_EVENTS)] = ()
+    """The newest changes, oldest first; the first one is the state in which this start of the link began."""
     incarnation: Count
 
 

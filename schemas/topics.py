@@ -27,6 +27,7 @@ from schemas.maps import (
     ResourceQuery,
 )
 from schemas.measurement import MeasurementReply, MeasurementRequest, TerrainReply, TerrainRequest
+from schemas.mission_log import AlarmMark, LogEntry, MissionLog
 from schemas.plans import MissionPlan, PlanDecision, PlanReview
 from schemas.roles import PERSON_ROLES, Role
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
@@ -380,6 +381,29 @@ FORK = Topic(
     reply=MissionFork,
     max_reply_bytes=33_554_432,
 )
+SET_ALARM = Topic(
+    "earth/ground/alarm",
+    AlarmMark,
+    _queried((Role.OPERATOR, Role.CONTROLLER), Role.GROUND),
+    service=Query(),
+    reply=LogEntry,
+    signed=True,
+)
+SHOW_LOG = Topic(
+    "earth/ground/log",
+    NoParameters,
+    _queried(_READERS, Role.GROUND),
+    service=Query(observes=True),
+    reply=MissionLog,
+    max_reply_bytes=4_194_304,
+)
+LOG_ENTRY = Topic(
+    "earth/ground/log-entry",
+    LogEntry,
+    _published(Role.GROUND, _RECORDED_AND_READ),
+    service=Latest(distinct=("number",)),
+    recorded=True,
+)
 COMMAND_STATUS = Topic(
     "earth/ground/command-status",
     CommandStatus,
@@ -471,6 +495,9 @@ TOPICS: tuple[Topic, ...] = (
     DECIDE_PLAN,
     SHOW_PLAN,
     FORK,
+    SET_ALARM,
+    SHOW_LOG,
+    LOG_ENTRY,
     COMMAND_STATUS,
     MAP_POINT,
     MAP_LAYER,

@@ -65,6 +65,11 @@ Provenance = Annotated[str, Field(max_length=MAX_PROVENANCE), AfterValidator(_ha
 """A text for people on the origin of data, such as a product or a citation."""
 
 
+def is_none(value: object) -> bool:
+    """Whether a field is left out of its message (`exclude_if`): one that came later, where it says nothing."""
+    return value is None
+
+
 class Wire(BaseModel):
     """Base of every message: frozen, no unknown fields, finite numbers, no silent conversion."""
 

@@ -14,7 +14,8 @@ from schemas.authority import AuthorityChange
 from schemas.commands import CommandReport, NoParameters, Telecommand
 from schemas.ground import InterestChange
 from schemas.link import LinkStatus
-from schemas.plans import PlanDecision
+from schemas.mission_log import AlarmMark
+from schemas.plans import MissionPlan, PlanDecision
 from schemas.telemetry import RoverEvent, RoverState, SampleReport
 from schemas.topics import (
     COMMAND_REPORT,
@@ -27,9 +28,11 @@ from schemas.topics import (
     LIST_INTERESTS,
     PREVIEW_COMMAND,
     SAMPLE,
+    SET_ALARM,
     SET_AUTHORITY,
     SET_INTEREST,
     SHOW_AUTHORITY,
+    SHOW_LOG,
     SHOW_PLAN,
     STATE,
     Side,
@@ -45,6 +48,7 @@ from services.ground.interests import InterestAreas
 from services.ground.map.publisher import MapPublisher
 from services.ground.map.region_account import region_account
 from services.ground.map.service import MAP_TOPICS, answer
+from services.ground.operations_log import OperationsLog
 from services.ground.plan_review import PlanReviewer
 from services.ground.planning import RoundPlanning
 from services.ground.previews import CommandPreviews
@@ -113,6 +117,7 @@ class GroundNode:
         reviewer: PlanReviewer,
         forking: Forking,
         authority: CommandAuthority,
+        operations: OperationsLog,
         publisher: MapPublisher,
         status: StatusReporter,
         silence: SilenceWatch,
@@ -129,6 +134,7 @@ class GroundNode:
         self._reviewer = reviewer
         self._forking = forking
         self._authority = authority
+        self._operations = operations
         self._publisher = publisher
         self._status = status
         self._silence = silence
@@ -140,6 +146,7 @@ class GroundNode:
             "director": director,
             "telecommands": telecommands,
             "authority": authority,
+            "operations": operations,
             "publisher": publisher,
             "status": status,
             "silence": silence,
@@ -164,6 +171,8 @@ class GroundNode:
                 DECIDE_PLAN,
                 SHOW_PLAN,
                 FORK,
+                SET_ALARM,
+                SHOW_LOG,
                 *MAP_TOPICS,
             ),
         )
@@ -189,9 +198,16 @@ class GroundNode:
                 return [SendReply(token, self._telecommands.listed())]
             case QueryReceived(topic, Telecommand() as command, token) if topic is PREVIEW_COMMAND:
                 return [SendReply(token, self._previews.of(command, self._status.rover, now))]
+            case QueryReceived(topic, _, token) if topic is SHOW_LOG:
+                return [SendReply(token, self._operations.listed())]
             case QueryReceived(topic, _, token) if topic is FORK:
                 return [SendReply(token, self._forking.fork(self.checkpoint(), self._status.rover, now))]
         effects = list(self._changed_by(event, now))
+        effects += [
+            self._operations.planned(effect.body, now)
+            for effect in effects
+            if isinstance(effect, Send) and isinstance(effect.body, MissionPlan)
+        ]
         shown = self._publisher.publish(now, self._director.ended, self._director.plan_ends)
         return [*effects, *shown, *self._status.send(anyway=event == TimerFired(STATUS_TIMER))]
 
@@ -212,12 +228,14 @@ class GroundNode:
             case QueryReceived(topic, NoParameters(), token) if topic is LIST_INTERESTS:
                 yield SendReply(token, self._interests.listed())
             case QueryReceived(topic, AuthorityChange() as change, token) if topic is SET_AUTHORITY:
-                yield from self._authority.answer(change, token, now)
+                yield from self._change_authority(change, token, now)
             case QueryReceived(topic, _, token) if topic is SHOW_AUTHORITY:
                 yield SendReply(token, self._authority.state)
             case QueryReceived(topic, PlanDecision() as decision, token) if topic is DECIDE_PLAN:
                 self._stall.progress(now)
-                yield from self._reviewer.decide(decision, token, now)
+                yield from self._decide(decision, token, now)
+            case QueryReceived(topic, AlarmMark() as mark, token) if topic is SET_ALARM:
+                yield from self._operations.mark(mark, token, now)
             case QueryReceived(topic, _, token) if topic is SHOW_PLAN:
                 yield SendReply(token, self._reviewer.shown())
             case TimerFired(timer) if timer == STATUS_TIMER:
@@ -259,6 +277,7 @@ class GroundNode:
                 yield from self._director.sample(report, now)
             case RoverEvent() as happened:
                 self._heard(now)
+                self._operations.happened(happened, now)
                 yield from self._director.event(happened, now)
             case RoverState() as state:
                 self._silence.heard(now)
@@ -280,6 +299,7 @@ class GroundNode:
                 LogRecord(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")
             ]
         self._status.heard(state, made_at)
+        self._operations.reported(state, made_at, now)
         self._stall.state(state, self._telecommands.holds_rover, now)
         return self._director.state(state, made_at, now)
 
@@ -295,6 +315,19 @@ class GroundNode:
         yield SendReply(token, listed)
         if listed != before:
             yield Send(INTERESTS, listed)
+            yield self._operations.interest(change, now)
+        yield from effects
+
+    def _change_authority(self, change: AuthorityChange, token: int, now: MissionTime) -> Iterable[Effect]:
+        before = self._authority.state
+        yield from self._authority.answer(change, token, now)
+        if self._authority.state != before:
+            yield self._operations.authority(change, now)
+
+    def _decide(self, decision: PlanDecision, token: int, now: MissionTime) -> Iterable[Effect]:
+        effects = list(self._reviewer.decide(decision, token, now))
+        if not any(isinstance(effect, RefuseQuery) for effect in effects):
+            yield self._operations.decision(decision, now)
         yield from effects
 
     # --- checkpoints ------------------------------------------------------------------------------------------------
@@ -369,6 +402,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
         reviewer=PlanReviewer(planning, budget, director, authority),
         forking=Forking(scenario, terrain, round_log, execution, planning, STATE_TYPES),
         authority=authority,
+        operations=OperationsLog(round_log, budget, scenario.link.up.one_way_light_time_s),
         publisher=publisher,
         status=StatusReporter(scenario, belief, director, publisher, silence, note),
         silence=silence,

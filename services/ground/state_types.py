@@ -18,6 +18,7 @@ from schemas.commands import CommandStatus, Telecommand
 from schemas.ground import KeepOutArea, MissionPhase
 from schemas.link import LinkConditions
 from schemas.maps import MapRegion, MapScore
+from schemas.mission_log import HeardEvent, LogEntry, ModeChange
 from schemas.plans import RoundPlan
 from schemas.telemetry import RoverState, SampleReport
 from services.ground.fitting import FitRequest
@@ -31,10 +32,12 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     CommandStatus,
     FitRequest,
     GaussianProcess,
+    HeardEvent,
     Hyperparameters,
     Hyperprior,
     KeepOutArea,
     LinkConditions,
+    LogEntry,
     MapRegion,
     MapScore,
     MapSnapshot,
@@ -42,6 +45,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     Matern32,
     Matern52,
     MissionPhase,
+    ModeChange,
     Observation,
     OrbitalTrend,
     PlannedRound,

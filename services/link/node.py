@@ -81,6 +81,7 @@ class LinkNode:
                 self._timers.clear()
                 self._in_contact = self._relay.in_contact(now)
                 self._relay.restarted(incarnation)
+                self._relay.note(now)
                 yield LogRecord(Level.INFO, "link up", {"incarnation": incarnation, "contact": self._in_contact})
                 self._report_due = now
             case ReceivedRaw(topic=topic, payload=payload):
@@ -103,8 +104,11 @@ class LinkNode:
         except InvalidInput as error:
             yield RefuseQuery(token, str(error))
             return
-        changes = change.model_dump(mode="json", exclude_defaults=True)
+        changes = change.model_dump(mode="json", exclude_defaults=True, exclude={"by"})
         if changes:
+            self._relay.note(now, change)
+            if change.by:
+                changes["by"] = change.by
             yield LogRecord(Level.INFO, "link changed", changes)
             self._report_due = now
         yield SendReply(token, self._relay.status(now, self._incarnation))
@@ -118,6 +122,7 @@ class LinkNode:
         contact = self._relay.in_contact(now)
         if contact is not self._in_contact:
             self._in_contact = contact
+            self._relay.note(now)
             self._report_due = now
             yield LogRecord(Level.INFO, "contact regained" if contact else "contact lost", self._until(now))
         if self._report_due is not None and self._report_due <= now:

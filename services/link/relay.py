@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pydantic import ValidationError
 
 from he3.errors import InvalidInput
 from schemas.link import (
+    MAX_LINK_EVENTS,
     AtEdge,
     Direction,
     DirectionConditions,
@@ -17,6 +18,7 @@ from schemas.link import (
     InFlight,
     LinkChange,
     LinkConditions,
+    LinkEvent,
     LinkStatus,
 )
 from schemas.topics import COMMAND, Topic
@@ -41,6 +43,7 @@ class Relay:
         self._start = start
         self._seed = seed
         self._forced: bool | None = None
+        self._events: deque[LinkEvent] = deque(maxlen=MAX_LINK_EVENTS)
         self._contact = Contact.of(conditions, start)
         self._order = 0
         self._dropped: deque[Dropped] = deque(maxlen=SHOWN_DROPPED)
@@ -99,6 +102,15 @@ class Relay:
         for direction, channel in self._channels.items():
             channel.change(_of(conditions, direction), self._contact, conditions.at_edge, now)
 
+    def note(self, now: MissionTime, change: LinkChange | None = None) -> None:
+        """Keep for the status what a person has changed, or that contact began or ended by the schedule."""
+        contact = self.in_contact(now)
+        if change is None:
+            if not self._events or self._events[-1].contact is not contact:
+                self._events.append(LinkEvent(at=now, contact=contact))
+            return
+        self._events.append(LinkEvent(at=now, contact=contact, what=described(change), by=change.by or ""))
+
     def in_contact(self, now: MissionTime) -> bool:
         """Whether there is contact."""
         return self._contact.open_at(now)
@@ -138,11 +150,40 @@ class Relay:
             dropped=tuple(self._dropped),
             commands_arrived=tuple(self._commands_arrived),
             contact_forced=self._forced,
+            events=tuple(self._events),
             incarnation=incarnation,
         )
 
     def _generator(self, direction: Direction, incarnation: int) -> Random:
         return Random(f"link/{self._seed}/{direction.value}/{incarnation}")  # a text seeds the same on every machine
+
+
+NAMES: Final = {
+    "one_way_light_time_s": "light time {:g} s",
+    "jitter_s": "jitter {:g} s",
+    "rate_bit_s": "data rate {:,.15g} bit/s",
+    "loss": "loss {:g}",
+    "duplicate": "duplicate {:g}",
+    "reorder": "reorder {:g}",
+    "corrupt": "corrupt {:g}",
+}
+"""Words for the figures of a change."""
+
+
+def described(change: LinkChange) -> str:
+    """The change in words, such as ``up: loss 0.1, contact off``."""
+    parts = ["all conditions replaced"] if change.conditions is not None else []
+    parts += [text.format(value) for name, text in NAMES.items() if (value := getattr(change, name)) is not None]
+    if change.unlimited_rate:
+        parts.append("data rate unlimited")
+    if change.contact is not None:
+        parts.append("contact on" if change.contact else "contact off (black-out)")
+    if change.contact_as_scheduled:
+        parts.append("contact as scheduled")
+    if change.at_edge is not None:
+        parts.append(f"messages without contact: {change.at_edge.value}")
+    way = "" if change.direction is None else f"{change.direction.value}: "
+    return way + (", ".join(parts) or "nothing changed")
 
 
 def apply_change(conditions: LinkConditions, change: LinkChange) -> LinkConditions:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from he3.errors import He3Error
 from schemas.authority import AuthorityChange
 from schemas.commands import Telecommand
-from schemas.plans import PlanDecision
+from schemas.people import NAMING
 from services.runtime.trust.audit import AuditKind
 
 if TYPE_CHECKING:
@@ -83,8 +83,8 @@ def named_in(header: Header | None, body: Any) -> str:
     """Whom a message names as who wants what it says."""
     if isinstance(body, Telecommand) and body.by:
         return body.authorization.signer if body.authorization is not None else str(body.issued_by)
-    if isinstance(body, AuthorityChange | PlanDecision):
-        return body.by
+    if isinstance(body, NAMING) and body.by:
+        return str(body.by)
     if header is None:
         return ""
     return header.signer or header.source

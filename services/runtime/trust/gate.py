@@ -13,10 +13,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import He3Error
-from schemas.authority import AuthorityChange
 from schemas.codec import Refused, body_of, encode
 from schemas.commands import Telecommand
-from schemas.plans import PlanDecision
+from schemas.people import NAMING
 from schemas.signing import Part
 from schemas.topics import COMMAND, ISSUE_COMMAND, Topic
 from services.runtime.trust.roster import read_roster
@@ -80,8 +79,8 @@ class Gate:
 
     def admit_person(self, topic: Topic, header: Header, body: Any) -> None:
         """Raise Refused for a body that names another person than the signer of the message."""
-        if isinstance(body, AuthorityChange | PlanDecision) and body.by != header.signer:
-            raise Refused(f"{topic.name} of {header.signer}: expected its signer's own name, got '{body.by[:80]}'")
+        if isinstance(body, NAMING) and body.by not in (None, header.signer):
+            raise Refused(f"{topic.name} of {header.signer}: expected its signer's own name, got '{str(body.by)[:80]}'")
 
     def admit_command(self, topic: Topic, header: Header, body: Any, now: int) -> None:
         """Raise Refused unless a person has consented to the command in that message, if it is one."""

@@ -117,8 +117,9 @@ def test_a_person_commands_and_changes_only_in_the_role_for_it():
 
     reads = {topic.name for topic in TOPICS if Role.VIEWER in topic.access.query}
     own = {"earth/ground/command", "earth/ground/interest", "earth/ground/authority", "earth/ground/plan/decide"}
-    assert changes(Role.OPERATOR) == own
-    assert changes(Role.CONTROLLER) == {"earth/link/set", "earth/clock/set", "earth/time/control"}
+    alarms = {"earth/ground/alarm"}
+    assert changes(Role.OPERATOR) == own | alarms
+    assert changes(Role.CONTROLLER) == alarms | {"earth/link/set", "earth/clock/set", "earth/time/control"}
     for role in PERSON_ROLES:
         assert not [topic.name for topic in TOPICS if role in (*topic.access.publish, *topic.access.answer)]
 
