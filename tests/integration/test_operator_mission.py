@@ -190,6 +190,45 @@ def test_a_stack_is_checked_whole_sent_in_order_and_stopped_at_its_first_failure
     assert len(client.commands()) == before + 5
 
 
+def test_alarms_are_seen_shelved_and_logged_with_the_name_of_who_did_it(
+    running: tuple[Launcher, Endpoints], client: MissionClient
+) -> None:
+    endpoints = running[1]
+
+    def alarms(*flags: str) -> list[dict[str, Any]]:
+        done = he3(endpoints, "alarms", *flags, "--json")
+        assert (done.returncode, done.stderr) == (0, "")
+        return [each for each in json.loads(done.stdout)["alarms"] if each["kind"] == "no_contact"]
+
+    refused = he3(endpoints, "alarms", "acknowledge", "no-contact")
+    assert (refused.returncode, "there is no alarm no-contact" in refused.stderr) == (1, True)
+    client.set_link(contact=False)
+    try:
+        (alarm,) = alarms()
+        assert (alarm["severity"], alarm["active"], alarm["acknowledged"]) == ("warning", True, False)
+        assert he3(endpoints, "alarms", "acknowledge", "no-contact", "--as", "anna").returncode == 0
+        assert he3(endpoints, "alarms", "shelve", "no-contact", "--for", "1d", "--as", "ben").returncode == 0
+        (alarm,) = alarms()
+        assert (alarm["acknowledged_by"], alarm["shelved_by"]) == ("anna", "ben")
+    finally:
+        client.set_link(contact_as_scheduled=True)
+    assert alarms() == []
+    client.set_interest("rim", [(100, 100), (200, 100), (150, 200)], 3.0)
+    client.set_interest("rim")
+    lines = json.loads(he3(endpoints, "log", "--json").stdout)
+    found = {(each["kind"], each["text"], each["by"]) for each in lines}
+    for expected in (
+        ("link", "contact off (black-out)", client.person),
+        ("link", "contact as scheduled", client.person),
+        ("alarm", "no_contact acknowledged", "anna"),
+        ("interest", "area of interest rim removed", client.person),
+        ("event", "round 1", ""),
+    ):
+        assert any(each[0] == expected[0] and expected[1] in each[1] and each[2] == expected[2] for each in found)
+    assert he3(endpoints, "log", "--csv", "--kind", "interest").stdout.count("\n") >= 3
+    assert [each["known_at"] for each in lines] == sorted(each["known_at"] for each in lines)
+
+
 def test_every_map_command_prints_text_and_json(running: tuple[Launcher, Endpoints], tmp_path: Path) -> None:
     endpoints = running[1]
     for words in (

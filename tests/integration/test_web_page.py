@@ -19,6 +19,7 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
+from csv import DictReader
 from pathlib import Path
 from typing import Any
 
@@ -137,11 +138,11 @@ def test_only_requests_of_this_page_under_its_own_name_are_served(address: str) 
     ours = {**OUR_PAGE, "origin": own}
     assert get(f"{own}/api/map/history", {"host": "evil.example"})[0] == 403
     assert get(f"{own}/api/map/history", {"sec-fetch-site": "cross-site"})[0] == 403
-    acknowledged = {"id": "none"}
-    assert get(f"{own}/api/acknowledge", ours, acknowledged) == (200, b'{"acknowledged":false}')
-    assert get(f"{own}/api/acknowledge", {**ours, "origin": "http://evil.example"}, acknowledged)[0] == 403
-    assert get(f"{own}/api/acknowledge", OUR_PAGE, acknowledged)[0] == 403
-    assert get(f"{own}/api/acknowledge", {**ours, "content-type": "text/plain"}, acknowledged)[0] == 403
+    acknowledged = {"kind": "defect", "action": "acknowledge"}
+    assert get(f"{own}/api/alarm", ours, acknowledged) == (200, b'{"done":false}')
+    assert get(f"{own}/api/alarm", {**ours, "origin": "http://evil.example"}, acknowledged)[0] == 403
+    assert get(f"{own}/api/alarm", OUR_PAGE, acknowledged)[0] == 403
+    assert get(f"{own}/api/alarm", {**ours, "content-type": "text/plain"}, acknowledged)[0] == 403
 
 
 def test_without_authority_nothing_is_commanded_and_the_reason_is_said(mission: MissionClient) -> None:
@@ -202,7 +203,8 @@ def test_bad_requests_are_answered_with_one_line_and_change_nothing(address: str
         ("link", {"conditions": {}}, "expected some of"),
         ("interest", {"weight": None}, "weight"),
         ("interest", {"area_id": "a", "polygon_m": 3}, "polygon_m"),
-        ("acknowledge", {"id": {"a": 1}}, "id"),
+        ("alarm", {"kind": {"a": 1}, "action": "acknowledge"}, "kind"),
+        ("alarm", {"kind": "stale", "action": "shelve"}, "shelve_s"),
     ):
         code, body = get(f"{own}/api/{path}", ours, document)
         assert (code, why in json.loads(body)["error"]) == (400, True), (path, document, body)
@@ -245,7 +247,7 @@ def test_with_a_file_of_logins_reading_needs_none_on_this_machine_and_commanding
     stranger = urllib.request.build_opener()
     assert opened(stranger, f"{own}/api/map/history")[0] == 200
     assert json.loads(opened(stranger, f"{own}/api/session")[1])["roles"] == ["viewer"]
-    for path, document in (("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("acknowledge", {"id": "none"})):
+    for path, document in (("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("alarm", {})):
         assert post(stranger, own, path, document) == 403
     for login in ("", "?token=", "?token=wrong"):
         assert get(f"{own}/login{login}")[0] == 403
@@ -293,12 +295,13 @@ def test_off_loopback_the_page_is_not_served_without_tls(mission: MissionClient)
 
 
 PEOPLE = {
-    "viewer": {"command": 403, "interest": 403, "link": 403, "acknowledge": 403},
-    "operator": {"command": 200, "interest": 200, "link": 403, "acknowledge": 200},
-    "controller": {"command": 403, "interest": 403, "link": 200, "acknowledge": 200},
+    "viewer": {"command": 403, "interest": 403, "link": 403, "alarm": 403},
+    "operator": {"command": 200, "interest": 200, "link": 403, "alarm": 200},
+    "controller": {"command": 403, "interest": 403, "link": 200, "alarm": 200},
 }
 DOCUMENTS: dict[str, dict[str, Any]] = {
-    "command": {"kind": "resume"}, "interest": {}, "link": {"loss": 0.0}, "acknowledge": {"id": "none"},
+    "command": {"kind": "resume"}, "interest": {}, "link": {"loss": 0.0},
+    "alarm": {"kind": "defect", "action": "acknowledge"},
 }  # fmt: skip
 
 
@@ -491,9 +494,24 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     # An alarm stays until an operator has acknowledged it.
     order(browser, "button[data-command=safe]")
     alarm = ".alarm[data-kind=safe_mode]"
-    until(lambda: browser.find_elements("css selector", f"{alarm} button"), "the alarm")
-    click(browser, f"{alarm} button")
-    until(lambda: not browser.find_elements("css selector", f"{alarm} button"), "the acknowledgement")
+    until(lambda: browser.find_elements("css selector", f"{alarm}.critical .acknowledge"), "the alarm")
+    click(browser, f"{alarm} .acknowledge")
+    until(lambda: "acknowledged" in written(browser, f"{alarm} .seen-by"), "the acknowledgement")
+    assert mission.log().entries[-1].text == "safe_mode acknowledged"
+
+    # Everything is in the log: what is chosen is what is shown, and what becomes a file.
+    until(lambda: "pause op-" in written(browser, "#log"), "the command in the log")
+    write(browser, "#log-text", "acknowledged")
+    until(lambda: len(browser.find_elements("css selector", "#log li")) == 1, "one line")
+    csv = script(
+        browser,
+        "return import('/static/loglines.js').then(async (log) => {"
+        "const { state } = await import('/static/state.js');"
+        "const all = log.logLines({ ...state, commands: state.commands.values() });"
+        "return log.asCsv(log.chosen(all, new Set(['alarm']), 'acknowledged')) })",
+    )
+    assert [row["name"] for row in DictReader(io.StringIO(csv))] == ["alarm"]
+    write(browser, "#log-text", "")
 
     # Back through time, and forth again.
     until(lambda: int(script(browser, "return document.getElementById('time').max")) >= 2, "a past to go to")

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from services.console.cli import (
+    alarms,
     area,
     audit,
     authority,
@@ -16,6 +17,7 @@ from services.console.cli import (
     foxglove,
     keys,
     link,
+    log,
     map,
     plan,
     recording,
@@ -56,6 +58,7 @@ def build() -> typer.Typer:
     app.command("rehearse", epilog=rehearse.EXAMPLES, short_help="Fly the rest of the mission ahead.")(
         rehearse.rehearse
     )
+    app.command("log", short_help="Show what happened and what was changed.", epilog=log.EXAMPLES)(log.log)
     app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
     app.command("web", short_help="Serve the operator's page for a browser.", epilog=web.EXAMPLES)(web.web)
     app.add_typer(map.app, name="map", help="The live map: a place, a picture, files, tables, an area.")
@@ -69,6 +72,7 @@ def build() -> typer.Typer:
     app.command("commands", short_help="List the telecommands and their stages.", epilog=command.EXAMPLES)(
         command.commands
     )
+    app.add_typer(alarms.app, name="alarms", help="What needs attention: show it, acknowledge it, shelve it.")
     app.add_typer(stack.app, name="stack", help="A list of telecommands with conditions: check it, send it.")
     app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
     app.add_typer(plan.app, name="plan", help="The plan that waits for approval: show it, approve it, send it back.")

@@ -24,6 +24,7 @@ WITH_MISSION = (
     ("he3 status", "where the rover is, what is on the way"),
     ("he3 web --authority", "the operator's page in a browser"),
     ("he3 watch", "the mission in the terminal"),
+    ("he3 alarms", "what needs attention"),
     ("he3 map at 120 340", "how much helium-3 is there, and how certain is that?"),
     ("he3 command --help", "telecommands to the rover"),
 )

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import getpass
-import os
 import queue
-import socket
 import time
 import uuid
 from typing import TYPE_CHECKING, Any
@@ -18,13 +15,13 @@ from schemas.commands import CommandKind, CommandList, CommandStage, CommandStat
 from schemas.topics import COMMAND_STATUS, ISSUE_COMMAND, LIST_COMMANDS, SET_AUTHORITY, SHOW_AUTHORITY
 from schemas.validation import one_line
 from services.console.client.clock import ClockQueries
+from services.console.client.person import Acting
 from services.mission.mission_time import seconds
 
 if TYPE_CHECKING:
     from schemas.wire import Header
     from services.console.client.map_queries import Polygon
     from services.runtime.transport.client import Client
-    from services.runtime.trust.identity import Identity
 
 MAX_EXPIRY_S = 1e9
 """Longest time for which a command may stay valid [s]: 30 years."""
@@ -91,18 +88,10 @@ class CommandHandle:
             self.status = status
 
 
-class Commanding(ClockQueries):
+class Commanding(ClockQueries, Acting):
     """The part of `MissionClient` that sends telecommands."""
 
     _session: Client
-    identity: Identity | None
-    as_name: str | None
-    """The name under which this client commands where nothing proves one; None: the user and the machine."""
-
-    @property
-    def person(self) -> str:
-        """Who commands: the identity's common name, else the name that was given, else the user and the machine."""
-        return self.identity.common_name if self.identity is not None else self.as_name or user_and_machine()
 
     def command(
         self,
@@ -158,15 +147,6 @@ class Commanding(ClockQueries):
         """All commands with the stages they passed, oldest first."""
         listed: CommandList = self._session.query(LIST_COMMANDS, NoParameters())
         return listed.commands
-
-
-def user_and_machine() -> str:
-    """The user and the machine of this process, as user@host: what it says of itself, which nothing proves."""
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):
-        user = f"uid-{os.getuid()}"
-    return f"{user}@{socket.gethostname()}"[:100]
 
 
 def _duration_s(value: object) -> float:

@@ -12,12 +12,13 @@ from schemas.commands import NoParameters
 from schemas.link import LinkChange, LinkStatus
 from schemas.topics import LINK_SET, LINK_SHOW
 from schemas.validation import one_line
+from services.console.client.person import Acting
 
 if TYPE_CHECKING:
     from services.runtime.transport.client import Client
 
 
-class LinkControl:
+class LinkControl(Acting):
     """The part of `MissionClient` that concerns the link."""
 
     _session: Client
@@ -33,6 +34,7 @@ class LinkControl:
 
     def change_link(self, change: LinkChange) -> LinkStatus:
         """Change conditions by a validated `LinkChange`; returns the link's status after it."""
+        change = change.model_copy(update={"by": self.person})
         status: LinkStatus = self._session.query(LINK_SET, change)
         return status
 

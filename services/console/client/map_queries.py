@@ -37,6 +37,7 @@ from schemas.topics import (
     Topic,
 )
 from schemas.validation import one_line
+from services.console.client.person import Acting
 
 if TYPE_CHECKING:
     from services.runtime.transport.client import Client
@@ -76,7 +77,7 @@ class LayerArray:
         )
 
 
-class MapQueries:
+class MapQueries(Acting):
     """The part of `MissionClient` that asks for the map."""
 
     _session: Client
@@ -224,6 +225,7 @@ class MapQueries:
                 area_id=area_id,
                 polygon_m=None if polygon_m is None else tuple((float(x), float(y)) for x, y in polygon_m),
                 weight=float(weight),
+                by=self.person,
             )
         except ValidationError as error:
             raise InvalidInput(f"interest: {one_line(error)}") from None

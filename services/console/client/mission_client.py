@@ -34,6 +34,7 @@ from services.console.client.forking import Forks
 from services.console.client.live import LiveNews
 from services.console.client.map_files import MapFiles
 from services.console.client.mission_state import MissionState
+from services.console.client.operations import Operations
 from services.console.client.plan_review import PlanReviewing
 from services.console.client.previews import Previewing
 from services.console.client.run_file import find
@@ -48,7 +49,7 @@ REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 
-class MissionClient(MapFiles, Areas, PlanReviewing, Previewing, Forks, LiveNews, MapFeed):
+class MissionClient(MapFiles, Areas, PlanReviewing, Previewing, Operations, Forks, LiveNews, MapFeed):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
     def __init__(

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
 from schemas.commands import CommandStatus, NoParameters
+from schemas.mission_log import MAX_ENTRIES, MAX_MODES, ModeChange
 from schemas.topics import (
     COMMAND_STATUS,
     EARTH_CLOCK,
@@ -26,6 +27,8 @@ from schemas.topics import (
     INTERESTS,
     LINK_STATUS,
     LIST_COMMANDS,
+    LOG_ENTRY,
+    SHOW_LOG,
     STATE,
     Crosses,
     Topic,
@@ -37,19 +40,20 @@ from services.mission.mission_time import SECOND, MissionTime, seconds
 if TYPE_CHECKING:
     from schemas.ground import GroundStatus, Presence
     from schemas.link import ClockState, LinkStatus
+    from schemas.mission_log import LogEntry, MissionLog
     from schemas.telemetry import RoverEvent, RoverState
     from schemas.wire import Header
     from services.runtime.transport.client import Client
 
 ANSWER_WITHIN_S = 10.0
 """Longest wall time for the answer of a live process; queries to an ended one end at once."""
-MAX_EVENTS = 300
+MAX_EVENTS = 1000
 REPORT_GAPS, MIN_REPORT_GAPS = 9, 2
 """Intervals between reports of the rover's state from which their period is told, and the fewest that tell it."""
 MAX_COMMANDS = 300  # the newest, as the ground lists them
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
 """Topics whose last message can be queried."""
-FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS, INTERESTS)
+FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS, INTERESTS, LOG_ENTRY)
 TIMEKEEPER = "link"
 """The process that keeps mission time; its process id distinguishes one run of a mission from the next."""
 SET_BACK_S = 1.0
@@ -74,8 +78,11 @@ class Happened:
 
     event: RoverEvent
     received_at: MissionTime
-    key: tuple[str, int, int]
-    """Source, incarnation and sequence: the same for every repetition."""
+
+    @property
+    def key(self) -> tuple[str, MissionTime, str | None, str]:
+        """What tells it from every other event of the mission; the same for every repetition."""
+        return self.event.kind.value, self.event.at, self.event.sample_id, self.event.detail
 
 
 def supersedes(header: Header, last: Header) -> bool:
@@ -117,6 +124,8 @@ class MissionState:
         self.time = self._clock_of(self._start_ns)
         self._facts: dict[Topic, Fact] = {}
         self._events: deque[Happened] = deque(maxlen=MAX_EVENTS)
+        self._entries: dict[int, LogEntry] = {}
+        self._modes: list[ModeChange] = []
         self._commands: dict[str, CommandStatus] = {}
         self._presence: dict[str, tuple[float, Presence]] = {}
         self._report_gaps_s: deque[float] = deque(maxlen=REPORT_GAPS)
@@ -147,6 +156,8 @@ class MissionState:
         with suppress(He3Error):
             for status in self._session.query(LIST_COMMANDS, NoParameters(), timeout_s).commands:
                 self._take(COMMAND_STATUS, None, status)
+        with suppress(He3Error):
+            self._take_log(self._session.query(SHOW_LOG, NoParameters(), timeout_s))
 
     def refresh(self) -> None:
         """If another process keeps time, check whether the mission was started anew; then drop all facts and query.
@@ -209,6 +220,18 @@ class MissionState:
         """The last events of the rover, oldest first, each once."""
         with self._lock:
             return tuple(self._events)
+
+    @property
+    def entries(self) -> tuple[LogEntry, ...]:
+        """The entries of the ground's log, oldest first."""
+        with self._lock:
+            return tuple(self._entries[number] for number in sorted(self._entries))
+
+    @property
+    def modes(self) -> tuple[ModeChange, ...]:
+        """The changes of the rover's mode, oldest first."""
+        with self._lock:
+            return tuple(self._modes)
 
     @property
     def status_time_s(self) -> float:
@@ -311,17 +334,47 @@ class MissionState:
                 self._process = process
             return True
         if topic is EVENT:
-            key = (header.source, header.incarnation, header.sequence)
-            if any(each.key == key for each in self._events):
+            happened = Happened(body, self.time.now())
+            if any(each.key == happened.key for each in self._events):
                 return False  # repeated, as custody does until it is acknowledged
-            self._events.append(Happened(body, self.time.now(), key))
+            self._events.append(happened)
             return True
+        if topic is LOG_ENTRY:
+            new = body.number not in self._entries
+            self._entries[body.number] = body
+            if len(self._entries) > MAX_ENTRIES:
+                del self._entries[min(self._entries)]
+            return new
         last = self._facts.get(topic)
         if last is not None and not supersedes(header, last.header):
             return False
         self._facts[topic] = Fact(header, body)
+        if topic is STATE:
+            self._note_mode(ModeChange(mode=body.mode, made_at=header.made_at, received_at=self.time.now()))
         if topic is STATE and last is not None and header.incarnation == last.header.incarnation:
             self._report_gaps_s.append((header.made_at - last.made_at) / SECOND)
         if topic is EARTH_CLOCK:
             self.time.follow(body)
         return True
+
+    def _note_mode(self, change: ModeChange) -> None:
+        last = self._modes[-1] if self._modes else None
+        if last is None or (change.mode is not last.mode and change.made_at > last.made_at):
+            self._modes.append(change)
+            del self._modes[:-MAX_MODES]
+
+    def _take_log(self, log: MissionLog) -> None:
+        """Put what the ground has logged before what this session has heard."""
+        with self._lock:
+            known = {each.key for each in self._events}
+            logged = [Happened(heard.event, heard.received_at) for heard in log.events]
+            earlier = [each for each in logged if each.key not in known]
+            self._events = deque([*earlier, *self._events], maxlen=MAX_EVENTS)
+            heard, self._modes = self._modes, list(log.modes)
+            for change in heard:
+                self._note_mode(change)
+            self._entries = {**{entry.number: entry for entry in log.entries}, **self._entries}
+        self.changed.set()
+        if self._on_change is not None:
+            for topic in (EVENT, LOG_ENTRY):
+                self._on_change(topic)

@@ -38,11 +38,18 @@ def speed(rate: float) -> str:
     return "real time" if rate == 1 else f"{rate:,.10g}x"
 
 
+def parse_duration_s(text: str) -> float:
+    """Seconds of a duration such as 90, 15min, 2h or 3d; raises InvalidInput."""
+    found = _DURATION.fullmatch(text.strip())
+    if found is None:
+        raise InvalidInput(f"expected a duration such as 90, 15min, 2h or 3d, got '{text}'")
+    return float(found[1]) * _UNITS_S[found[2]]
+
+
 def parse_moment(text: str, start_ns: MissionTime) -> MissionTime:
     """Mission time [ns] of a duration since the beginning (90, 15min, 2h, 3d) or of a UTC time; raises InvalidInput."""
-    since = _DURATION.fullmatch(text.strip())
-    if since is not None:
-        return _in_range(start_ns + round(float(since[1]) * _UNITS_S[since[2]] * SECOND), text)
+    if _DURATION.fullmatch(text.strip()) is not None:
+        return _in_range(start_ns + round(parse_duration_s(text) * SECOND), text)
     try:
         at = datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
     except ValueError:

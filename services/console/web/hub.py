@@ -17,14 +17,27 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Protocol
 
 from he3.errors import He3Error, InvalidInput
-from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EVENT, GROUND_STATUS, INTERESTS, LINK_STATUS, STATE, Topic
+from schemas.topics import (
+    COMMAND_STATUS,
+    EARTH_CLOCK,
+    EVENT,
+    GROUND_STATUS,
+    INTERESTS,
+    LINK_STATUS,
+    LOG_ENTRY,
+    STATE,
+    Topic,
+)
+from services.console.client.alarms import Alarms, documents
+from services.console.client.contacts import contacts_ahead
 from services.console.client.liveness import Condition, Liveness, liveness
-from services.console.web.alarms import Alarms, documents
 from services.console.web.curves import NAMES, Curves
 from services.mission.mission_time import SECOND, MissionTime, seconds
 
 if TYPE_CHECKING:
     from schemas.commands import CommandStatus
+    from schemas.link import LinkEvent
+    from schemas.mission_log import AlarmKind
     from services.console.client.mission_client import MissionClient
     from services.console.client.mission_state import Happened, MissionState
 
@@ -39,6 +52,8 @@ BEAT_EVERY_S = 1.0
 FLIGHTS_SHOWN_S = 0.5
 """A message in flight is shown for at least this time, because it may arrive before the next status is sent."""
 MAX_FLIGHTS = 100
+MAX_LINK_EVENTS = 500
+"""Newest changes of the link, and of contact, that a browser gets."""
 
 
 class Recording(Protocol):
@@ -107,7 +122,10 @@ class Hub:
         self._told_at: dict[str, float] = {}
         self._told: dict[str, dict[str, Any]] = {}
         self._curves_told: dict[str, float] = {}
-        self._events_sent: set[tuple[str, int, int]] = set()
+        self._events_sent: set[tuple[Any, ...]] = set()
+        self._entries_sent: set[int] = set()
+        self._modes_sent = 0
+        self._link_events: dict[tuple[int, str], LinkEvent] = {}
         self._stages_sent: dict[str, int] = {}
         self._has_past = self.recording is not None
         self._condition: Condition | None = None
@@ -181,13 +199,10 @@ class Hub:
         with self._lock:
             self._viewers.discard(viewer)
 
-    def acknowledge(self, alarm_id: str) -> bool:
-        """Acknowledge an alarm; returns whether there was one to acknowledge."""
+    def is_raised(self, kind: AlarmKind) -> bool:
+        """Whether there is an alarm of that kind that a person may acknowledge or shelve."""
         with self._lock:
-            done = self._alarms.acknowledge(alarm_id)
-            if done:
-                self._dirty.add("alarms")
-            return done
+            return any(alarm.kind is kind for alarm in self._alarms.current)
 
     # --- what changes, in the session's threads ---------------------------------------------------------------------
 
@@ -198,13 +213,15 @@ class Hub:
             elif topic is GROUND_STATUS:
                 self._status_changed()
             elif topic is LINK_STATUS:
-                self._dirty.add("link")
+                self._link_changed()
             elif topic is EARTH_CLOCK:
                 self._dirty.add("clock")
             elif topic is STATE:
                 self._rover_changed()
             elif topic is EVENT:
                 self._events_changed()
+            elif topic is LOG_ENTRY:
+                self._entries_changed()
             elif topic is INTERESTS:
                 self._dirty.add("interests")
             elif topic is COMMAND_STATUS:
@@ -227,6 +244,9 @@ class Hub:
         self._point("energy_wh", fact.made_at, fact.body.energy_wh)
         self._point("queue", fact.made_at, float(fact.body.queue_depth))
         self._dirty.add("rover")
+        modes = self._state.modes
+        self._new += [("mode", change.model_dump(mode="json")) for change in modes[self._modes_sent :]]
+        self._modes_sent = len(modes)
 
     def _events_changed(self) -> None:
         for happened in self._state.events:
@@ -236,6 +256,22 @@ class Hub:
                 if self._alarms.happened(happened.event):
                     self._dirty.add("alarms")
         self._events_sent &= {happened.key for happened in self._state.events}
+
+    def _entries_changed(self) -> None:
+        for entry in self._state.entries:
+            if entry.number not in self._entries_sent:
+                self._entries_sent.add(entry.number)
+                self._new.append(("entry", entry.model_dump(mode="json")))
+                if self._alarms.logged(entry):
+                    self._dirty.add("alarms")
+
+    def _link_changed(self) -> None:
+        link = self._state.link
+        if link is None:
+            return
+        for event in link.events:
+            self._link_events.setdefault((event.at, event.what), event)
+        self._dirty |= {"link", "contacts"}
 
     def _commands_changed(self) -> None:
         for status in self._state.commands:
@@ -304,7 +340,7 @@ class Hub:
             case "clock":
                 return _message("clock", self._clock_document())
             case "alarms":
-                return _message("alarms", documents(self._alarms.current))
+                return _message("alarms", self._alarms_document())
             case "curves":
                 return "".join(_message("curve", each) for each in self._new_points())
             case "interests":
@@ -357,7 +393,12 @@ class Hub:
 
     def _documents(self) -> dict[str, Callable[[], dict[str, Any] | None]]:
         """The documents of which only the fields that have changed are sent."""
-        return {"status": self._status_document, "rover": self._rover_document, "link": self._link_document}
+        return {
+            "status": self._status_document,
+            "rover": self._rover_document,
+            "link": self._link_document,
+            "contacts": self._contacts_document,
+        }
 
     def _liveness_document(self, alive: Liveness) -> dict[str, str]:
         text = alive.text if self.recording is None else f"recording; then {alive.text}"
@@ -389,9 +430,24 @@ class Hub:
             if flight.arrives_at is not None:
                 self._flights[key] = (wall, flight.model_dump(mode="json"))
         self._flights = {key: seen for key, seen in self._flights.items() if wall - seen[0] < FLIGHTS_SHOWN_S}
-        shown: dict[str, Any] = fact.body.model_dump(mode="json", exclude={"in_flight", "dropped", "commands_arrived"})
+        shown: dict[str, Any] = fact.body.model_dump(
+            mode="json", exclude={"in_flight", "dropped", "commands_arrived", "events"}
+        )
         shown["in_flight"] = [flight for _, flight in self._flights.values()][-MAX_FLIGHTS:]
         return {"at": fact.made_at, **shown}
+
+    def _contacts_document(self) -> dict[str, Any] | None:
+        """What changed on the link, and the contacts to come; None while the mission's beginning is not known."""
+        link, start_ns = self._state.link, self._state.time.start_ns
+        if link is None or start_ns is None:
+            return None
+        return {
+            "events": [event.model_dump(mode="json") for event in self._link_events.values()][-MAX_LINK_EVENTS:],
+            "ahead": contacts_ahead(link, start_ns, self._state.time.now()),
+        }
+
+    def _alarms_document(self) -> dict[str, Any]:
+        return {"current": documents(self._alarms.current), "history": documents(self._alarms.history)}
 
     def _rover_document(self) -> dict[str, Any] | None:
         fact, status = self._state.fact(STATE), self._state.status
@@ -413,7 +469,10 @@ class Hub:
             "commands": [command_document(status) for status in self._state.commands],
             "events": [_event_document(happened) for happened in self._state.events],
             "curves": self._curves.document(),
-            "alarms": documents(self._alarms.current),
+            "entries": [entry.model_dump(mode="json") for entry in self._state.entries],
+            "modes": [change.model_dump(mode="json") for change in self._state.modes],
+            "contacts": self._contacts_document(),
+            "alarms": self._alarms_document(),
             "liveness": self._liveness_document(liveness(self._state)),
         }
 

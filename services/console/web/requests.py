@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from he3.errors import InvalidInput
 from schemas.commands import CommandKind  # of a model's field: pydantic reads it
+from schemas.mission_log import AlarmAction, AlarmKind
 from schemas.plans import PlanVerdict
 from schemas.validation import one_line
 from schemas.wire import MAX_COUNT, Identifier, PositionM
 from services.console.client.commands import MAX_EXPIRY_S
+
+MAX_SHELVED_S = 30 * 86_400.0
+"""Longest time for which an alarm may be shelved [s]."""
 
 Place = tuple[PositionM, PositionM]
 Corners = Annotated[tuple[Place, ...], Field(min_length=3, max_length=256)]
@@ -57,10 +61,20 @@ class PlanRequest(PageRequest):
     """Samples that are not taken."""
 
 
-class AcknowledgeRequest(PageRequest):
-    """An alarm that the operator has seen."""
+class AlarmRequest(PageRequest):
+    """What a person does about an alarm."""
 
-    id: Annotated[str, Field(max_length=100)]
+    kind: AlarmKind
+    action: AlarmAction
+    shelve_s: Annotated[float, Field(gt=0, le=MAX_SHELVED_S)] | None = None
+    """For how long it is shelved, in mission time (`shelve` only)."""
+    why: Annotated[str, Field(max_length=200)] = ""
+
+    @model_validator(mode="after")
+    def _says_for_how_long_it_is_shelved(self) -> Self:
+        if (self.action is AlarmAction.SHELVE) != (self.shelve_s is not None):
+            raise ValueError(f"expected shelve_s with shelve and only there, got {self.action.value}")
+        return self
 
 
 class PlayRequest(PageRequest):

@@ -32,6 +32,7 @@ from starlette.types import ASGIApp
 
 from he3.colour_maps import OF_LAYER, stops
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from schemas.mission_log import AlarmAction
 from schemas.plans import PlanVerdict
 from schemas.roles import Role
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOURCE, TRACK, Topic
@@ -43,7 +44,7 @@ from services.console.web.connections import PEER
 from services.console.web.guard import Guard
 from services.console.web.hub import Hub, Viewer, command_document
 from services.console.web.requests import (
-    AcknowledgeRequest,
+    AlarmRequest,
     CommandRequest,
     InterestRequest,
     PlanRequest,
@@ -51,6 +52,7 @@ from services.console.web.requests import (
     document,
     parsed,
 )
+from services.mission.mission_time import seconds
 
 STATIC = Path(__file__).parent / "static"
 KEEP_ALIVE_S = 15.0
@@ -109,7 +111,7 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         post("/api/plan", partial(_decide, hub), COMMAND),
         post("/api/interest", partial(_interest, hub), COMMAND),
         post("/api/link", partial(_link, hub), CONTROL),
-        post("/api/acknowledge", partial(_acknowledge, hub), ACT),
+        post("/api/alarm", partial(_alarm, hub), ACT),
         post("/api/recording", partial(_play, hub), READ),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
@@ -337,8 +339,18 @@ def _areas(areas: Sequence[Any]) -> Response:
     return JSONResponse({"areas": [area.model_dump(mode="json") for area in areas]})
 
 
-def _acknowledge(hub: Hub, asked: Asked) -> Response:
-    return JSONResponse({"acknowledged": hub.acknowledge(parsed(AcknowledgeRequest, asked.body).id)})
+def _alarm(hub: Hub, asked: Asked) -> Response:
+    """Whether the mark was made: not on an alarm that is no longer there."""
+    wanted = parsed(AlarmRequest, asked.body)
+    raised = hub.is_raised(wanted.kind)
+    if raised:
+        if wanted.shelve_s is not None:
+            hub.mission.shelve_alarm(wanted.kind, hub.mission.now() + seconds(wanted.shelve_s), wanted.why)
+        elif wanted.action is AlarmAction.ACKNOWLEDGE:
+            hub.mission.acknowledge_alarm(wanted.kind, wanted.why)
+        else:
+            hub.mission.unshelve_alarm(wanted.kind, wanted.why)
+    return JSONResponse({"done": raised})
 
 
 def _play(hub: Hub, asked: Asked) -> Response:

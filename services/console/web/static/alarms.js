@@ -1,56 +1,60 @@
-// Alarms, and the log of the rover's events.
+// Alarms: what needs attention first, with who has seen or shelved it. What is over is in the log.
 
+import { look } from "./deliberate.js";
 import { send } from "./net.js";
 import { placeRover } from "./rover.js";
-import { $, attempt, rewrite, sinceStart, state } from "./state.js";
-import { duration, elapsed, element, fixed, utc, words } from "./words.js";
+import { $, attempt, rewrite, state, toast } from "./state.js";
+import { element, utc, words } from "./words.js";
 
-const ALERTS = new Set(["blocked", "safe_mode_entered", "low_energy", "plan_rejected", "round_aborted", "instrument_silent"]);
-const MAX_LOGGED = 300;
-const rows = new Map();
+const SHELVED_FOR_S = 3600;
+const rows = new Map(); // kind -> its row; there is one alarm of a kind at most
+const ACTIONS = { acknowledge: "Acknowledge", shelve: "Shelve for 1 h", unshelve: "Unshelve" };
 
-function rowOf(id) {
-  const row = element("div", { role: "alert" }, element("span", { class: "kind" }), element("span", { class: "text" }),
-    element("span", { class: "dim num" }), element("button", { type: "button" }, "Acknowledge"));
-  row.lastChild.className = "acts-only";
-  row.lastChild.addEventListener("click", () => attempt(() => send("acknowledge", { id })));
-  return row;
+function rowOf(kind) {
+  const buttons = Object.entries(ACTIONS).map(([action, text]) => {
+    const button = element("button", { type: "button", class: `acts-only ${action}${action === "acknowledge" ? "" : " ghost"}` }, text);
+    button.addEventListener("click", () => attempt(() => mark(kind, action)));
+    return button;
+  });
+  return element("div", { role: "alert" }, element("span", { class: "severity" }), element("span", { class: "kind" }, words(kind)),
+    element("span", { class: "text" }), element("span", { class: "when dim num" }), element("span", { class: "seen-by dim" }), ...buttons);
+}
+
+async function mark(kind, action) {
+  const { done } = await send("alarm", { kind, action, ...(action === "shelve" ? { shelve_s: SHELVED_FOR_S } : {}) });
+  if (!done) toast(`The alarm ${words(kind)} is no longer there`, true);
+}
+
+function when({ raised_at, ended_at, times }) {
+  const again = times > 1 ? `, ${times} times` : "";
+  return `${ended_at ? "" : "since "}${utc(raised_at)}${ended_at ? ` to ${utc(ended_at).slice(11)}` : ""}${again}`;
+}
+
+function seenBy(alarm) {
+  const shelved = alarm.shelved_until ? `shelved until ${utc(alarm.shelved_until)} by ${alarm.shelved_by}` : "";
+  return shelved || (alarm.acknowledged ? `acknowledged ${utc(alarm.acknowledged_at).slice(11)} by ${alarm.acknowledged_by}` : "");
 }
 
 // Rows stay where they are while their words change: a click or the keyboard's focus on a button outlives the change.
 export function showAlarms() {
-  const ids = new Set(state.alarms.map((alarm) => alarm.id));
-  for (const [id, row] of rows) if (!ids.has(id)) { row.remove(); rows.delete(id); }
-  state.alarms.forEach((alarm, place) => {
-    const known = rows.get(alarm.id), raisedAgain = known?.classList.contains("seen") && !alarm.acknowledged;
-    if (raisedAgain) known.remove();
-    const row = known && !raisedAgain ? known : rowOf(alarm.id);
-    rows.set(alarm.id, row);
-    const [kind, text, when] = row.children;
-    row.className = alarm.acknowledged ? "alarm seen" : "alarm";
+  const { current } = state.alarms, kinds = new Set(current.map((alarm) => alarm.kind));
+  for (const [kind, row] of rows) if (!kinds.has(kind)) { row.remove(); rows.delete(kind); }
+  current.forEach((alarm, place) => {
+    const seen = alarm.acknowledged || alarm.shelved_until !== null, known = rows.get(alarm.kind);
+    const row = known ?? rowOf(alarm.kind);
+    rows.set(alarm.kind, row);
+    row.className = `alarm ${alarm.severity}${seen ? " seen" : ""}${alarm.active ? "" : " over"}`;
     row.dataset.kind = alarm.kind;
-    rewrite(kind, words(alarm.kind));
+    const [severity, , text, at, by] = row.children;
+    rewrite(severity, alarm.active ? alarm.severity : `${alarm.severity}, over`);
     rewrite(text, alarm.text);
-    rewrite(when, `${utc(alarm.raised_at).slice(11)}${alarm.times > 1 ? `, ${alarm.times} times` : ""}${alarm.active ? "" : ", over"}`);
-    if (alarm.acknowledged && row.lastChild.tagName === "BUTTON") row.lastChild.replaceWith(element("span", { class: "dim" }, "acknowledged"));
+    rewrite(at, when(alarm));
+    rewrite(by, seenBy(alarm));
+    row.querySelector(".acknowledge").hidden = alarm.acknowledged;
+    row.querySelector(".shelve").hidden = alarm.shelved_until !== null;
+    row.querySelector(".unshelve").hidden = alarm.shelved_until === null;
     if ($("alarms").children[place] !== row) $("alarms").insertBefore(row, $("alarms").children[place] ?? null);
   });
+  look(); // the buttons of other rows may have moved
   placeRover();
-}
-
-export function showEvents(events) {
-  $("log").replaceChildren();
-  if (!events.length) $("log").append(element("li", { class: "empty dim" }, "No events yet. The log begins when the page's server joins the mission."));
-  events.forEach(log);
-}
-
-export function log(event) {
-  const about = [event.round ? `round ${event.round}` : "", event.sample_id ?? "", `(${fixed(event.x_m, 1)}, ${fixed(event.y_m, 1)}) m`, event.detail].filter(Boolean).join(" · ");
-  const delay = (event.received_at - event.at) / 1e9;
-  const item = element("li", { class: ALERTS.has(event.kind) ? "alert" : "" },
-    element("span", { class: "num", title: utc(event.at) }, elapsed(sinceStart(event.at)).slice(3)), element("span", { class: "kind" }, words(event.kind)),
-    element("span", {}, about, element("span", { class: "dim num" }, delay > 0 ? ` · received ${duration(delay)} later` : "")));
-  $("log").querySelector("li.empty")?.remove();
-  $("log").prepend(item);
-  while ($("log").children.length > MAX_LOGGED) $("log").lastChild.remove();
 }

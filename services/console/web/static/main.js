@@ -1,12 +1,13 @@
 // The page: what the server sends is kept in `state` and shown by its panel.
 
-import { log, showAlarms, showEvents } from "./alarms.js";
+import { showAlarms } from "./alarms.js";
 import { Chart } from "./charts.js";
 import { showCommands, takeCommand, whenCommandsChange } from "./commands.js";
 import { forgetMap, map, refreshHistory, wantMap, whenTimeChanges } from "./layers.js";
 import { picture, showLink } from "./linkpanel.js";
 import "./deliberate.js";
 import { heard, isTimeKnown, showLiveness } from "./liveness.js";
+import { showLog } from "./log.js";
 import { askJson, listen } from "./net.js";
 import { estimateIsAt, showAreas, takeInterests } from "./areas.js";
 import "./measure.js";
@@ -31,6 +32,7 @@ whenTimeChanges(() => {
   for (const chart of Object.values(charts)) chart.setMark(state.past ? sinceStart(state.past.mission_time_ns) : null);
 });
 whenCommandsChange(showAreas);
+whenCommandsChange(showLog);
 
 listen({
   state: takeAll,
@@ -40,11 +42,14 @@ listen({
   status: (status) => { state.status = { ...state.status, ...status }; showStatus(); wantMap(); mapIsAt(state.status.map_revision); },
   rover: (rover) => { state.rover = { ...state.rover, ...rover }; showRover(); },
   link: (link) => { state.link = { ...state.link, ...link }; showLink(); },
-  event: log,
+  contacts: (contacts) => { state.contacts = { ...state.contacts, ...contacts }; showLog(); },
+  event: (event) => { state.events.push(event); showLog(); },
+  entry: (entry) => { state.entries.push(entry); showLog(); },
+  mode: (mode) => { state.modes.push(mode); },
   command: takeCommand,
   curve: ({ name, points }) => charts[name].extend(points),
   interests: takeInterests,
-  alarms: (alarms) => { state.alarms = alarms; showAlarms(); },
+  alarms: (alarms) => { state.alarms = alarms; showAlarms(); showLog(); },
 }, () => { state.connected = false; showLiveness(); });
 
 let newestMap = null;
@@ -62,14 +67,13 @@ function takeAll(all) {
   state.status = all.status;
   state.rover = all.rover;
   state.link = all.link;
-  state.alarms = all.alarms;
+  for (const fact of ["alarms", "events", "entries", "modes", "contacts"]) state[fact] = all[fact];
   state.commands = new Map(all.commands.map((status) => [status.command.command_id, status]));
   askJson("session").then(takeSession).catch(() => {}); // the stream says that the connection is lost
   $("mission").textContent = all.mission;
   document.title = all.recording ? `${all.mission}: recording` : `${all.mission}: helium-3 live map`;
   for (const [name, chart] of Object.entries(charts)) chart.set(all.curves[name]);
-  showEvents(all.events);
-  showStatus(); showRover(); showLink(); showCommands(); showAlarms();
+  showStatus(); showRover(); showLink(); showCommands(); showAlarms(); showLog();
   heard(all.liveness);
   forgetMap();
   askJson("interest").then(takeInterests).catch(() => {}); // none before the ground answers

@@ -16,9 +16,17 @@ export async function askJson(path, parameters) {
 // The reply as a file of the browser's user, under the name that the server gives it.
 export async function download(path, parameters) {
   const response = await ask(path, parameters);
+  const name = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "")?.[1] ?? "download";
+  saveBlob(name, await response.blob());
+}
+
+// A text as a file of the browser's user.
+export const save = (name, type, text) => saveBlob(name, new Blob([text], { type }));
+
+function saveBlob(name, blob) {
   const link = document.createElement("a");
-  link.download = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "")?.[1] ?? "download";
-  link.href = URL.createObjectURL(await response.blob());
+  link.download = name;
+  link.href = URL.createObjectURL(blob);
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }

@@ -26,7 +26,7 @@ export function showRover() {
 }
 
 export function placeRover() {
-  const stale = state.alarms.some((alarm) => alarm.kind === "stale" && alarm.active);
+  const stale = state.alarms.current.some((alarm) => alarm.kind === "stale" && alarm.active);
   map.rover = state.rover && state.past === null ? { ...state.rover, stale } : null;
   map.draw();
 }

@@ -5,7 +5,8 @@ import { element } from "./words.js";
 export const $ = (id) => document.getElementById(id);
 
 export const state = {
-  clock: null, received: 0, status: null, rover: null, link: null, commands: new Map(), alarms: [], revisions: [],
+  clock: null, received: 0, status: null, rover: null, link: null, commands: new Map(), revisions: [],
+  alarms: { current: [], history: [] }, events: [], entries: [], modes: [], contacts: null,
   past: null, interests: [], connected: false, liveness: null, heard: 0, pace: "–", recording: null,
 };
 

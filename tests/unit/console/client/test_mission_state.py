@@ -10,8 +10,19 @@ import pytest
 from schemas.commands import CommandKind, CommandList, CommandReport, CommandStage, CommandStatus, Telecommand
 from schemas.ground import GroundStatus, MissionPhase, Presence
 from schemas.link import ClockMode, ClockState
-from schemas.telemetry import EventKind, RoverEvent
-from schemas.topics import COMMAND_STATUS, EARTH_CLOCK, EARTH_PRESENCE, EVENT, GROUND_STATUS, LIST_COMMANDS, Topic
+from schemas.mission_log import HeardEvent, LogEntry, LogKind, MissionLog, ModeChange
+from schemas.telemetry import EventKind, RoverEvent, RoverMode
+from schemas.topics import (
+    COMMAND_STATUS,
+    EARTH_CLOCK,
+    EARTH_PRESENCE,
+    EVENT,
+    GROUND_STATUS,
+    LIST_COMMANDS,
+    LOG_ENTRY,
+    SHOW_LOG,
+    Topic,
+)
 from schemas.wire import Header
 from services.console.client.mission_state import MAX_COMMANDS, MissionState, supersedes
 
@@ -96,6 +107,20 @@ def test_an_event_that_is_repeated_counts_once(session: Any) -> None:
     for sequence in (1, 1, 2, 1):
         session.send(EVENT, header(START, sequence=sequence, source="rover"), event(str(sequence)))
     assert [each.event.detail for each in state.events] == ["1", "2"]
+
+
+def test_what_the_ground_has_logged_comes_before_what_was_heard_and_nothing_twice(session: Any) -> None:
+    state = MissionState(session.client)
+    state.follow()
+    session.send(EVENT, header(START, source="rover"), event("2"))
+    entries = tuple(LogEntry(number=number, at=START, kind=LogKind.PLAN, text=f"{number}") for number in (0, 1))
+    session.send(LOG_ENTRY, header(START), entries[1])
+    heard = tuple(HeardEvent(event=event(text), received_at=START) for text in ("1", "2"))
+    modes = (ModeChange(mode=RoverMode.IDLE, made_at=1, received_at=2),)
+    session.answers[SHOW_LOG] = lambda: MissionLog(entries=entries, events=heard, modes=modes)
+    state.catch_up()
+    assert [each.event.detail for each in state.events] == ["1", "2"]
+    assert (state.entries, state.modes) == (entries, modes)
 
 
 def test_what_was_made_on_the_moon_does_not_tell_the_time_on_earth(session: Any) -> None:

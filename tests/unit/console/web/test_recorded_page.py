@@ -68,7 +68,8 @@ def test_the_time_is_set_for_everyone_and_the_map_is_of_that_time(app: Any, reco
 @pytest.mark.parametrize(
     ("path", "document"),
     [
-        ("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("interest", {}), ("acknowledge", {"id": "stale-1"}),
+        ("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("interest", {}),
+        ("alarm", {"kind": "stale", "action": "acknowledge"}),
         ("plan", {"proposal": 1, "verdict": "approve"}),
     ],
 )  # fmt: skip

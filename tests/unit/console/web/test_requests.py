@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from he3.errors import InvalidInput
 from services.console.web.requests import (
-    AcknowledgeRequest,
+    AlarmRequest,
     CommandRequest,
     InterestRequest,
     PageRequest,
@@ -20,7 +20,7 @@ from services.console.web.requests import (
     parsed,
 )
 
-KINDS = (CommandRequest, InterestRequest, AcknowledgeRequest)
+KINDS = (CommandRequest, InterestRequest, AlarmRequest)
 BAD = {
     CommandRequest: [
         {},
@@ -47,7 +47,14 @@ BAD = {
         {"area_id": 5},
         {"area_id": "a", "polygon_m": "0,0,1,1"},
     ],
-    AcknowledgeRequest: [{}, {"id": 5}, {"id": "x" * 1000}],
+    AlarmRequest: [
+        {},
+        {"kind": "lunch", "action": "acknowledge"},
+        {"kind": "stale", "action": "forget"},
+        {"kind": "stale", "action": "shelve"},
+        {"kind": "stale", "action": "shelve", "shelve_s": 0},
+        {"kind": "stale", "action": "acknowledge", "shelve_s": 60},
+    ],
 }
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from schemas.ground import GroundStatus, MissionPhase
-from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
+from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkEvent, LinkStatus
+from schemas.mission_log import AlarmAction, AlarmKind, AlarmMark, HeardEvent, LogEntry, LogKind, MissionLog
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
-from services.console.web.alarms import AlarmKind, Alarms
+from services.console.client.alarms import Alarms, Severity
 from services.mission.mission_time import SECOND
 
 START = 1_893_456_000 * SECOND
@@ -26,12 +27,19 @@ def status(state: RoverState, phase: MissionPhase = MissionPhase.EXECUTING) -> G
     )  # fmt: skip
 
 
-def link(contact: bool = True, light_s: float = 1.282) -> LinkStatus:
+def link(contact: bool = True, light_s: float = 1.282, forced: bool | None = None, since: int = START) -> LinkStatus:
     each = DirectionConditions(one_way_light_time_s=light_s)
     return LinkStatus(
         conditions=LinkConditions(up=each, down=each), contact=contact, contact_changes_at=None,
-        up=DirectionCounts(), down=DirectionCounts(), in_flight=(), incarnation=1,
+        up=DirectionCounts(), down=DirectionCounts(), in_flight=(), incarnation=1, contact_forced=forced,
+        events=(LinkEvent(at=since - SECOND, contact=not contact), LinkEvent(at=since, contact=contact)),
     )  # fmt: skip
+
+
+def marked(action: AlarmAction, kind: AlarmKind, number: int = 1, at: int = START + SECOND) -> LogEntry:
+    until = at + 600 * SECOND if action is AlarmAction.SHELVE else None
+    mark = AlarmMark(kind=kind, action=action, by="anna", until=until)
+    return LogEntry(number=number, at=at, kind=LogKind.ALARM, text="said", by="anna", mark=mark)
 
 
 def event(kind: EventKind, at: int = START) -> RoverEvent:
@@ -66,11 +74,13 @@ def test_an_alarm_stays_until_its_cause_is_gone_and_somebody_has_seen_it() -> No
     alarms.look(status(rover(energy_wh=1000.0)), link(), START)
     (alarm,) = alarms.current
     assert (alarm.kind, alarm.active, alarm.acknowledged) == (AlarmKind.LOW_ENERGY, True, False)
-    assert alarms.acknowledge(alarm.alarm_id)
-    assert kinds(alarms) == [AlarmKind.LOW_ENERGY]
+    assert alarms.logged(marked(AlarmAction.ACKNOWLEDGE, AlarmKind.LOW_ENERGY))
+    (alarm,) = alarms.current
+    assert (alarm.acknowledged_by, alarm.acknowledged_at, alarm.wants_attention) == ("anna", START + SECOND, False)
     assert alarms.look(status(rover()), link(), START)
     assert kinds(alarms) == []
-    assert not alarms.acknowledge(alarm.alarm_id)
+    assert [(each.kind, each.acknowledged_by) for each in alarms.history] == [(AlarmKind.LOW_ENERGY, "anna")]
+    assert not alarms.logged(marked(AlarmAction.ACKNOWLEDGE, AlarmKind.LOW_ENERGY, number=2))
 
 
 def test_an_alarm_that_nobody_saw_stays_when_its_cause_is_gone_and_counts_its_returns() -> None:
@@ -79,16 +89,17 @@ def test_an_alarm_that_nobody_saw_stays_when_its_cause_is_gone_and_counts_its_re
         alarms.look(None, link(contact), START)
     (alarm,) = alarms.current
     assert (alarm.kind, alarm.active, alarm.times) == (AlarmKind.NO_CONTACT, False, 2)
-    assert alarms.acknowledge(alarm.alarm_id)
+    assert alarms.logged(marked(AlarmAction.ACKNOWLEDGE, AlarmKind.NO_CONTACT))
     assert kinds(alarms) == []
+    assert len(alarms.history) == 2
 
 
 def test_events_raise_and_end_alarms() -> None:
     alarms = Alarms()
     assert alarms.happened(event(EventKind.BLOCKED))
     assert alarms.happened(event(EventKind.SAFE_MODE_ENTERED))
-    assert "(10, 20) m" in alarms.current[0].text
-    assert kinds(alarms) == [AlarmKind.BLOCKED, AlarmKind.SAFE_MODE]
+    assert all("(10, 20) m" in alarm.text for alarm in alarms.current)
+    assert kinds(alarms) == [AlarmKind.SAFE_MODE, AlarmKind.BLOCKED]
     assert not alarms.happened(event(EventKind.SAFE_MODE_ENTERED))
     assert alarms.happened(event(EventKind.ROUND_STARTED))
     assert alarms.happened(event(EventKind.SAFE_MODE_LEFT))
@@ -120,3 +131,62 @@ def test_a_process_that_failed_upon_a_message_raises_an_alarm_that_stays():
     assert not alarms.look(None, None, START + SECOND, defects=line)
     (alarm,) = alarms.current
     assert (alarm.kind.value, alarm.text, alarm.active) == ("defect", line, True)
+
+
+def test_what_wants_attention_comes_first_then_what_is_active_then_the_more_severe() -> None:
+    alarms = Alarms()
+    alarms.happened(event(EventKind.BLOCKED))
+    alarms.look(status(rover(RoverMode.SAFE, energy_wh=1000.0)), link(contact=False), START)
+    assert kinds(alarms) == [AlarmKind.SAFE_MODE, AlarmKind.BLOCKED, AlarmKind.LOW_ENERGY, AlarmKind.NO_CONTACT]
+    alarms.logged(marked(AlarmAction.ACKNOWLEDGE, AlarmKind.SAFE_MODE))
+    assert kinds(alarms)[-1] is AlarmKind.SAFE_MODE
+    assert [alarm.severity for alarm in alarms.current][-2:] == [Severity.ADVISORY, Severity.CRITICAL]
+
+
+def test_contact_that_no_schedule_ends_is_a_warning_and_counts_from_when_it_ended() -> None:
+    alarms = Alarms()
+    alarms.look(None, link(contact=False, forced=False, since=START + 5 * SECOND), START + 60 * SECOND)
+    (alarm,) = alarms.current
+    assert (alarm.severity, alarm.raised_at) == (Severity.WARNING, START + 5 * SECOND)
+
+
+def test_a_shelved_alarm_wants_no_attention_until_its_time_is_over() -> None:
+    alarms = Alarms()
+    alarms.look(None, link(contact=False), START)
+    alarms.logged(marked(AlarmAction.SHELVE, AlarmKind.NO_CONTACT))
+    (alarm,) = alarms.current
+    assert (alarm.shelved, alarm.shelved_by, alarm.wants_attention) == (True, "anna", False)
+    alarms.look(None, link(contact=True), START + 2 * SECOND)
+    alarms.look(None, link(contact=False, since=START + 3 * SECOND), START + 3 * SECOND)
+    assert alarms.current[0].shelved  # it came again: shelved is the kind
+    assert not alarms.look(None, link(contact=False), START + 600 * SECOND)
+    assert alarms.look(None, link(contact=False), START + 601 * SECOND)
+    assert alarms.current[0].wants_attention
+    alarms.logged(marked(AlarmAction.SHELVE, AlarmKind.NO_CONTACT, number=2))
+    assert alarms.logged(marked(AlarmAction.UNSHELVE, AlarmKind.NO_CONTACT, number=3))
+    assert alarms.current[0].wants_attention
+
+
+def test_a_display_that_joins_late_shows_the_alarms_and_marks_of_before() -> None:
+    early, late = Alarms(), Alarms()
+    entered = event(EventKind.SAFE_MODE_ENTERED)
+    seen = marked(AlarmAction.ACKNOWLEDGE, AlarmKind.SAFE_MODE)
+    early.happened(entered)
+    early.logged(seen)
+    log = MissionLog(entries=(seen,), events=(HeardEvent(event=entered, received_at=START + SECOND),))
+    late.past(log)
+    for alarms in (early, late):
+        alarms.look(status(rover(RoverMode.SAFE)), link(contact=False), START + 9 * SECOND)
+        alarms.past(log)  # once more changes nothing
+    assert early.current == late.current
+    assert early.current[-1].acknowledged_by == "anna"
+
+
+def test_an_alarm_that_is_raised_after_it_was_acknowledged_wants_attention_again() -> None:
+    alarms = Alarms()
+    alarms.look(None, link(contact=False), START)
+    alarms.logged(marked(AlarmAction.ACKNOWLEDGE, AlarmKind.NO_CONTACT))
+    alarms.look(None, link(contact=True), START + 2 * SECOND)
+    alarms.look(None, link(contact=False, since=START + 3 * SECOND), START + 3 * SECOND)
+    (alarm,) = alarms.current
+    assert (alarm.wants_attention, alarm.times, len(alarms.history)) == (True, 1, 1)

@@ -1,0 +1,40 @@
+// The log: its newest lines, chosen by kind and text, and what is chosen as a file.
+
+import { KINDS, asCsv, asJson, chosen, logLines } from "./loglines.js";
+import { save } from "./net.js";
+import { $, sinceStart, state } from "./state.js";
+import { duration, elapsed, element, grouped, utc, words } from "./words.js";
+
+const MAX_SHOWN = 300, EVERY_MS = 500;
+let due = 0, shown = "";
+
+// The log changes with nearly every message; it is written a few times a second at most.
+export function showLog() {
+  if (!due) due = setTimeout(() => { due = 0; write(); }, EVERY_MS);
+}
+
+const kinds = () => new Set([...$("log-kinds").querySelectorAll("input:checked")].map((input) => input.value));
+const seen = () => chosen(logLines({ ...state, commands: state.commands.values() }), kinds(), $("log-text").value);
+
+function write() {
+  const lines = seen(), key = `${lines.length} ${lines.at(-1)?.known_at} ${state.clock?.start_ns}`;
+  if (key === shown) return;
+  shown = key;
+  $("log-count").textContent = `${grouped(lines.length)} ${lines.length === 1 ? "line" : "lines"}${lines.length > MAX_SHOWN ? `, the newest ${MAX_SHOWN} shown` : ""}`;
+  $("log").replaceChildren(...lines.slice(-MAX_SHOWN).reverse().map(row));
+  if (!lines.length) $("log").append(element("li", { class: "empty dim" }, "No lines of that choice."));
+}
+
+function row({ at, known_at, kind, name, text, by, alert }) {
+  const late = (known_at - at) / 1e9;
+  return element("li", { class: alert ? "alert" : "", "data-kind": kind },
+    element("span", { class: "num", title: utc(at) }, elapsed(sinceStart(at)).slice(3)), element("span", { class: "source dim" }, kind),
+    element("span", { class: "kind" }, words(name)),
+    element("span", {}, text, element("span", { class: "dim num" }, `${by ? ` · by ${by}` : ""}${late > 0 ? ` · received ${duration(late)} later` : ""}`)));
+}
+
+$("log-kinds").append(...KINDS.map((kind) => element("label", {}, element("input", { type: "checkbox", value: kind, checked: true }), element("span", {}, kind))));
+for (const id of ["log-kinds", "log-text"]) $(id).addEventListener("input", () => { shown = ""; write(); });
+const file = (ending) => `${$("mission").textContent}-log.${ending}`;
+$("log-csv").addEventListener("click", () => save(file("csv"), "text/csv", asCsv(seen())));
+$("log-json").addEventListener("click", () => save(file("json"), "application/json", asJson(seen())));
