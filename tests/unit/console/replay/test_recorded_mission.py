@@ -37,8 +37,11 @@ def page(document: dict[str, Any]) -> dict[str, Any]:
     """What the page shows, but for flights, which are drawn for some wall time, and how often an alarm was raised: the
     server looks at intervals of wall time whether a report is overdue, and may miss one that is overdue for seconds."""
     link = document["link"] and {key: value for key, value in document["link"].items() if key != "in_flight"}
-    alarms = [(each["kind"], each["active"], each["acknowledged"]) for each in document["alarms"]]
-    same = {key: document[key] for key in ("status", "rover", "commands", "events", "curves")}
+    alarms = [(each["kind"], each["active"], each["acknowledged"]) for each in document["alarms"]["current"]]
+    same = {
+        key: document[key]
+        for key in ("status", "rover", "commands", "events", "entries", "modes", "contacts", "curves")
+    }
     return {**same, "link": link, "alarms": alarms, "liveness": document["liveness"]["condition"]}
 
 
