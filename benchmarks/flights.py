@@ -18,7 +18,7 @@ from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
-from services.ground.planners.interface import PlannedRound, PlanningRequest
+from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.regions import load_region
 
@@ -92,13 +92,10 @@ def _outcome(flight: Flight) -> Mission | He3Error:
 def fly(flight: Flight) -> Mission:
     """The mission of that flight, with the label and the orbital map's errors in its row."""
     region = region_named(flight.region, flight.variation)
-    planner: Any = flight.planner
-    if flight.planner not in IN_THIS_PROCESS:
-        planner = partial(_planned, flight.planner)
     orbital = flight.orbital_gain * region.orbital_ppb + flight.orbital_offset_ppb
     mission = run_mission(
         region,
-        planner,
+        planner_for(flight.planner),
         flight.kernel,
         flight.seed,
         budget_m=flight.budget_m,
@@ -108,6 +105,11 @@ def fly(flight: Flight) -> Mission:
     )
     mission.row.update(region=region.name, planner=flight.planner, label=flight.name)
     return mission
+
+
+def planner_for(name: str) -> str | Planner:
+    """The planner of that name, in a fresh process for each plan where it has global state."""
+    return name if name in IN_THIS_PROCESS else partial(_planned, name)
 
 
 @cache

@@ -66,10 +66,10 @@ def run(
 
 def _peer_rows(missions: dict[Flight, Mission], pool: WorkerPool, say: Callable[[str], None]) -> list[Row]:
     """SGP-Tools' rows, one for each `tour` with one of its budgets, whose row gets `rmse_own_gp_ppb`."""
-    from benchmarks.sgptools_peer import peer_python
+    from benchmarks.peer_environments import SGPTOOLS
 
     try:
-        peer_python()
+        SGPTOOLS.python()
     except InvalidInput as error:
         say(f"without SGP-Tools: {error}")
         return []

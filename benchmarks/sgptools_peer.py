@@ -8,21 +8,17 @@ process that scores ours, and with its own.
 
 from __future__ import annotations
 
-import base64
-import json
-import os
-import subprocess
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.missions import FOOTPRINT_RADIUS_M, Mission, start_of
-from he3.errors import He3Error, InvalidInput
+from benchmarks.peer_environments import SGPTOOLS, packed, unpacked
 from he3.frames import FloatArray, path_length
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB, Hyperparameters
 from he3.measurement import sample_noise
 from he3.reference import Region
 from services.ground.belief import Belief
@@ -33,13 +29,12 @@ from services.ground.planners.traversability import OpenGround
 from services.ground.scoring import Scorer
 from services.ground.terrain import GroundTerrain
 
-SCRIPT = Path(__file__).parent / "peers" / "place_with_sgptools.py"
-VARIABLE = "HE3_PEERS_PYTHON"
-DEFAULT = Path(__file__).parent.parent / ".venv-peers" / "bin" / "python"
 GROUND_POINTS = 2000
 STEPS = 500
-NOISE_STD_PPB = 0.1
-TIMEOUT_S = 900
+FIRST_LENGTH = 0.06
+"""Length scale before any sample, as a share of the site's longer side."""
+LEARN_EVERY = 30
+"""Samples after which the online planner learns its hyperparameters anew."""
 
 MAX_ASKINGS = 3
 TOLERANCE = 0.01
@@ -57,16 +52,69 @@ class PeerResult:
     row: dict[str, Any]
 
 
-def peer_python() -> Path:
-    """The interpreter of the peers' environment; raises InvalidInput, with instructions, if there is none."""
-    path = Path(os.environ.get(VARIABLE, DEFAULT))
-    if not path.is_file():
-        raise InvalidInput(
-            f"SGP-Tools needs a separate environment, expected its interpreter at {path}, found none; make it with "
-            f"'python3 -m venv .venv-peers && .venv-peers/bin/pip install -r benchmarks/peers/requirements.txt' or "
-            f"name one in {VARIABLE}"
-        )
-    return path
+@dataclass(frozen=True, slots=True)
+class PeerPlan:
+    """Places (n, 2) [m] of SGP-Tools on open ground, and the path around obstacles that leads through them."""
+
+    places_m: FloatArray
+    path_m: FloatArray
+    blocked_legs: int
+    seconds: float
+
+
+def plan_with_sgptools(
+    region: Region,
+    samples: int,
+    budget_m: float,
+    seed: int,
+    start_m: tuple[float, float],
+    learned: Hyperparameters | None,
+    noise_ppb: FloatArray,
+) -> PeerPlan:
+    """SGP-Tools' places for that number of samples within that budget.
+
+    learned: the covariance that it is given; None lets it learn one as it goes, from the samples with this noise (n,).
+    """
+    ground = OpenGround(region.grid, GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable)
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5697]))
+    reached = ground.connected_to(start_m)
+    rows, columns = np.nonzero(reached)
+    chosen = rng.choice(len(rows), min(GROUND_POINTS, len(rows)), replace=False)
+    cells_m = np.column_stack((columns + 0.5, rows + 0.5)) * region.grid.resolution_m
+    request: dict[str, Any] = {
+        "open_m": cells_m[chosen].tolist(),
+        "start_m": list(start_m),
+        "samples": samples,
+        "steps": STEPS,
+        "seed": seed,
+    }
+    if learned is not None:
+        kernel = {"name": learned.kernel.name, **learned.kernel.parameters()}
+        request |= {"task": "place", "kernel": kernel, "noise_variance": learned.noise_variance}
+    else:
+        request |= {"task": "explore", "every": LEARN_EVERY, "noise_ppb": noise_ppb.tolist(), **_site(region)}
+        request["field_ppb"] = packed(region.he3_ppb)
+    asked_m, seconds = budget_m, 0.0
+    for _ in range(MAX_ASKINGS):
+        answer = SGPTOOLS.ask({**request, "budget_m": asked_m})
+        seconds += answer["seconds"]
+        places = np.clip(np.array(answer["places_m"]), 0, [region.grid.width_m, region.grid.height_m])
+        inside = np.minimum((places / region.grid.resolution_m).astype(int), [n - 1 for n in region.grid.shape[::-1]])
+        closed = ~reached[inside[:, 1], inside[:, 0]]
+        if closed.any():
+            places[closed] = cells_m[cKDTree(cells_m).query(places[closed])[1]]
+        path, blocked = path_through(ground, start_m, places)
+        if path_length(path) <= budget_m * (1 + TOLERANCE):
+            break
+        # Round obstacles it is longer, and the library's own budget is not exact: it is asked for less, as much less.
+        asked_m *= budget_m / path_length(path)
+    return PeerPlan(places, path, blocked, seconds)
+
+
+def _site(region: Region) -> dict[str, Any]:
+    grid = region.grid
+    length_m = FIRST_LENGTH * max(grid.width_m, grid.height_m)
+    return {"rows": grid.rows, "columns": grid.columns, "resolution_m": grid.resolution_m, "length_scale_m": length_m}
 
 
 def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m: float) -> PeerResult:
@@ -75,42 +123,15 @@ def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m
     like: a mission of ours over the same field, from whose samples the kernel is learned that SGP-Tools is given.
     """
     began = time.perf_counter()
-    ground = OpenGround(region.grid, GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable)
-    learned = _belief(region, like.samples_m, like.values_ppb, kernel, seed).hyperparameters
-    parameters = learned.kernel.parameters()
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5697]))
-    rows, columns = np.nonzero(ground.open)
-    chosen = rng.choice(len(rows), min(GROUND_POINTS, len(rows)), replace=False)
-    cells_m = np.column_stack((columns + 0.5, rows + 0.5)) * region.grid.resolution_m
-    request = {
-        "task": "place",
-        "open_m": cells_m[chosen].tolist(),
-        "start_m": list(start_of(region)),
-        "samples": len(like.samples_m),
-        "kernel": {"name": learned.kernel.name, **parameters},
-        "noise_variance": learned.noise_variance,
-        "steps": STEPS,
-        "seed": seed,
-    }
-    asked_m, seconds = budget_m, 0.0
-    for _ in range(MAX_ASKINGS):
-        answer = _asked({**request, "budget_m": asked_m})
-        seconds += answer["seconds"]
-        places = np.clip(np.array(answer["places_m"]), 0, [region.grid.width_m, region.grid.height_m])
-        closed = ~ground.is_open(places)
-        if closed.any():
-            places[closed] = cells_m[cKDTree(cells_m).query(places[closed])[1]]
-        path, blocked = _path(ground, start_of(region), places)
-        if path_length(path) <= budget_m * (1 + TOLERANCE):
-            break
-        # Round obstacles it is longer, and the library's own budget is not exact: it is asked for less, as much less.
-        asked_m *= budget_m / path_length(path)
-    noise = [sample_noise(seed, f"r{k // 5 + 1:03d}s{k % 5 + 1:02d}", NOISE_STD_PPB) for k in range(len(places))]
-    where = region.grid.cells_of(places)
-    values = region.he3_ppb[where] + np.array(noise)
-    belief = _belief(region, places, values, kernel, seed)
+    learned = belief_of(region, like.samples_m, like.values_ppb, kernel, seed).hyperparameters
+    count = len(like.samples_m)
+    noise = noise_of(seed, count, DEFAULT_NOISE_STD_PPB)
+    planned = plan_with_sgptools(region, count, budget_m, seed, start_of(region), learned, noise)
+    places, path, blocked = planned.places_m, planned.path_m, planned.blocked_legs
+    values = region.he3_ppb[region.grid.cells_of(places)] + noise[: len(places)]
+    belief = belief_of(region, places, values, kernel, seed)
     score = Scorer(region.he3_ppb).score(belief.map.mean_ppb, belief.map.std_ppb, len(places), len(places), 0)
-    own = _own_map(region, places, values)
+    own, _ = map_of_sgptools(region, places, values)
     row = {
         "region": region.name,
         "planner": "sgptools",
@@ -125,7 +146,7 @@ def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m
         "blocked_legs": blocked,
         "coverage_68": score.coverage_68,
         "coverage_95": score.coverage_95,
-        "plan_time_s": seconds,
+        "plan_time_s": planned.seconds,
         "wall_time_s": time.perf_counter() - began,
     }
     return PeerResult(places, path, blocked, row)
@@ -133,13 +154,27 @@ def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m
 
 def own_gp_rmse(region: Region, mission: Mission) -> float:
     """RMSE [ppb] over all cells of our samples under the peers' Gaussian process, fitted their way."""
-    field = _own_map(region, mission.samples_m, mission.values_ppb)
+    field, _ = map_of_sgptools(region, mission.samples_m, mission.values_ppb)
     return float(np.sqrt(np.mean((field - region.he3_ppb) ** 2)))
 
 
-def _belief(region: Region, places: FloatArray, values: FloatArray, kernel: str, seed: int) -> Belief:
+def noise_of(seed: int, samples: int, std_ppb: float) -> FloatArray:
+    """The noise (samples,) [ppb] of a mission's samples with that seed, in rounds of five."""
+    return np.array([sample_noise(seed, f"r{k // 5 + 1:03d}s{k % 5 + 1:02d}", std_ppb) for k in range(samples)])
+
+
+def belief_of(
+    region: Region,
+    places: FloatArray,
+    values: FloatArray,
+    kernel: str,
+    seed: int,
+    noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
+    *,
+    likeliest: bool = True,
+) -> Belief:
     """The belief from all samples at once, hyperparameters fitted to them."""
-    belief = Belief(region.grid, kernel, NOISE_STD_PPB, likeliest=True)
+    belief = Belief(region.grid, kernel, noise_std_ppb, likeliest=likeliest)
     for k, (place, value) in enumerate(zip(places, values, strict=True)):
         at = (float(place[0]), float(place[1]))
         belief.add(f"s{k}", Observation((1, 1, k + 1), at, float(value)))
@@ -149,7 +184,8 @@ def _belief(region: Region, places: FloatArray, values: FloatArray, kernel: str,
     return belief
 
 
-def _path(ground: OpenGround, start_m: tuple[float, float], places: FloatArray) -> tuple[FloatArray, int]:
+def path_through(ground: OpenGround, start_m: tuple[float, float], places: FloatArray) -> tuple[FloatArray, int]:
+    """The path (K, 2) [m] around obstacles through the places in order, and how many straight legs are blocked."""
     corners = [np.array(start_m)]
     batches, blocked = [np.array([start_m])], 0
     for place in places:
@@ -160,31 +196,8 @@ def _path(ground: OpenGround, start_m: tuple[float, float], places: FloatArray) 
     return np.vstack(batches), blocked
 
 
-def _own_map(region: Region, places: FloatArray, values: FloatArray) -> FloatArray:
-    grid = region.grid
-    answer = _asked(
-        {
-            "task": "map",
-            "places_m": places.tolist(),
-            "values_ppb": values.tolist(),
-            "rows": grid.rows,
-            "columns": grid.columns,
-            "resolution_m": grid.resolution_m,
-        }
-    )
-    return np.frombuffer(base64.b64decode(answer["mean_ppb"]), dtype="<f4").reshape(grid.shape).astype(np.float64)
-
-
-def _asked(request: dict[str, Any]) -> Any:
-    done = subprocess.run(
-        [peer_python(), SCRIPT],
-        input=json.dumps(request),
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    if done.returncode != 0:
-        last = (done.stderr.strip().splitlines() or ["nothing"])[-1]
-        raise He3Error(f"SGP-Tools ended with {done.returncode}, saying: {last}")
-    return json.loads(done.stdout)
+def map_of_sgptools(region: Region, places: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and standard deviation [ppb] on all cells, by the peers' Gaussian process fitted their way."""
+    answer = SGPTOOLS.ask({"task": "map", "places_m": places.tolist(), "values_ppb": values.tolist(), **_site(region)})
+    shape = region.grid.shape
+    return unpacked(answer["mean_ppb"], shape), unpacked(answer["std_ppb"], shape)

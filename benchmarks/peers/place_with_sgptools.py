@@ -3,8 +3,12 @@
 Reads one JSON document on standard input and writes one on standard output; `benchmarks/sgptools_peer.py` calls it.
 Request: {"task": "place", "open_m": [[x, y], ...], "start_m": [x, y], "samples": n, "budget_m": m, "kernel": {...},
 "noise_variance": v, "steps": k, "seed": s}; answer: {"places_m": [[x, y], ...], "seconds": t}.
-Request: {"task": "map", "places_m", "values_ppb", "rows", "columns", "resolution_m"}; answer: {"mean_ppb": base64 of
-float32}: GPflow's own Gaussian process, with the hyperparameters that it finds itself.
+Request: {"task": "explore", ..., "length_scale_m": l, "every": e, "field_ppb": base64 of float32, "rows", "columns",
+"resolution_m", "noise_ppb": [...]} in place of the kernel and its noise; the same answer. The library's online way: the
+hyperparameters are learned anew after every e samples, and the places that are left are moved.
+Request: {"task": "map", "places_m", "values_ppb", "rows", "columns", "resolution_m", "length_scale_m"}; answer:
+{"mean_ppb": base64 of float32, "std_ppb": the same}: GPflow's own Gaussian process, with the hyperparameters that it
+finds itself.
 """
 
 from __future__ import annotations
@@ -44,6 +48,46 @@ def kernel_of(kernel: dict):
 
 def place(request: dict) -> dict:
     """The library's recommended way: k-means, a tour by OR-Tools, then descent of all places under the budget."""
+    began = time.perf_counter()
+    method = descent(request, kernel_of(request["kernel"]), request["noise_variance"])
+    places = method.optimize(max_steps=request["steps"], optimizer="scipy.L-BFGS-B")[0]
+    return {"places_m": (places[1:] / UNITS_PER_M).tolist(), "seconds": time.perf_counter() - began}
+
+
+def explore(request: dict) -> dict:
+    """Online: after every few samples the hyperparameters are learned anew, and the places that are left are moved."""
+    import gpflow
+    import numpy as np
+    from sgptools.utils.gpflow import get_model_params
+
+    began = time.perf_counter()
+    shape = request["rows"], request["columns"]
+    field = np.frombuffer(base64.b64decode(request["field_ppb"]), dtype="<f4").reshape(shape).astype(np.float64)
+    noise = np.array(request["noise_ppb"])
+    length = UNITS_PER_M * request["length_scale_m"]
+    method = descent(request, gpflow.kernels.SquaredExponential(lengthscales=length, variance=1.0), 0.1)
+    total, done = request["samples"] + 1, 1
+    places = method.optimize(max_steps=request["steps"], optimizer="scipy.L-BFGS-B")[0]
+    values = np.zeros(0)
+    while done + request["every"] < total:
+        upto = done + request["every"]
+        cells = places[done:upto] / (UNITS_PER_M * request["resolution_m"])
+        rows, columns = (np.clip(cells[:, k].astype(int), 0, shape[1 - k] - 1) for k in (1, 0))
+        values = np.append(values, field[rows, columns] + noise[done - 1 : upto - 1])
+        done = upto
+        spread = values.std() or 1.0
+        _, learned, kernel = get_model_params(
+            places[1:done], ((values - values.mean()) / spread)[:, None], verbose=False, lengthscales=length,
+            variance=1.0, noise_variance=0.1, max_steps=300,
+        )  # fmt: skip
+        method.update(kernel, learned)
+        method.transform.update_Xu_fixed(places[None, :done])
+        places = method.optimize(max_steps=request["steps"], optimizer="scipy.L-BFGS-B")[0]
+    return {"places_m": (places[1:] / UNITS_PER_M).tolist(), "seconds": time.perf_counter() - began}
+
+
+def descent(request: dict, kernel, noise_variance: float):
+    """The library's method with its first places: k-means, and a tour by OR-Tools from the start, which is fixed."""
     import gpflow
     import numpy as np
     import tensorflow as tf
@@ -55,27 +99,17 @@ def place(request: dict) -> dict:
     np.random.seed(request["seed"])  # noqa: NPY002 - what the library draws from
     tf.random.set_seed(request["seed"])
     gpflow.config.set_default_float(np.float64)
-    began = time.perf_counter()
     ground = UNITS_PER_M * np.array(request["open_m"], dtype=np.float64)
     start = UNITS_PER_M * np.array([request["start_m"]], dtype=np.float64)
     samples = request["samples"]
-    first = get_inducing_pts(ground, samples)
-    paths, _ = run_tsp(first, start_nodes=start, time_limit=20)
+    paths, _ = run_tsp(get_inducing_pts(ground, samples), start_nodes=start, time_limit=20)
     ordered = np.asarray(paths[0])
-    fixed = ordered[None, :1]
-    transform = IPPTransform(num_robots=1, distance_budget=UNITS_PER_M * request["budget_m"], Xu_fixed=fixed)
-    method = ContinuousSGP(
-        samples,
-        ground,
-        kernel_of(request["kernel"]),
-        request["noise_variance"],
-        transform=transform,
-        X_init=ordered[1 : samples + 1],
+    budget = UNITS_PER_M * request["budget_m"]
+    # The start is no sample: the library keeps it as the first place, beside the samples.
+    transform = IPPTransform(num_robots=1, distance_budget=budget, Xu_fixed=ordered[None, :1])
+    return ContinuousSGP(
+        samples + 1, ground, kernel, noise_variance, transform=transform, X_init=ordered[: samples + 1]
     )
-    places = method.optimize(max_steps=request["steps"], optimizer="scipy.L-BFGS-B")[0]
-    if len(places) == samples + 1:
-        places = places[1:]
-    return {"places_m": (places / UNITS_PER_M).tolist(), "seconds": time.perf_counter() - began}
 
 
 def map_of(request: dict) -> dict:
@@ -87,17 +121,19 @@ def map_of(request: dict) -> dict:
     gpflow.config.set_default_float(np.float64)
     places = np.array(request["places_m"], dtype=np.float64)
     values = np.array(request["values_ppb"], dtype=np.float64)[:, None]
-    mean, scale = values.mean(), values.std()
+    mean, scale = values.mean(), values.std() or 1.0
     *_, model = get_model_params(
-        places, (values - mean) / scale, verbose=False, lengthscales=30.0, variance=1.0, noise_variance=0.05,
-        return_model=True, force_gp=True,
+        places, (values - mean) / scale, verbose=False, lengthscales=request["length_scale_m"], variance=1.0,
+        noise_variance=0.05, return_model=True, force_gp=True,
     )  # fmt: skip
     x = (np.arange(request["columns"]) + 0.5) * request["resolution_m"]
     y = (np.arange(request["rows"]) + 0.5) * request["resolution_m"]
     cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    means = [np.asarray(model.predict_f(part)[0])[:, 0] for part in np.array_split(cells, 50)]
-    field = (np.concatenate(means) * scale + mean).astype("<f4")
-    return {"mean_ppb": base64.b64encode(field.tobytes()).decode()}
+    parts = [model.predict_f(part) for part in np.array_split(cells, 50)]
+    means, variances = (np.concatenate([np.asarray(part[k])[:, 0] for part in parts]) for k in (0, 1))
+    field, std = means * scale + mean, np.sqrt(np.maximum(variances, 1e-12)) * scale
+    return {key: base64.b64encode(array.astype("<f4").tobytes()).decode()
+            for key, array in (("mean_ppb", field), ("std_ppb", std))}  # fmt: skip
 
 
 def main() -> int:
@@ -105,7 +141,7 @@ def main() -> int:
     # What the libraries print must not get into the answer.
     answer_to = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    answer = place(request) if request["task"] == "place" else map_of(request)
+    answer = {"place": place, "explore": explore, "map": map_of}[request["task"]](request)
     json.dump(answer, answer_to)
     answer_to.close()
     return 0

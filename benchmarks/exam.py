@@ -1,0 +1,318 @@
+"""Planners and maps, ours and others', on fields that nobody here made: error, density, coverage and metres.
+
+Every method surveys the same fields with the same number of samples, noise and start, and is scored on all cells of the
+true field: RMSE in units of the field's standard deviation, negative log predictive density, CRPS, coverage of the
+50, 68 and 95 % intervals, and the metres driven. docs/exam.md tells where the fields come from and how the peers are
+installed; a peer that is not installed is named in the table, without figures.
+
+    he3 bench exam --data DIR --seeds 3 --fields walker-v,t1 --json exam.json --picture exam.png
+
+Results are kept in the JSON file as they come. The same command goes on where an interrupted one stopped, and more
+seeds, fields or methods are added to what is there.
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.exam_fields import ExamField, load_field, names_in
+from benchmarks.exam_methods import METHODS, Asked, Settings, Survey, with_our_map
+from benchmarks.exam_scores import mean_and_interval, scores
+from benchmarks.missions import FOOTPRINT_RADIUS_M, SAMPLES_A_ROUND
+from benchmarks.worker_pool import WorkerPool, progress
+from he3.errors import He3Error, InvalidInput
+from he3.kernels import AUTO, KERNELS
+from services.ground.planners.traversability import OpenGround
+from services.ground.terrain import GroundTerrain
+
+Row = dict[str, Any]
+Key = tuple[str, str, int]
+"""Field, method and seed of a row."""
+
+OURS = "+ours"
+"""Ending of a peer's row whose samples are scored with our map."""
+SCORES = ("nrmse", "nlpd", "crps", "coverage_50", "coverage_68", "coverage_95")
+FORMAT = "he3-exam 1"
+
+
+def run(
+    data: Path | None = None,
+    fields: Sequence[str] = (),
+    methods: Sequence[str] = tuple(METHODS),
+    seeds: int = 3,
+    samples: int = 150,
+    noise: float | None = None,
+    start: Sequence[float] = (),
+    budget: float | None = None,
+    kernel: str = AUTO,
+    hyperparameters: Literal["ml", "bayes"] = "bayes",
+    jobs: int = 1,
+    json: Path | None = None,
+    picture: Path | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """One row a survey; the tables printed, rows kept in `json`, a picture drawn.
+
+    data: folder with rasters (docs/exam.md); without it, our own regions alone. fields: all that there are if empty.
+    noise: standard deviation as a share of the field's; the field's own if None. start: X,Y [m]. budget: metres.
+    kernel and hyperparameters: of our planners and our map. Raises InvalidInput for names and numbers that do not fit;
+    He3Error, after the tables, if a survey failed.
+    """
+    settings = _settings(samples, start, budget, kernel, hyperparameters)
+    if seeds < 1:
+        raise InvalidInput(f"expected one seed at least, got {seeds}")
+    unknown = [name for name in methods if name not in METHODS]
+    if unknown or not methods:
+        raise InvalidInput(f"expected methods among {', '.join(METHODS)}; got {', '.join(unknown) or 'none'}")
+    names = list(fields) or names_in(data)
+    for name in names:
+        _expect_open(load_field(name, data, noise), settings)
+    missing = [name for name in methods if (peer := METHODS[name].peer) is not None and not peer.installed]
+    flown = [name for name in METHODS if name in methods and name not in missing]
+    kept = Kept(json, {**asdict(settings), "noise": noise})
+    tasks = [_Task(name, data, noise, settings, seed, tuple(flown), kept.of(name, seed))
+             for seed in range(1, seeds + 1) for name in names]  # fmt: skip
+    failures: list[str] = []
+    began = time.monotonic()
+    with WorkerPool(jobs) as pool:
+        for _, row in pool.items(surveys, tasks):
+            head = f"  {row['field']:<16} {row['method']:<22} seed {row['seed']:<3}"
+            if "failed" in row:
+                failures.append(f"{row['method']} on {row['field']}, seed {row['seed']}: {row['failed']}")
+                progress(f"{head} failed: {row['failed']}")
+                continue
+            kept.add(row)
+            progress(f"{head} nrmse {row['nrmse']:.3f}  nlpd {row['nlpd']:6.2f}  {row['metres']:8.0f} m  "
+                     f"{row['seconds']:.0f} s   ({time.monotonic() - began:.0f} s)")  # fmt: skip
+        rows = kept.chosen(names, flown, seeds)
+        for line in report(rows, names, missing):
+            say(line)
+        if pool.stopped is not None:
+            say(f"stopped by {pool.stopped.name}: {len(rows)} surveys so far; the same command goes on from here")
+        if picture is not None and rows:
+            from benchmarks.exam_picture import draw
+
+            say(f"written {draw(rows, names, picture)}")
+    if failures:
+        raise He3Error(f"{len(failures)} of the surveys failed, the first: {failures[0]}")
+    return rows
+
+
+def _settings(samples: int, start: Sequence[float], budget: float | None, kernel: str, belief: str) -> Settings:
+    if samples < SAMPLES_A_ROUND or samples % SAMPLES_A_ROUND:
+        raise InvalidInput(f"expected samples in rounds of {SAMPLES_A_ROUND}, got {samples}")
+    if len(start) not in (0, 2):
+        raise InvalidInput(f"expected a start X,Y [m], got {len(start)} numbers")
+    if budget is not None and not budget > 0:
+        raise InvalidInput(f"expected a positive budget [m], got {budget:g}")
+    if kernel not in (*KERNELS, AUTO):
+        raise InvalidInput(f"expected a kernel among {', '.join((*KERNELS, AUTO))}; got {kernel!r}")
+    return Settings(samples, kernel, belief == "ml", math.inf if budget is None else budget,
+                    (start[0], start[1]) if start else None)  # fmt: skip
+
+
+def _expect_open(field: ExamField, settings: Settings) -> None:
+    if settings.start_m is None:
+        return
+    grid = field.region.grid
+    ground = OpenGround(grid, GroundTerrain(grid, field.region.traversable, FOOTPRINT_RADIUS_M).traversable)
+    if not ground.is_open(np.array([settings.start_m]))[0]:
+        x, y = settings.start_m
+        raise InvalidInput(f"{field.name}: expected a start on open ground within 0..{grid.width_m:g} m east and "
+                           f"0..{grid.height_m:g} m north, got {x:g},{y:g}")  # fmt: skip
+
+
+# --- surveys ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """All surveys of one field with one seed; known: the rows that there are already."""
+
+    name: str
+    data: Path | None
+    noise: float | None
+    settings: Settings
+    seed: int
+    methods: tuple[str, ...]
+    known: tuple[Row, ...]
+
+
+@cache
+def _loaded(name: str, data: Path | None, noise: float | None) -> ExamField:
+    return load_field(name, data, noise)
+
+
+def surveys(task: _Task) -> Iterator[Row]:
+    """A row for each survey that is not known yet, as soon as it is flown; one with the key `failed` if it failed."""
+    field = _loaded(task.name, task.data, task.noise)
+    known = {row["method"]: row for row in task.known}
+    tour: Survey | None = _remembered(known["tour"]) if "tour" in known else None
+    for name in METHODS:
+        method = METHODS[name]
+        peer = method.peer is not None
+        if name not in task.methods or (name in known and (not peer or name + OURS in known)):
+            continue
+        if method.open_ground and not field.region.traversable.all():
+            continue
+        asked = Asked(field, task.settings, task.seed, tour)
+        try:
+            if method.needs_tour and tour is None:
+                tour = METHODS["tour"].fly(asked)
+                asked = Asked(field, task.settings, task.seed, tour)
+            survey = method.fly(asked)
+            if name == "tour":
+                tour = survey
+            if name not in known:
+                yield _row(asked, name, survey)
+            if peer:
+                yield _row(asked, name + OURS, with_our_map(asked, survey))
+        except He3Error as error:
+            yield {"field": task.name, "method": name, "seed": task.seed, "failed": str(error)}
+
+
+def _row(asked: Asked, name: str, survey: Survey) -> Row:
+    field = asked.field
+    score = scores(field.region.he3_ppb, survey.mean_ppb, survey.std_ppb, field.known)
+    row = {
+        "field": field.name, "method": name, "seed": asked.seed, **asdict(score), "metres": survey.metres,
+        "samples": len(survey.places_m), "seconds": survey.seconds, "note": survey.note,
+    }  # fmt: skip
+    if name == "tour":  # what other methods are measured by, when the exam is continued
+        row |= {"places_m": survey.places_m.tolist(), "values_ppb": survey.values_ppb.tolist()}
+    return row
+
+
+def _remembered(row: Row) -> Survey:
+    """The survey of a row, without its map."""
+    nothing = np.zeros((0, 0))
+    return Survey(np.array(row["places_m"]), np.array(row["values_ppb"]), row["metres"], nothing, nothing, 0.0)
+
+
+class Kept:
+    """The rows of an exam in its JSON file, which is written after each."""
+
+    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
+        """Raises InvalidInput for a file that is no exam, or one with other settings."""
+        self._path = path
+        self._settings = json_format.loads(json_format.dumps(_finite(settings)))
+        self._rows: dict[Key, Row] = {}
+        if path is None or not path.exists():
+            return
+        try:
+            document = json_format.loads(path.read_text(encoding="utf-8"))
+            found, settings_there = document["format"], document["settings"]
+            self._rows = {(row["field"], row["method"], row["seed"]): row for row in document["rows"]}
+        except (ValueError, KeyError, TypeError) as error:
+            raise InvalidInput(f"{path}: expected results of an exam, got a file without them ({error!r})") from None
+        other = {key for key in self._settings if settings_there.get(key) != self._settings[key]}
+        if found != FORMAT or other:
+            at = ", ".join(f"{key} {settings_there.get(key)}" for key in sorted(other)) or found
+            raise InvalidInput(f"{path}: expected results of the same settings, got {at}; name another file")
+
+    def of(self, field: str, seed: int) -> tuple[Row, ...]:
+        """The rows of a field and a seed."""
+        return tuple(row for (name, _, number), row in self._rows.items() if (name, number) == (field, seed))
+
+    def add(self, row: Row) -> None:
+        """Keep a row, on disk too; the file is replaced as a whole, so that an interruption does not damage it."""
+        self._rows[row["field"], row["method"], row["seed"]] = row
+        if self._path is not None:
+            document = {"format": FORMAT, "settings": self._settings, "rows": list(self._rows.values())}
+            beside = self._path.with_name(self._path.name + ".part")
+            beside.write_text(json_format.dumps(document, indent=None) + "\n", encoding="utf-8")
+            beside.replace(self._path)
+
+    def chosen(self, fields: Sequence[str], methods: Sequence[str], seeds: int) -> list[Row]:
+        """The rows that were asked for, by field, method and seed."""
+        wanted = [name + ending for name in methods for ending in ("", OURS)]
+        keys = [(field, name, seed) for field in fields for name in wanted for seed in range(1, seeds + 1)]
+        return [self._rows[key] for key in keys if key in self._rows]
+
+
+def _finite(settings: dict[str, Any]) -> dict[str, Any]:
+    return {key: None if value == math.inf else value for key, value in settings.items()}
+
+
+# --- tables -------------------------------------------------------------------------------------------------------
+
+
+def report(rows: Sequence[Row], fields: Sequence[str], missing: Sequence[str]) -> list[str]:
+    """Lines: a table for each field, one of means over the fields that all its methods have, and what is missing."""
+    lines: list[str] = []
+    for field in fields:
+        of_field = [row for row in rows if row["field"] == field]
+        if of_field:
+            lines += [*table(of_field, field), *(f"{name:<24} not installed (docs/exam.md)" for name in missing), ""]
+    if len({row["field"] for row in rows}) > 1:
+        lines += [*means(rows), ""]
+    lines.append(
+        "nrmse, crps: in standard deviations of the field; nlpd: nats, of the field in that unit; "
+        "+-: 95 % interval of the mean over seeds; +ours: the same samples with our map"
+    )
+    return lines
+
+
+def table(rows: Sequence[Row], title: str) -> list[str]:
+    """Lines of one field: a method a line, means over seeds."""
+    head = (
+        f"{'method':<24} {'nrmse':>15} {'nlpd':>14} {'crps':>7} {'50 %':>6} {'68 %':>6} {'95 %':>6} {'metres':>9} "
+        f"{'samples':>7} {'seeds':>5}"
+    )
+    lines = [title, head, "-" * len(head)]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        of_method = [row for row in rows if row["method"] == method]
+        nrmse, nlpd = (
+            _with_interval([row[key] for row in of_method], width) for key, width in (("nrmse", 3), ("nlpd", 2))
+        )
+        mean = {key: float(np.mean([row[key] for row in of_method])) for key in (*SCORES, "metres", "samples")}
+        lines.append(
+            f"{method:<24} {nrmse:>15} {nlpd:>14} {mean['crps']:7.3f} {mean['coverage_50']:6.1%} "
+            f"{mean['coverage_68']:6.1%} {mean['coverage_95']:6.1%} {mean['metres']:9.0f} {mean['samples']:7.0f} "
+            f"{len(of_method):>5}"
+        )
+    return lines
+
+
+def means(rows: Sequence[Row]) -> list[str]:
+    """Lines of the means over fields. A method that lacks a field is compared with `tour` on those that it has."""
+    by: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        by.setdefault((row["method"], row["field"]), []).append(row)
+    head = (
+        f"{'means over fields':<24} {'nrmse':>7} {'/ tour':>7} {'nlpd':>7} {'crps':>7} {'50 %':>6} {'68 %':>6} "
+        f"{'95 %':>6} {'m / tour':>9} {'fields':>6}"
+    )
+    lines = [head, "-" * len(head)]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        fields = [field for name, field in by if name == method]
+        mean = {key: float(np.mean([_mean(by[method, field], key) for field in fields])) for key in SCORES}
+        with_tour = [field for field in fields if ("tour", field) in by]
+        ratios = [[_mean(by[method, field], key) / _mean(by["tour", field], key) for field in with_tour]
+                  for key in ("nrmse", "metres")]  # fmt: skip
+        shown = [f"{np.mean(each):.3f}" if each else "-" for each in ratios]
+        lines.append(
+            f"{method:<24} {mean['nrmse']:7.3f} {shown[0]:>7} {mean['nlpd']:7.2f} {mean['crps']:7.3f} "
+            f"{mean['coverage_50']:6.1%} {mean['coverage_68']:6.1%} {mean['coverage_95']:6.1%} {shown[1]:>9} "
+            f"{len(fields):>6}"
+        )
+    return lines
+
+
+def _mean(rows: Sequence[Row], key: str) -> float:
+    return float(np.mean([row[key] for row in rows]))
+
+
+def _with_interval(values: Sequence[float], digits: int) -> str:
+    mean, half = mean_and_interval(values)
+    return f"{mean:.{digits}f}" if math.isnan(half) else f"{mean:.{digits}f} +- {half:.{digits}f}"
