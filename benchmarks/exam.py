@@ -99,10 +99,10 @@ def run(
             say(line)
         if pool.stopped is not None:
             say(f"stopped by {pool.stopped.name}: {len(rows)} surveys so far; the same command goes on from here")
-        if picture is not None and rows:
-            from benchmarks.exam_picture import draw
+    if picture is not None and rows:
+        from benchmarks.exam_picture import draw
 
-            say(f"written {draw(rows, names, picture)}")
+        say(f"written {draw(rows, names, picture)}")
     if failures:
         raise He3Error(f"{len(failures)} of the surveys failed, the first: {failures[0]}")
     return rows
@@ -185,7 +185,9 @@ def _row(asked: Asked, name: str, survey: Survey) -> Row:
     field = asked.field
     score = scores(field.region.he3_ppb, survey.mean_ppb, survey.std_ppb, field.known)
     row = {
-        "field": field.name, "method": name, "seed": asked.seed, **asdict(score), "metres": survey.metres,
+        "field": field.name, "method": name, "seed": asked.seed, "nrmse": score.nrmse,
+        "nlpd": score.nlpd, "crps": score.crps, "coverage_50": score.coverage_50,
+        "coverage_68": score.coverage_68, "coverage_95": score.coverage_95, "metres": survey.metres,
         "samples": len(survey.places_m), "seconds": survey.seconds, "note": survey.note,
     }  # fmt: skip
     if name == "tour":  # what other methods are measured by, when the exam is continued

@@ -150,7 +150,12 @@ def _sklearn(asked: Asked) -> Survey:
 
 
 def sklearn_map(
-    grid: SiteGrid, places: FloatArray, values: FloatArray, noise_std_ppb: float, seed: int
+    grid: SiteGrid,
+    places: FloatArray,
+    values: FloatArray,
+    noise_std_ppb: float,
+    seed: int,
+    restarts: int = SKLEARN_RESTARTS,
 ) -> tuple[FloatArray, FloatArray, str]:
     """Mean and std [ppb] on all cells by scikit-learn's likeliest Gaussian process, and its kernel.
 
@@ -177,7 +182,7 @@ def sklearn_map(
         warnings.simplefilter("ignore", ConvergenceWarning)
         fitted = [
             GaussianProcessRegressor(
-                kernel + WhiteKernel(noise, (noise, max(1.0, 10 * noise))), n_restarts_optimizer=SKLEARN_RESTARTS,
+                kernel + WhiteKernel(noise, (noise, max(1.0, 10 * noise))), n_restarts_optimizer=restarts,
                 normalize_y=True, random_state=seed,
             ).fit(places / unit, values)
             for kernel in kernels

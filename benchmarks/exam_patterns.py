@@ -46,10 +46,15 @@ def at_random(
 
 
 def moved_onto(places_m: FloatArray, grid: SiteGrid, open_cells: BoolArray) -> FloatArray:
-    """The places (n, 2) [m], those on other cells than open ones moved to the centre of the nearest open cell."""
+    """The centres (n, 2) [m] of the open cells in which the places (n, 2) [m] lie, or of those nearest to them.
+
+    At the edge of a cell a leg would touch its neighbour, which may be closed.
+    """
     inside = np.clip(places_m, 0.0, np.nextafter([grid.width_m, grid.height_m], 0.0))
-    closed = ~open_cells[grid.cells_of(inside)]
+    rows, columns = grid.cells_of(inside)
+    places = (np.column_stack((columns, rows)) + 0.5) * grid.resolution_m
+    closed = ~open_cells[rows, columns]
     if closed.any():
         centres = (np.argwhere(open_cells)[:, ::-1] + 0.5) * grid.resolution_m
-        inside[closed] = centres[cKDTree(centres).query(inside[closed])[1]]
-    return inside
+        places[closed] = centres[cKDTree(centres).query(inside[closed])[1]]
+    return places

@@ -13,6 +13,11 @@ from benchmarks.exam_scores import PROBABILITIES, mean_and_interval
 from benchmarks.figures import STYLE, plt
 
 OURS, COVER, PEERS = "#2a7f9e", "#8a8f98", "#d1495b"
+LABELS = (
+    (OURS, "our planner, our map"),
+    (COVER, "cover or chance, our map"),
+    (PEERS, "the paper's, or other software"),
+)
 _COVERS = ("boustrophedon", "hexagonal", "random")
 _PEERS = ("sgptools", "pypolo", "rrtstar")
 _WIDEST = 1.6
@@ -48,6 +53,8 @@ def draw(rows: Sequence[dict[str, Any]], fields: Sequence[str], path: Path) -> P
             axis.set_visible(False)
         for line in axes:
             line[0].set_yticks(at, methods)
+        marks = [plt.Line2D([], [], color=colour, marker="o", ls="", ms=4.5, label=label) for colour, label in LABELS]
+        figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
         plt.close(figure)
@@ -68,7 +75,7 @@ def _coverage(axis: Any, rows: Sequence[dict[str, Any]], methods: Sequence[str],
         for y, method in zip(at, methods, strict=True):
             share = float(np.mean([row[key] for row in rows if row["method"] == method]))
             axis.plot(share, y, marker, ms=4.5, color=_colour(method))
-    axis.set(title="coverage of the 50, 68, 95 % intervals", xlabel="share of the cells", xlim=(0, 1))
+    axis.set(title="coverage, all fields", xlabel="share within 50 % (▼), 68 % (●), 95 % (■)", xlim=(0, 1))
 
 
 def _colour(method: str) -> str:
