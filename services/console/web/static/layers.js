@@ -3,7 +3,7 @@
 import { SiteMap } from "./map.js";
 import { askJson, download } from "./net.js";
 import { Difference, TileSource } from "./raster.js";
-import { $, numberIn, sinceStart, state, toast } from "./state.js";
+import { $, attempt, numberIn, sinceStart, state, toast } from "./state.js";
 import { inAddress, keepView, numbers } from "./view.js";
 import { elapsed, element, grouped, words } from "./words.js";
 
@@ -22,8 +22,12 @@ const colours = await askJson("colours");
 const onTimeChange = []; // called when another moment is shown
 const sources = new Map(); // key -> source; the last used is the last
 let loading = false, wanted = false, shownKey = "", trackKey = "", trackAt = -Infinity, trackDue = null;
+let threshold = $("threshold").valueAsNumber; // the last that was valid [ppb]
 let range = null; // the ends of the colours that the operator has set
 
+const onThreshold = []; // called when another abundance counts as much
+export const whenThresholdChanges = (callback) => onThreshold.push(callback);
+export const thresholdPpb = () => threshold;
 export const whenTimeChanges = (callback) => onTimeChange.push(callback);
 
 const layerInputs = [...document.querySelectorAll("input[name=layer]")];
@@ -45,9 +49,8 @@ export function wantMap() {
 function wish() {
   const layer = chosenLayer(), mode = compared(), revision = state.past?.revision ?? newestRevision();
   const other = mode === "swipe" ? $("other-layer").value : layer;
-  const threshold = [layer, other].includes("exceedance") ? numberIn($("threshold")) : null;
   const moment = $("other-moment").value;
-  return { layer, mode, other, threshold, revision, past: state.past !== null, than: moment === "" ? revision : Number(moment), relief: $("relief").checked };
+  return { layer, mode, other, threshold: [layer, other].includes("exceedance") ? threshold : null, revision, past: state.past !== null, than: moment === "" ? revision : Number(moment), relief: $("relief").checked };
 }
 
 async function loadMap() {
@@ -94,9 +97,9 @@ const newestRevision = () => state.status?.map_revision ?? null;
 const onTrack = []; // called when samples, paths or areas of the map may be others
 export const whenTrackChanges = (callback) => onTrack.push(callback);
 
-async function opened(layer, threshold, revision) {
+async function opened(layer, above, revision) {
   const { site } = map.projection, still = OF_REGION.includes(layer);
-  const asked = { layer, threshold: layer === "exceedance" ? threshold : null, revision: still ? null : revision };
+  const asked = { layer, threshold: layer === "exceedance" ? above : null, revision: still ? null : revision };
   const key = JSON.stringify([asked, site.rows, site.columns, site.resolution_m]);
   let source = sources.get(key);
   sources.delete(key);
@@ -301,7 +304,7 @@ $("compare").addEventListener("change", () => {
 for (const id of ["other-layer", "other-moment"]) $(id).addEventListener("change", changed);
 for (const input of layerInputs) input.addEventListener("change", changed);
 $("relief").addEventListener("change", () => { wantMap(); keepView(); });
-$("threshold").addEventListener("change", () => { wantMap(); keepView(); });
+$("threshold").addEventListener("change", () => attempt(async () => { threshold = numberIn($("threshold")); changed(); for (const callback of onThreshold) callback(); }));
 
 function placeSwipe() {
   if ($("swipe").hidden || !map.projection.size) return;
@@ -378,7 +381,9 @@ inAddress("layer", () => (chosenLayer() === "mean" ? null : chosenLayer()), (tex
   (layerInputs.find((each) => each.value === text) ?? layerInputs[0]).checked = true;
 });
 inAddress("threshold", () => ($("threshold-field").hidden ? null : $("threshold").value), (text) => {
-  if (text !== null && Number.isFinite(Number(text))) $("threshold").value = text;
+  if (text === null || !Number.isFinite(Number(text))) return;
+  $("threshold").value = text;
+  threshold = Number(text);
 });
 inAddress("revision", () => state.past?.revision, (text) => {
   const past = state.revisions.find((each) => String(each.revision) === text) ?? null;

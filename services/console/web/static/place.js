@@ -1,9 +1,10 @@
 // A place or a sample that was chosen: what the map says of it.
 
-import { map, whenTimeChanges, whenTrackChanges } from "./layers.js";
+import { map, thresholdPpb, whenThresholdChanges, whenTimeChanges, whenTrackChanges } from "./layers.js";
 import { askJson } from "./net.js";
+import { tenth } from "./projection.js";
 import { fact } from "./rover.js";
-import { $, attempt, numberIn, sinceStart, state } from "./state.js";
+import { $, attempt, sinceStart, state } from "./state.js";
 import { inAddress, keepView, numbers } from "./view.js";
 import { elapsed, element, fixed, grouped, utc } from "./words.js";
 
@@ -14,7 +15,7 @@ let asked = 0;
 map.onPlace.push((_, what) => { if (what === "place") showChosen(); });
 whenTimeChanges(showPlace);
 whenTrackChanges(showSteps);
-$("threshold").addEventListener("change", showPlace);
+whenThresholdChanges(showPlace);
 
 function showChosen() {
   $("go-to").disabled = map.chosen === null;
@@ -35,15 +36,15 @@ async function showPlace() {
   if (!map.chosen) { $("place").replaceChildren(); $("place-hint").textContent = HINT; return; }
   const [x, y] = map.chosen, mine = ++asked;
   await attempt(async () => {
-    const threshold = numberIn($("threshold"));
+    const threshold = thresholdPpb();
     const point = await askJson("map/point", { x, y, threshold, as_of: state.past?.revision });
     const sample = map.track?.samples.find((each) => each.sample_id === map.sample), before = sample && await beforeIt(sample);
     if (mine !== asked) return;
     // The ground reports a new map a moment before it answers from it.
     if (state.past === null && point.revision < newest) setTimeout(() => { if (mine === asked) showPlace(); }, ASK_AGAIN_MS);
-    $("place-hint").textContent = `${sample ? `Sample ${sample.sample_id} at ` : ""}(${x}, ${y}) m, revision ${point.revision}`;
+    $("place-hint").textContent = `${sample ? `Sample ${sample.sample_id} at ` : ""}(${tenth(x)}, ${tenth(y)}) m, revision ${point.revision}`;
     // Where the panel is below the map, the answer is on it as well.
-    $("answer").textContent = `(${x}, ${y}) m: ${fixed(point.mean_ppb)} ± ${fixed(point.std_ppb)} ppb${sample ? `; measured ${fixed(sample.helium3_ppb)} ± ${fixed(sample.noise_std_ppb)} ppb` : ""}${point.traversable ? "" : ", closed"}`;
+    $("answer").textContent = `(${tenth(x)}, ${tenth(y)}) m: ${fixed(point.mean_ppb)} ± ${fixed(point.std_ppb)} ppb${sample ? `; measured ${fixed(sample.helium3_ppb)} ± ${fixed(sample.noise_std_ppb)} ppb` : ""}${point.traversable ? "" : ", closed"}`;
     $("place").dataset.point = JSON.stringify(point);
     $("place").replaceChildren(...(sample ? [ofSample(sample, point, before)] : []), ofPlace(point, threshold));
   });

@@ -3,7 +3,7 @@
 
 import { state } from "./state.js";
 
-const WRITTEN_AFTER_MS = 150; // browsers limit how often the address may change
+const WRITTEN_AFTER_MS = 400; // browsers limit how often the address may change
 const parts = [];
 let wanted = new URLSearchParams(location.hash.slice(1)); // what the address asks for; null once it is shown
 let due = null;
