@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.flights import Flight, fly, mean_and_std, region_named, written
+from benchmarks.flights import Flight, conditions, expect_open, fly, mean_and_std, region_named, written
 from benchmarks.missions import Row
 from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import InvalidInput
@@ -43,20 +43,25 @@ def run(
     regions: Sequence[str] = ("t1", "t2"),
     region: Path | None = None,
     jobs: int = 2,
+    noise: float = DEFAULT_NOISE_STD_PPB,
+    start: Sequence[float] = (),
+    budget: float | None = None,
     json: Path | None = None,
     *,
     say: Callable[[str], None] = print,
 ) -> list[Row]:
     """One row a fit; the table printed, rows written to `json`.
 
-    regions: embedded names; region: a field as .npz in their place. Raises InvalidInput for names that are not known.
+    regions: embedded names; region: a field as .npz in their place. noise: standard deviation [ppb]; start: X,Y [m];
+    budget: metres. Raises InvalidInput for names that are not known and numbers that do not fit.
     """
     if seeds < 1 or jobs < 1 or not (regions or region):
         raise InvalidInput(f"expected one seed, job and region at least, got {seeds}, {jobs} and {len(regions)}")
     names = [str(region)] if region is not None else list(regions)
+    shared = conditions(noise, start, budget)
     for name in names:
-        region_named(name)
-    flights = [Flight(name, planner, kernel, seed, variation=seed) for name in names
+        expect_open(region_named(name), shared.start_m)
+    flights = [shared.on(Flight(name, planner, kernel, seed, variation=seed)) for name in names
                for planner, kernel in DESIGNS.items() for seed in range(1, seeds + 1)]  # fmt: skip
     found: dict[Flight, list[Row]] = {}
     began = time.monotonic()
@@ -81,7 +86,7 @@ def coverage(flight: Flight) -> list[Row]:
     for kernel in JUDGED:
         rng = np.random.default_rng(np.random.SeedSequence((flight.seed, count)))
         fitted = fit_hyperparameters(
-            mission.samples_m, mission.values_ppb, kernel, rng=rng, noise_std_ppb=DEFAULT_NOISE_STD_PPB,
+            mission.samples_m, mission.values_ppb, kernel, rng=rng, noise_std_ppb=flight.noise_std_ppb,
             extent_m=max(truth.grid.width_m, truth.grid.height_m),
         )  # fmt: skip
         posterior = GridPosterior.build(truth.grid, fitted, mission.samples_m, mission.values_ppb)

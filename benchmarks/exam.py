@@ -27,12 +27,11 @@ import numpy as np
 from benchmarks.exam_fields import ExamField, load_field, names_in
 from benchmarks.exam_methods import METHODS, Asked, Settings, Survey, with_our_map
 from benchmarks.exam_scores import mean_and_interval, scores
-from benchmarks.missions import FOOTPRINT_RADIUS_M, SAMPLES_A_ROUND
+from benchmarks.flights import conditions, expect_open
+from benchmarks.missions import SAMPLES_A_ROUND
 from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error, InvalidInput
 from he3.kernels import AUTO, KERNELS
-from services.ground.planners.traversability import OpenGround
-from services.ground.terrain import GroundTerrain
 
 Row = dict[str, Any]
 Key = tuple[str, str, int]
@@ -76,7 +75,7 @@ def run(
         raise InvalidInput(f"expected methods among {', '.join(METHODS)}; got {', '.join(unknown) or 'none'}")
     names = list(fields) or names_in(data)
     for name in names:
-        _expect_open(load_field(name, data, noise), settings)
+        expect_open(load_field(name, data, noise).region, settings.start_m)
     missing = [name for name in methods if (peer := METHODS[name].peer) is not None and not peer.installed]
     flown = [name for name in METHODS if name in methods and name not in missing]
     kept = Kept(json, {**asdict(settings), "noise": noise})
@@ -111,25 +110,10 @@ def run(
 def _settings(samples: int, start: Sequence[float], budget: float | None, kernel: str, belief: str) -> Settings:
     if samples < SAMPLES_A_ROUND or samples % SAMPLES_A_ROUND:
         raise InvalidInput(f"expected samples in rounds of {SAMPLES_A_ROUND}, got {samples}")
-    if len(start) not in (0, 2):
-        raise InvalidInput(f"expected a start X,Y [m], got {len(start)} numbers")
-    if budget is not None and not budget > 0:
-        raise InvalidInput(f"expected a positive budget [m], got {budget:g}")
     if kernel not in (*KERNELS, AUTO):
         raise InvalidInput(f"expected a kernel among {', '.join((*KERNELS, AUTO))}; got {kernel!r}")
-    return Settings(samples, kernel, belief == "ml", math.inf if budget is None else budget,
-                    (start[0], start[1]) if start else None)  # fmt: skip
-
-
-def _expect_open(field: ExamField, settings: Settings) -> None:
-    if settings.start_m is None:
-        return
-    grid = field.region.grid
-    ground = OpenGround(grid, GroundTerrain(grid, field.region.traversable, FOOTPRINT_RADIUS_M).traversable)
-    if not ground.is_open(np.array([settings.start_m]))[0]:
-        x, y = settings.start_m
-        raise InvalidInput(f"{field.name}: expected a start on open ground within 0..{grid.width_m:g} m east and "
-                           f"0..{grid.height_m:g} m north, got {x:g},{y:g}")  # fmt: skip
+    shared = conditions(0.0, start, budget)
+    return Settings(samples, kernel, belief == "ml", shared.budget_m, shared.start_m)
 
 
 # --- surveys ------------------------------------------------------------------------------------------------------

@@ -5,20 +5,23 @@ from __future__ import annotations
 import json as json_format
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.missions import Mission, Row, run_mission
+from benchmarks.missions import FOOTPRINT_RADIUS_M, Mission, Row, run_mission
 from benchmarks.worker_pool import WorkerPool, progress
-from he3.errors import He3Error
+from he3.errors import He3Error, InvalidInput
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
+from services.ground.planners.traversability import OpenGround
+from services.ground.terrain import GroundTerrain
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.regions import load_region
 
@@ -46,10 +49,52 @@ class Flight:
     """Seed of another variation of an embedded region; its own if None. A region from a file has no other."""
     likeliest: bool = True
     """Hyperparameters of maximum likelihood, as the paper has them; else all that the samples leave possible."""
+    noise_std_ppb: float = DEFAULT_NOISE_STD_PPB
+    start_m: tuple[float, float] | None = None
+    """Where the rover stands at first [m]; ``start_of`` the region if None."""
 
     @property
     def name(self) -> str:
         return self.label or self.planner
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What all missions of a comparison share; made of a benchmark's flags by `conditions`."""
+
+    noise_std_ppb: float
+    start_m: tuple[float, float] | None
+    budget_m: float
+
+    def on(self, flight: Flight) -> Flight:
+        """The flight under these conditions; a smaller budget of its own stays."""
+        budget_m = min(self.budget_m, flight.budget_m)
+        return replace(flight, noise_std_ppb=self.noise_std_ppb, start_m=self.start_m, budget_m=budget_m)
+
+
+def conditions(noise: float, start: Sequence[float], budget: float | None) -> Conditions:
+    """The conditions of these flags: noise [ppb], start X,Y [m] or nothing, budget [m] or None.
+
+    Raises InvalidInput for numbers that do not fit.
+    """
+    if not (isfinite(noise) and noise >= 0):
+        raise InvalidInput(f"expected a noise of 0 or more, got {noise:g}")
+    if len(start) not in (0, 2) or not all(map(isfinite, start)):
+        raise InvalidInput(f"expected a start X,Y [m], got {','.join(map(str, start))}")
+    if budget is not None and not budget > 0:
+        raise InvalidInput(f"expected a positive budget [m], got {budget:g}")
+    return Conditions(noise, (start[0], start[1]) if start else None, inf if budget is None else budget)
+
+
+def expect_open(region: Region, start_m: tuple[float, float] | None) -> None:
+    """Raise InvalidInput for a start [m] off the region or on ground that the rover may not enter."""
+    if start_m is None:
+        return
+    grid = region.grid
+    ground = OpenGround(grid, GroundTerrain(grid, region.traversable, FOOTPRINT_RADIUS_M).traversable)
+    if not ground.is_open(np.array([start_m]))[0]:
+        raise InvalidInput(f"{region.name}: expected a start on open ground within 0..{grid.width_m:g} m east and "
+                           f"0..{grid.height_m:g} m north, got {start_m[0]:g},{start_m[1]:g}")  # fmt: skip
 
 
 def flown(flights: Sequence[Flight], pool: WorkerPool) -> tuple[dict[Flight, Mission], list[str]]:
@@ -101,6 +146,8 @@ def fly(flight: Flight) -> Mission:
         budget_m=flight.budget_m,
         prior=flight.prior,
         likeliest=flight.likeliest,
+        noise_std_ppb=flight.noise_std_ppb,
+        start_m=flight.start_m,
         orbital_ppb=orbital if flight.prior == "orbital" else None,
     )
     mission.row.update(region=region.name, planner=flight.planner, label=flight.name)

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.flights import Flight, expect_none, flown, mean_and_std, region_named, written
+from benchmarks.flights import Flight, conditions, expect_none, expect_open, flown, mean_and_std, region_named, written
 from benchmarks.missions import Mission, Row
 from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import InvalidInput
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 
 BUDGETS_M = (3500.0, 4500.0, 6000.0, 9000.0, 15000.0)
 PEER_BUDGETS_M = (3500.0, 4500.0, 6000.0)
@@ -26,6 +27,8 @@ def run(
     kernel: str = "smooth+rough",
     jobs: int = 2,
     peers: bool = True,
+    noise: float = DEFAULT_NOISE_STD_PPB,
+    start: Sequence[float] = (),
     json: Path | None = None,
     out: Path | None = None,
     *,
@@ -34,20 +37,21 @@ def run(
     """One row a mission; the table printed, the frontier drawn into `out`, rows written to `json`.
 
     regions: embedded names; region: a field as .npz in their place; peers: also run SGP-Tools, once per budget and
-    region. Raises InvalidInput for budgets that are not positive.
+    region. noise: standard deviation [ppb]; start: X,Y [m]. Raises InvalidInput for numbers that do not fit.
     """
     if seeds < 1 or not budgets or not all(budget > 0 for budget in budgets) or not (regions or region):
         raise InvalidInput(
             f"expected one seed and region at least and positive budgets, got {seeds}, {regions} and {tuple(budgets)}"
         )
     names = [str(region)] if region is not None else list(regions)
+    shared = conditions(noise, start, None)
     for name in names:
-        region_named(name)
+        expect_open(region_named(name), shared.start_m)
     flights = [Flight(name, "tour", kernel, seed, budget_m=budget) for name in names for budget in budgets
                for seed in range(1, seeds + 1)]  # fmt: skip
     flights += [Flight(name, "rrtstar", "matern52", seed) for name in names for seed in range(1, seeds + 1)]
     with WorkerPool(jobs) as pool:
-        missions, failures = flown(flights, pool)
+        missions, failures = flown([shared.on(flight) for flight in flights], pool)
         peer_rows = _peer_rows(missions, pool, say) if peers else []
         rows = [mission.row for mission in missions.values()] + peer_rows
         for name in names:
@@ -92,7 +96,10 @@ def _fly_peer(task: tuple[Flight, Mission]) -> tuple[Row, float]:
 
     flight, ours = task
     region = region_named(flight.region)
-    return fly_sgptools(region, ours, flight.kernel, flight.seed, flight.budget_m).row, own_gp_rmse(region, ours)
+    row = fly_sgptools(
+        region, ours, flight.kernel, flight.seed, flight.budget_m, flight.noise_std_ppb, flight.start_m
+    ).row
+    return row, own_gp_rmse(region, ours)
 
 
 def _groups(rows: Sequence[Row], region: str) -> dict[tuple[str, float], list[Row]]:

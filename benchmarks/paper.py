@@ -20,18 +20,29 @@ Any other planner is named module:function, and flies beside them: --planners rr
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import inf
 from pathlib import Path
 from typing import Any
 
 from benchmarks.calibration import MARKS, MISMATCHED
-from benchmarks.flights import Flight, expect_none, flown, mean_and_std, region_named, written
+from benchmarks.flights import (
+    Conditions,
+    Flight,
+    conditions,
+    expect_none,
+    expect_open,
+    flown,
+    mean_and_std,
+    region_named,
+    written,
+)
 from benchmarks.floor import Floor
 from benchmarks.floor import floor as floor_of
 from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Mission, Row
 from benchmarks.worker_pool import WorkerPool
 from he3.errors import InvalidInput
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from services.ground.planners import PLANNERS, planner_named
 from services.mission.embedded_regions import EMBEDDED
 
@@ -61,6 +72,9 @@ def run(
     own_kernel: str = "smooth+rough",
     jobs: int = 2,
     floor: bool = True,
+    noise: float = DEFAULT_NOISE_STD_PPB,
+    start: Sequence[float] = (),
+    budget: float | None = None,
     json: Path | None = None,
     out: Path | None = None,
     *,
@@ -69,8 +83,9 @@ def run(
     """One row a mission; the table printed, figures drawn into `out`, rows written to `json`.
 
     regions: embedded names; region: a field as .npz in their place. kernel: of the paper's protocol;
-    own_kernel: of our planners. floor: find it, too, which takes a quarter of a minute a region and budget. Raises
-    InvalidInput for names that are not known.
+    own_kernel: of our planners. floor: find it, too, which takes half a minute a region and budget. noise: standard
+    deviation [ppb]; start: X,Y [m]; budget: metres, of every mission. Raises InvalidInput for names that are not known
+    and numbers that do not fit.
     """
     if seeds < 1:
         raise InvalidInput(f"expected one seed at least, got {seeds}")
@@ -84,11 +99,12 @@ def run(
         if ":" in name:
             planner_named(name)
     names = [str(region)] if region is not None else list(regions)
+    shared = conditions(noise, start, budget)
     for name in names:
-        region_named(name)
+        expect_open(region_named(name), shared.start_m)
     if FIFTH in planners and YARDSTICK not in planners:
         raise InvalidInput(f"expected {YARDSTICK} among the planners, as '{FIFTH}' is measured by it")
-    first = [_flight(name, planner, seed, kernel, own_kernel) for name in names for planner in planners
+    first = [shared.on(_flight(name, planner, seed, kernel, own_kernel)) for name in names for planner in planners
              for seed in range(1, seeds + 1) if planner != FIFTH]  # fmt: skip
     with WorkerPool(jobs) as pool:
         missions, failures = flown(first, pool)
@@ -97,12 +113,12 @@ def run(
             for name in names:
                 yardstick = _rows(missions, name, YARDSTICK)
                 metres = mean_and_std(yardstick, "path_length_m")[0] if yardstick else inf
-                fifths += [Flight(name, "tour", own_kernel, seed, budget_m=metres / 5, label=FIFTH)
+                fifths += [shared.on(Flight(name, "tour", own_kernel, seed, budget_m=metres / 5, label=FIFTH))
                            for seed in range(1, seeds + 1)]  # fmt: skip
             of_fifths, failed = flown([flight for flight in fifths if flight.budget_m < inf], pool)
             missions |= of_fifths
             failures += failed
-        floors = _floors(missions, names, planners, pool) if floor else {}
+        floors = _floors(missions, names, planners, shared, pool) if floor else {}
         for name in names:
             say("")
             for line in table(missions, name, planners, floors.get(name, ())):
@@ -134,22 +150,28 @@ def _flight(region: str, planner: str, seed: int, kernel: str, own_kernel: str) 
 
 
 def _floors(
-    missions: dict[Flight, Mission], names: Sequence[str], planners: Sequence[str], pool: WorkerPool
+    missions: dict[Flight, Mission],
+    names: Sequence[str],
+    planners: Sequence[str],
+    shared: Conditions,
+    pool: WorkerPool,
 ) -> dict[str, list[Floor]]:
     """The floors of each region, without a limit on metres first."""
-    wanted = [(name, inf) for name in names]
+    wanted = [(name, shared) for name in names]
     for name in names if FIFTH in planners else ():
         yardstick = _rows(missions, name, YARDSTICK)
         if yardstick:
-            wanted.append((name, mean_and_std(yardstick, "path_length_m")[0] / 5))
+            fifth_m = min(shared.budget_m, mean_and_std(yardstick, "path_length_m")[0] / 5)
+            wanted.append((name, replace(shared, budget_m=fifth_m)))
     found = dict(pool.results(_floor, wanted))
     return {name: [found[one] for one in wanted if one[0] == name and one in found] for name in names}
 
 
-def _floor(wanted: tuple[str, float]) -> Floor:
-    """The floor of the region of that name within that budget [m]."""
-    name, budget_m = wanted
-    return floor_of(region_named(name), budget_m=budget_m)
+def _floor(wanted: tuple[str, Conditions]) -> Floor:
+    """The floor of the region of that name under these conditions."""
+    name, shared = wanted
+    return floor_of(region_named(name), budget_m=shared.budget_m, noise_std_ppb=shared.noise_std_ppb,
+                    start_m=shared.start_m)  # fmt: skip
 
 
 def _rows(missions: dict[Flight, Mission], region: str, name: str) -> list[Row]:

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -23,10 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks.flights import Conditions, conditions, expect_open
 from benchmarks.worker_pool import WorkerPool, progress
 from he3.constants import MOON_RADIUS_M
 from he3.errors import He3Error, InvalidInput
 from he3.frames import FloatArray
+from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.reference import Region
 from he3.terrain import reachable
 from services.ground.terrain import GroundTerrain
@@ -98,6 +101,9 @@ def run(
     planners: Sequence[str] = ("rrtstar", "tour"),
     rounds: int = 30,
     seed: int = 1,
+    noise: float = DEFAULT_NOISE_STD_PPB,
+    start: Sequence[float] = (),
+    budget: float | None = None,
     jobs: int = 2,
     out: Path | None = None,
     json: Path | None = None,
@@ -106,7 +112,8 @@ def run(
 ) -> list[Row]:
     """One row a mission; the table printed, rows written to `json`, reports and pictures to folders in `out`.
 
-    data: folder with the rasters. Raises InvalidInput for names that are not known; He3Error, after the table, if a
+    data: folder with the rasters. noise: standard deviation [ppb]; start: X,Y [m], of every place; budget: metres.
+    Raises InvalidInput for names that are not known and numbers that do not fit; He3Error, after the table, if a
     mission missed samples or a path led over a pixel that is too steep.
     """
     if data is None or not data.is_dir():
@@ -115,12 +122,13 @@ def run(
         for name in given:
             if name not in known:
                 raise InvalidInput(f"expected names out of {', '.join(known)}, got {name!r}")
+    shared = conditions(noise, start, budget)
     rows: list[Row] = []
     failures: list[str] = []
     with TemporaryDirectory() as scratch:
         root = Path(scratch) if out is None else out
         flights = [
-            (data, root, place, size, planner, rounds, seed)
+            (data, root, place, size, planner, rounds, seed, shared)
             for place in places
             for size in sizes
             for planner in planners
@@ -160,14 +168,14 @@ def recipe_of(place: Place, size: str, name: str) -> Recipe:
     }, Path(name))  # fmt: skip
 
 
-def _outcome(flight: tuple[Path, Path, str, str, str, int, int]) -> Row | str:
+def _outcome(flight: tuple[Path, Path, str, str, str, int, int, Conditions]) -> Row | str:
     try:
         return fly(*flight)
     except He3Error as error:
         return str(error)
 
 
-def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int, seed: int) -> Row:
+def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int, seed: int, shared: Conditions) -> Row:
     """Build the region, fly one mission over it, and return its row."""
     from services.console.launch.in_process import run_in_process
     from services.console.report.outputs import outputs
@@ -177,12 +185,15 @@ def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int,
     folder = root / f"{name}-{size}-{planner}"
     build_region(recipe_of(place, size, name), data, folder / "region")
     region = load_region(folder / "region")
+    expect_open(region, shared.start_m)
     kernel = "smooth+rough" if planner == "tour" else "matern52"
     period_s = min(_LONGEST_PERIOD_S, _PERIOD_S * max(1.0, region.grid.resolution_m))
     scenario = checked_scenario({
         "name": f"{name}-{size}", "region": str(folder / "region"), "seed": seed, "rounds": rounds,
-        "start_m": start_of(region),
-        "ground": {"planner": planner, "kernel": kernel, "status_period_s": period_s},
+        "start_m": shared.start_m or start_of(region),
+        "field": {"noise_std_ppb": shared.noise_std_ppb},
+        "ground": {"planner": planner, "kernel": kernel, "status_period_s": period_s,
+                   **({"budget_m": shared.budget_m} if isfinite(shared.budget_m) else {})},
         "rover": {"state_period_s": period_s},
     }, "places")  # fmt: skip
     began = time.monotonic()

@@ -117,19 +117,28 @@ def _site(region: Region) -> dict[str, Any]:
     return {"rows": grid.rows, "columns": grid.columns, "resolution_m": grid.resolution_m, "length_scale_m": length_m}
 
 
-def fly_sgptools(region: Region, like: Mission, kernel: str, seed: int, budget_m: float) -> PeerResult:
+def fly_sgptools(
+    region: Region,
+    like: Mission,
+    kernel: str,
+    seed: int,
+    budget_m: float,
+    noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
+    start_m: tuple[float, float] | None = None,
+) -> PeerResult:
     """SGP-Tools' places under that budget, measured as our missions are.
 
     like: a mission of ours over the same field, from whose samples the kernel is learned that SGP-Tools is given.
+    start_m: ``start_of`` the region if None.
     """
     began = time.perf_counter()
-    learned = belief_of(region, like.samples_m, like.values_ppb, kernel, seed).hyperparameters
+    learned = belief_of(region, like.samples_m, like.values_ppb, kernel, seed, noise_std_ppb).hyperparameters
     count = len(like.samples_m)
-    noise = noise_of(seed, count, DEFAULT_NOISE_STD_PPB)
-    planned = plan_with_sgptools(region, count, budget_m, seed, start_of(region), learned, noise)
+    noise = noise_of(seed, count, noise_std_ppb)
+    planned = plan_with_sgptools(region, count, budget_m, seed, start_m or start_of(region), learned, noise)
     places, path, blocked = planned.places_m, planned.path_m, planned.blocked_legs
     values = region.he3_ppb[region.grid.cells_of(places)] + noise[: len(places)]
-    belief = belief_of(region, places, values, kernel, seed)
+    belief = belief_of(region, places, values, kernel, seed, noise_std_ppb)
     score = Scorer(region.he3_ppb).score(belief.map.mean_ppb, belief.map.std_ppb, len(places), len(places), 0)
     own, _ = map_of_sgptools(region, places, values)
     row = {

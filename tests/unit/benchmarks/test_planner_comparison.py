@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import calibration, frontier, paper
-from benchmarks.flights import Flight, flown, fly
+from benchmarks.flights import Flight, conditions, expect_open, flown, fly
 from benchmarks.floor import Floor
 from benchmarks.missions import start_of
 from benchmarks.worker_pool import WorkerPool
@@ -65,6 +65,27 @@ def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marke
     assert any("smooth+rough " in line for line in lines)
     assert any("matern12+" in line for line in lines)
     assert any("se*" in line for line in lines)
+
+
+def test_a_mission_keeps_to_the_start_the_noise_and_the_budget_of_the_comparison(quarter_of_t1):
+    shared = conditions(0.0, (41.0, 31.0), 300.0)
+    assert shared.on(Flight("t1", "tour", "se", 1, budget_m=200.0)).budget_m == 200.0
+    flight = shared.on(Flight(str(quarter_of_t1), "rrt", "matern52", 1))
+    mission, field = fly(flight), load_region(quarter_of_t1)
+    assert mission.path_m[0].tolist() == [41.0, 31.0]
+    assert mission.row["path_length_m"] <= 300.0
+    assert np.allclose(mission.values_ppb, field.he3_ppb[field.grid.cells_of(mission.samples_m)])
+
+
+@pytest.mark.parametrize(
+    ("noise", "start", "budget", "why"),
+    [(-1.0, (), None, "noise"), (0.1, (3.0,), None, "start X,Y"), (0.1, (), 0.0, "positive budget")],
+)
+def test_conditions_that_do_not_fit_are_refused(noise, start, budget, why, quarter_of_t1):
+    with pytest.raises(InvalidInput, match=why):
+        conditions(noise, start, budget)
+    with pytest.raises(InvalidInput, match=r"quarter: expected a start on open ground within 0..250 m"):
+        expect_open(load_region(quarter_of_t1), (260.0, 40.0))
 
 
 def test_missions_begin_where_the_ground_is_open(quarter_of_t1):
