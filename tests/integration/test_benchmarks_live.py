@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 
-from benchmarks import flood, link_timing, query_latency
+from benchmarks import flood, link_timing, page, query_latency
 from he3.errors import InvalidInput
 from tests.waiting import expect_within
 
@@ -44,6 +45,19 @@ def test_a_map_query_while_planning_is_measured_beside_a_bare_queryable(tmp_path
     assert 0 < row["bare_p50_s"] <= row["bare_p99_s"]
     assert row["ratio"] < 10, "a plan being computed must never delay a query"
     assert "ratio of the medians" in lines[-1]
+
+
+@pytest.mark.exhaustive
+def test_the_page_s_bytes_clicks_and_work_are_measured_in_a_browser(tmp_path):
+    if shutil.which("chromium") is None or shutil.which("chromedriver") is None:
+        pytest.skip("no browser: apt-get install chromium chromium-driver")
+    lines: list[str] = []
+    row = page.run(pages=2, seconds=6.0, clicks=3, json=tmp_path / "page.json", say=lines.append)
+    assert json.loads((tmp_path / "page.json").read_text()) == row
+    assert 0 < row["bytes_per_s_median"] <= row["bytes_per_s_most"] <= page.MOST_BYTES_S
+    assert 0 < row["click_ms_median"] <= row["click_ms_most"]
+    assert 0 < row["main_thread_share_at_rest"] < 1
+    assert "load of the machine" in lines[-1]
 
 
 @pytest.mark.exhaustive

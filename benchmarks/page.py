@@ -1,0 +1,268 @@
+"""The operator's page in Chromium: bytes to each of 20 open pages, the answer to a click, the work of a page at rest.
+
+A mission in separate processes at rate 100, one page server, and as many windows of one Chromium. Each window reaches
+the server by a port of its own, which counts what passes: a browser keeps six connections a port, and a page holds one
+open. While all are open, the first is clicked. Then mission time stands still, and the main thread of the first page is
+watched. Needs Chromium with its driver (Debian: chromium, chromium-driver) and selenium.
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from random import Random
+from socket import SHUT_WR, create_connection, create_server, socket
+from statistics import median
+from typing import Any, Final
+
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from services.console.client.mission_client import MissionClient
+from services.console.launch.endpoints import free_endpoints
+from services.console.launch.launcher import Launcher
+from services.mission.deployment import deployment
+from services.runtime.child import ROOT, child_environment, python_command
+
+SCENARIO: Final = "t1-paper"
+BEGUN_SAMPLES: Final = 3
+WITHIN_S: Final = 300.0
+SETTLE_S: Final = 5.0
+MOST_BYTES_S: Final = 40_000
+MOST_CLICK_MS: Final = 60
+MOST_MAIN_THREAD: Final = 0.15
+"""What is promised: bytes a second to each page, median of a click's answer, share of a core at rest."""
+FLAGS: Final = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
+    "--disable-background-networking", "--disable-sync", "--window-size=1440,900",
+)  # fmt: skip
+
+CLICK: Final = """
+const [x, y, done] = arguments, map = document.getElementById('map'), place = document.getElementById('place');
+const box = map.getBoundingClientRect();
+const at = {clientX: box.left + x * box.width, clientY: box.top + y * box.height, button: 0, pointerId: 1};
+const began = performance.now();
+new MutationObserver((_, watch) => { watch.disconnect(); done(performance.now() - began); })
+  .observe(place, {attributeFilter: ['data-point']});
+for (const kind of ['pointerdown', 'pointerup', 'click'])
+  map.dispatchEvent(new PointerEvent(kind, {...at, bubbles: true, isPrimary: true, detail: 1}));
+"""
+
+
+def run(
+    pages: int = 20,
+    rate: float = 100.0,
+    seconds: float = 30.0,
+    clicks: int = 20,
+    json: Path | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """The figures, printed and written to a file."""
+    if pages < 1 or clicks < 1 or seconds <= 0:
+        raise InvalidInput(f"expected pages, clicks and seconds over 0, got {pages}, {clicks} and {seconds:g}")
+    say(f"{pages} pages over a mission at {rate:g} times life for {seconds:g} s ...")
+    with ExitStack() as stack:
+        mission = stack.enter_context(_mission(rate))
+        address = stack.enter_context(_page_server(mission))
+        gates = [stack.enter_context(_counted(address)) for _ in range(pages)]
+        driver = stack.enter_context(_chromium())
+        windows = _opened(driver, gates)
+        time.sleep(SETTLE_S)
+        before, began = [gate.passed for gate in gates], time.monotonic()
+        moved = _main_thread(driver, seconds / 2)
+        clicked = _clicked(driver, clicks)
+        time.sleep(max(0.0, began + seconds - time.monotonic()))
+        took_s = time.monotonic() - began
+        rates = sorted((gate.passed - was) / took_s for gate, was in zip(gates, before, strict=True))
+        mission.set_clock_rate(0.0)
+        time.sleep(SETTLE_S)
+        row = {
+            "pages": pages,
+            "rate": rate,
+            "seconds": took_s,
+            "visible_windows": windows,
+            "bytes_per_s_median": median(rates),
+            "bytes_per_s_most": rates[-1],
+            "click_ms_median": median(clicked),
+            "click_ms_most": max(clicked),
+            "main_thread_share_moving": moved,
+            "main_thread_share_at_rest": _main_thread(driver, seconds / 2),
+            "load": os.getloadavg()[0],
+            "cores": os.cpu_count(),
+        }
+    _report(row, say)
+    if json is not None:
+        json.write_text(json_format.dumps(row, indent=2) + "\n", encoding="utf-8")
+    return row
+
+
+def _report(row: dict[str, Any], say: Callable[[str], None]) -> None:
+    kilobytes, most = row["bytes_per_s_median"] / 1000, row["bytes_per_s_most"] / 1000
+    lines = (
+        ("bytes to a page", f"{kilobytes:.1f} kB/s, the most {most:.1f}", f"at most {MOST_BYTES_S / 1000:.0f}"),
+        (
+            "answer to a click",
+            f"{row['click_ms_median']:.0f} ms median, {row['click_ms_most']:.0f} the longest",
+            f"under {MOST_CLICK_MS} median",
+        ),
+        (
+            "main thread at rest",
+            f"{row['main_thread_share_at_rest']:.1%} of a core, {row['main_thread_share_moving']:.1%} while it moves",
+            f"under {MOST_MAIN_THREAD:.0%}",
+        ),
+        ("load of the machine", f"{row['load']:.1f} on {row['cores']} cores", ""),
+    )
+    for name, found, promised in lines:
+        say(f"{name:<20} {found}{f' ({promised})' if promised else ''}")
+
+
+# --- the mission and its page -----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _mission(rate: float) -> Iterator[MissionClient]:
+    endpoints = free_endpoints()
+    with tempfile.TemporaryDirectory() as logs:
+        path = deployment("scenarios", f"{SCENARIO}.toml")
+        with (
+            Launcher(path, endpoints, ("--rate", str(rate)), logs=Path(logs)) as launcher,
+            MissionClient.when_up(endpoints.earth, SCENARIO, launcher.check, "bench") as client,
+        ):
+            _wait_for(lambda: _samples(client) >= BEGUN_SAMPLES, f"{BEGUN_SAMPLES} samples")
+            yield client
+
+
+def _samples(client: MissionClient) -> int:
+    try:
+        return client.status().samples
+    except He3Error:
+        return 0
+
+
+@contextmanager
+def _page_server(mission: MissionClient) -> Iterator[tuple[str, int]]:
+    """The host and the port of a page's server."""
+    command = python_command(
+        "services.console", "web", "--port", "0", "--mission", mission.mission, "--earth", mission.earth
+    )
+    environment = {**child_environment(), "PYTHONPATH": ROOT}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stderr is not None
+        try:
+            found = re.search(r"http://([^:/]+):(\d+)/", process.stderr.readline())
+            if found is None:
+                raise He3Error("the page's server did not start")
+            yield found[1], int(found[2])
+        finally:
+            process.terminate()
+
+
+class _Gate:
+    """A port that leads to the page's server and counts the bytes that come from it."""
+
+    def __init__(self, listener: socket, target: tuple[str, int]) -> None:
+        self._listener, self._target = listener, target
+        self.passed = 0
+        self.url = f"http://127.0.0.1:{listener.getsockname()[1]}/"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                browser, _ = self._listener.accept()
+                with suppress(OSError):
+                    server = create_connection(self._target)
+                    threading.Thread(target=self._pass, args=(browser, server, False), daemon=True).start()
+                    threading.Thread(target=self._pass, args=(server, browser, True), daemon=True).start()
+
+    def _pass(self, source: socket, target: socket, counts: bool) -> None:
+        with suppress(OSError):
+            while data := source.recv(65_536):
+                target.sendall(data)
+                if counts:
+                    self.passed += len(data)
+        with suppress(OSError):
+            target.shutdown(SHUT_WR)
+
+
+@contextmanager
+def _counted(target: tuple[str, int]) -> Iterator[_Gate]:
+    with create_server(("127.0.0.1", 0)) as listener:
+        yield _Gate(listener, target)
+
+
+# --- the browser ------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _chromium() -> Iterator[Any]:
+    binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if binary is None or driver is None:
+        raise He3Error("bench page: expected chromium and chromedriver on the path, got none")
+    try:
+        from selenium import webdriver
+    except ImportError:
+        raise He3Error("bench page: expected selenium, got none: pip install selenium") from None
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    with tempfile.TemporaryDirectory() as profile:
+        for flag in (*FLAGS, f"--user-data-dir={profile}"):
+            options.add_argument(flag)
+        chromium = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+        chromium.set_script_timeout(WITHIN_S)
+        try:
+            yield chromium
+        finally:
+            chromium.quit()
+
+
+def _opened(driver: Any, gates: list[_Gate]) -> int:
+    """Open a window at each gate; returns how many of them think that they are seen. The first one is in front."""
+    for number, gate in enumerate(gates):
+        if number:
+            driver.switch_to.new_window("window")
+        driver.get(gate.url)
+    handles, seen = driver.window_handles, 0
+    for handle in reversed(handles):
+        driver.switch_to.window(handle)
+        seen += driver.execute_script("return document.visibilityState") == "visible"
+        _wait_for(lambda: driver.execute_script("return document.getElementById('map').dataset.shown"), "the map")
+    return seen
+
+
+def _clicked(driver: Any, clicks: int) -> list[float]:
+    """Times [ms] from a click on the map to the posterior on the page."""
+    chance = Random(1)
+    return [
+        float(driver.execute_async_script(CLICK, chance.uniform(0.2, 0.9), chance.uniform(0.1, 0.8)))
+        for _ in range(clicks)
+    ]
+
+
+def _main_thread(driver: Any, seconds: float) -> float:
+    """Share of a core that the main thread of the page takes in that time."""
+    driver.execute_cdp_cmd("Performance.enable", {})
+    began, before = time.monotonic(), _task_s(driver)
+    time.sleep(seconds)
+    return (_task_s(driver) - before) / (time.monotonic() - began)
+
+
+def _task_s(driver: Any) -> float:
+    found = driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return float(next(each["value"] for each in found if each["name"] == "TaskDuration"))
+
+
+def _wait_for(seen: Callable[[], Any], what: str) -> None:
+    deadline = time.monotonic() + WITHIN_S
+    while not seen():
+        if time.monotonic() > deadline:
+            raise PeerUnreachable(f"expected {what} within {WITHIN_S:g} s")
+        time.sleep(0.2)
