@@ -47,6 +47,10 @@ class ExecutionMonitor:
         self._obstacles = MetObstacles(terrain)
         self.detail = ""
         """A note on the rover for the operator; may be empty."""
+        self._silent: tuple[MissionTime, float] | None = None
+        """When an instrument fell silent, and the odometer then; None if none is known to be silent."""
+        self._answered_at: MissionTime = -1
+        """Latest time at which the instruments are known to have answered."""
 
     @property
     def place_m(self) -> Place:
@@ -65,6 +69,8 @@ class ExecutionMonitor:
     def heard(self, place_m: Place, driven_m: float, made_at: MissionTime) -> bool:
         """Note a reported place; returns whether the message, made at that time, is the newest so far."""
         newest = self._rover.heard(place_m, driven_m, made_at)
+        if self._silent is not None and driven_m > self._silent[1]:
+            self._answered(made_at)  # without terrain it does not move
         if newest:
             self._round_log.note_place(place_m)
         return newest
@@ -77,6 +83,7 @@ class ExecutionMonitor:
 
     def sample(self, report: SampleReport) -> Outcome:
         """The outcome of a measurement; a repeated or unplanned one changes nothing."""
+        self._answered(report.measured_at)
         match self._samples.take(report):
             case Repeated():
                 return Outcome()
@@ -104,11 +111,15 @@ class ExecutionMonitor:
             case EventKind.BLOCKED if event.round == 0:  # on a move that the operator commanded
                 self._obstacles.close_off(event)
                 return Outcome(True)
+            case EventKind.INSTRUMENT_SILENT if event.at < self._answered_at:
+                return Outcome()  # overtaken by what was measured since
             case EventKind.SAFE_MODE_ENTERED | EventKind.LOW_ENERGY | EventKind.INSTRUMENT_SILENT:
+                silent = event.kind is EventKind.INSTRUMENT_SILENT
+                self._silent = (event.at, event.driven_m) if silent else None
                 self.detail = f"{event.kind.value.replace('_', ' ')}: {event.detail}"[:400]
                 return Outcome()
             case EventKind.SAFE_MODE_LEFT | EventKind.CHARGED | EventKind.RESUMED:
-                self.detail = ""
+                self.detail, self._silent = "", None
                 return Outcome()
             case (
                 EventKind.ROUND_STARTED
@@ -135,6 +146,7 @@ class ExecutionMonitor:
         record.done.update(event.samples_done)
         if event.kind is EventKind.SAMPLE_SKIPPED and event.sample_id is not None:
             if record.settle(event.sample_id):
+                self._silent = None
                 self.detail = f"sample {event.sample_id} was skipped: {event.detail or 'no reason given'}"[:400]
         elif event.kind is EventKind.ROUND_COMPLETED:
             record.complete()
@@ -142,6 +154,12 @@ class ExecutionMonitor:
             ended = self._ended_early(record, event)
             return Outcome(True, (*notes, *ended.notes), outdated, ended.take_back, ended.start_m)
         return Outcome(True, notes, outdated)
+
+    def _answered(self, at: MissionTime) -> None:
+        """Note that the instruments answered at that time: the note on a silent one is over."""
+        self._answered_at = max(at, self._answered_at)
+        if self._silent is not None and at > self._silent[0]:
+            self.detail, self._silent = "", None
 
     def _begun(self, record: RoundRecord) -> tuple[bool, tuple[LogRecord, ...]]:
         """Whether the round that has begun had been replaced, with a note on it."""
@@ -158,6 +176,7 @@ class ExecutionMonitor:
         if not first_report and not blocked:
             return Outcome()
         record.break_off(event.at)
+        self._silent = None
         self.detail = f"round {record.number} ended early: {event.detail or event.kind.value}"[:400]
         place = (event.x_m, event.y_m)
         note = LogRecord(Level.WARNING, self.detail, {"round": record.number, "x_m": place[0], "y_m": place[1]})
@@ -172,6 +191,8 @@ class ExecutionMonitor:
             "rover": self._rover.checkpoint(),
             "obstacles": self._obstacles.checkpoint(),
             "detail": self.detail,
+            "silent": self._silent,
+            "answered_at": self._answered_at,
         }
 
     def restore(self, state: SavedState) -> None:
@@ -179,7 +200,8 @@ class ExecutionMonitor:
         self._samples.restore(state["samples"])
         self._rover.restore(state["rover"])
         self._obstacles.restore(state["obstacles"])
-        self.detail = state["detail"]
+        self.detail, self._silent = state["detail"], state["silent"]
+        self._answered_at = state["answered_at"]
 
 
 def _warning(text: str) -> LogRecord:

@@ -112,7 +112,7 @@ class StatusReporter:
             phase=facts.phase,
             planner=self._scenario.ground.planner,
             round=facts.rounds_completed,
-            rounds=self._scenario.rounds,
+            rounds=max(self._scenario.rounds, facts.rounds_completed),  # more make up for samples that were skipped
             samples=facts.samples,
             samples_total=self._scenario.samples,
             driven_m=facts.driven_m,

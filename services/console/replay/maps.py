@@ -114,7 +114,7 @@ class RecordedMaps:
         shown_until = now if index + 1 == len(overviews) else min(now, overviews[index + 1].at - 1)
         with self._lock:
             current, process, samples = self._map(index)
-            driven, planned = self._ground.paths(self._tape.heard_by(shown_until))
+            driven, planned = self._ground.paths(self._tape.told_by_ground(shown_until))
             terrain = self._ground.terrain.traversable
         open_cells = terrain if self._region is not None else _open_cells(overview)
         origin = overview.origin_lat_deg, overview.origin_lon_deg

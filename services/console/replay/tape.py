@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import InvalidInput
+from schemas.roles import Role
 from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_STATUS, MAP_OVERVIEW, Topic
 from services.console.report.verification import Evidence
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from schemas.wire import Header
     from services.mission.mission_time import MissionTime
     from services.recorder.reader import Recorded
+
+GROUND: Final = Role.GROUND.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,7 @@ class Tape:
         """The score of each revision that has one."""
         self.mean_std_ppb: dict[int, float] = {}
         """Mean over the cells of the standard deviation of each revision."""
+        self._by_ground: list[int] = []
         self._by_topic: dict[Topic, list[Heard]] = {}
         self._start_ns: MissionTime | None = None
         self.mission = ""
@@ -71,6 +75,14 @@ class Tape:
         """How many messages were received by that time."""
         return bisect_right(self.times, at)
 
+    def told_by_ground(self, at: MissionTime) -> int:
+        """How many messages were received up to the ground's last one by that time: the ground knew these at least.
+
+        It says something with every report that it takes in, so what came later came while it did not run.
+        """
+        position = bisect_left(self._by_ground, self.heard_by(at))
+        return self._by_ground[position - 1] + 1 if position else 0
+
     def of(self, topic: Topic, at: MissionTime) -> Sequence[Heard]:
         """The messages of that topic that were received by that time, in the order of reception."""
         found = self._by_topic.get(topic, [])
@@ -94,6 +106,8 @@ class Tape:
             if body.mean_std_ppb is not None:
                 self.mean_std_ppb.setdefault(body.map_revision, body.mean_std_ppb)
         self.mission = message.header.mission
+        if message.header.source == GROUND:
+            self._by_ground.append(len(self.messages))
         heard = Heard(message.topic, message.header, body, at)
         self.messages.append(heard)
         self._by_topic.setdefault(message.topic, []).append(heard)

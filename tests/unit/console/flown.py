@@ -136,22 +136,27 @@ def fly(path: Path) -> Flown:
             ISSUE_COMMAND, Telecommand(command_id="c3", kind=CommandKind.SET_KEEP_OUT, area_id="no", polygon_m=AREA)
         ),
     }  # fmt: skip
-    step = simulation.step
+    handle = simulation._handle
 
-    def watched() -> bool:
-        instant = simulation._next_instant()
-        until = simulation.now if instant is None else instant
-        for at in (*range(simulation.now, until, LOOK_EVERY_NS), until):
+    def look_until(instant: int) -> None:
+        for at in (*range(max(simulation.now, clock.at), instant, LOOK_EVERY_NS), instant):
             clock.at = at
             hub._time_passes()
-        while due and (instant is None or start_ns + due[0] * SECOND < instant):
+
+    def watched(instant: int) -> None:
+        """What a display looks at until that instant, and what an operator does before it; then what happens at it."""
+        while due and start_ns + due[0] * SECOND < instant:
+            look_until(start_ns + round(due[0] * SECOND))
             live[due[0]] = seen(hub, simulation.snapshots.get("ground"))
             due.pop(0)
-        for at_s in [each for each in orders if instant is not None and start_ns + each * SECOND < instant]:
+        look_until(instant)
+        ordered = [at_s for at_s in orders if start_ns + at_s * SECOND < instant]
+        for at_s in ordered:
             simulation.ask(*orders.pop(at_s))
-        return step()
+        if not ordered:  # else something may happen sooner
+            handle(instant)
 
-    simulation.step = watched  # type: ignore[method-assign]
+    simulation._handle = watched  # type: ignore[method-assign]
     with path.open("wb") as stream, RecordingWriter(stream, "faults", about=about(world.scenario)) as writer:
 
         def record(topic: Topic, side: Side, payload: bytes, now: int) -> None:

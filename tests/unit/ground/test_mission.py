@@ -445,6 +445,7 @@ def test_rounds_without_a_sample_are_tried_again_forty_times_at_most() -> None:
     end = mission.run()
     assert len(mission.snapshot.samples) == 2
     assert "40 rounds in a row brought no sample" in end.why
+    assert mission.status.round == mission.status.rounds > 40, "never more rounds than there are"
 
 
 def test_when_the_last_round_ran_from_an_older_plan_the_mission_still_ends() -> None:
@@ -755,6 +756,20 @@ def test_silence_of_the_rover_is_reported_once_and_ends_when_it_is_heard() -> No
     assert mission.status.detail.startswith("the rover is silent")
     mission.simulation.run_for(700.0)
     assert "silent" not in mission.status.detail
+
+
+def test_a_silent_instrument_is_said_until_the_rover_has_a_measurement_or_drives() -> None:
+    mission = Mission(scenario(ground={"rover_timeout_s": 1e6}))
+    mission.simulation.run_for(100.0)
+    now = mission.simulation.now
+    silent = RoverEvent(
+        kind=EventKind.INSTRUMENT_SILENT, at=now, x_m=5.0, y_m=5.0, driven_m=7.0, detail="moon/field/terrain: timeout"
+    )
+    for driven_m, made_at, said in ((7.0, now + 5, True), (7.5, now - 5, True), (7.5, now + 9, False)):
+        mission.tell_ground(EVENT, silent, made_at=now)
+        here = state(1, (6.0, 5.0), 1, "driving").model_copy(update={"driven_m": driven_m})
+        mission.tell_ground(STATE, here, made_at=made_at)
+        assert mission.status.detail.startswith("instrument silent: moon/field/terrain") is said
 
 
 # --- commands ---------------------------------------------------------------------------------------------------
