@@ -39,6 +39,7 @@ from tests.waiting import PATIENCE_S, expect_within, until
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 IPV6 = Path("/proc/net/if_inet6").exists() and Path("/proc/net/if_inet6").read_text() != ""
+AXE = Path(__file__).parents[1] / "vendor" / "axe-core" / "axe.min.js"
 ENTER, ESCAPE = "\ue007", "\ue00c"
 RATE = 60.0
 LIGHT_TIME_S = 1.282
@@ -852,6 +853,7 @@ def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_befor
     browser.switch_to.active_element.send_keys(f"\ue009a\ue000new{ENTER}")
     click(browser, "[aria-label='Remove gone']")
     click(browser, "[aria-label='Remove empty']")
+    assert script(browser, "return document.activeElement.id") == "undo-area"  # where the keyboard goes on
     click(browser, "#undo-area")
     assert written(browser, "#area-changes-note") == "2 changes are not sent"
     assert mission.areas() == before
@@ -916,6 +918,41 @@ def test_the_page_fits_a_phone_in_light_and_dark(browser: Any) -> None:
         )
         assert script(browser, "return getComputedStyle(document.documentElement).colorScheme") == scheme
         assert script(browser, "return document.documentElement.scrollWidth") <= 390
+
+
+def barriers(driver: Any) -> list[tuple[str, str]]:
+    """What axe-core finds on the page that is serious or worse: the rule, and the first element that breaks it."""
+    driver.execute_script(AXE.read_text())
+    return [
+        (found["id"], found["nodes"][0]["html"][:200])
+        for found in driver.execute_async_script(
+            "const done = arguments[0]; axe.run().then((it) => done(it.violations))"
+        )
+        if found["impact"] in ("serious", "critical")
+    ]
+
+
+@pytest.mark.exhaustive
+def test_no_view_of_the_page_has_a_serious_barrier(browser: Any, address: str, mission: MissionClient) -> None:
+    size = {"width": 1440, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    past = mission.history().revisions[1].revision
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get("about:blank")
+    browser.get(
+        f"{address}#compare=swipe&with=error&relief=1&zoom=2&draw=50,50,90,50,90,90&measure=10,10,40,60&revision={past}"
+    )
+    until(lambda: shown(browser).get("other") == "error", "the map")
+    script(browser, "for (const each of document.querySelectorAll('details')) each.open = true")
+    press(browser, "Escape", "n")
+    until(lambda: browser.find_elements("id", "sample-facts"), "a sample")
+    for theme, width in (("dark", 1440), ("light", 390)):
+        script(browser, "document.documentElement.dataset.theme = arguments[0]", theme)
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"width": width})
+        assert barriers(browser) == [], (theme, width)
+    click(browser, "[data-command=pause]")
+    until(lambda: "word back" in written(browser, "#preview"), "the preview")
+    assert barriers(browser) == []
+    browser.switch_to.active_element.send_keys(ESCAPE)
 
 
 def test_a_page_whose_server_is_gone_says_so_and_knows_neither_time_nor_mission(

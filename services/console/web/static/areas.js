@@ -156,22 +156,42 @@ export function showAreas() {
   drawList();
 }
 
-let drawn = "";
+// Rows that are the same stay the same elements: nothing changes under the pointer, or while a name is being written.
+const rows = new Map(); // key -> { said, item }
 function drawList() {
-  const now = JSON.stringify([listed, changes, selected, renaming]);
-  if (now === drawn) return; // a row that is being clicked stays the same
-  drawn = now;
-  const list = $("areas");
-  list.replaceChildren(...listed.map(row));
-  if (!listed.length) list.append(element("li", { class: "dim" }, "No keep-out and no area of interest is set"));
+  const list = $("areas"), focused = document.activeElement, held = list.contains(focused) && { key: focused.closest("li").dataset.key, act: focused.dataset.act };
+  const wanted = listed.map(rowOf);
+  if (!wanted.length) wanted.push(NONE);
+  wanted.forEach((item, index) => { if (list.children[index] !== item) list.insertBefore(item, list.children[index] ?? null); });
+  while (list.children.length > wanted.length) list.lastChild.remove();
   $("area-changes").hidden = changes.length === 0;
   $("area-changes-note").textContent = changes.length ? `${changes.length === 1 ? "1 change is" : `${changes.length} changes are`} not sent` : "";
   look();
+  if (held && !focused.isConnected && !renaming) focusOn(held);
 }
 
+// The keyboard stays where it was in the list, as far as that is still there; else it goes to what can be done next.
+function focusOn({ key, act }) {
+  const row = [...$("areas").children].find((each) => each.dataset.key === key);
+  const control = row?.querySelector(`[data-act="${act}"]`) ?? (changes.length ? $("undo-area") : row?.querySelector("[data-act=show]"));
+  control?.focus({ preventScroll: true });
+}
+
+const NONE = element("li", { class: "dim" }, "No keep-out and no area of interest is set");
 let renaming = null; // key of the area whose new name is being written
-function row(area) {
-  const change = changes.find(({ key }) => key === area.key), name = element("button", { type: "button", class: "ghost", title: "Show on the map" }, area.name);
+
+function rowOf(area) {
+  const change = changes.find(({ key }) => key === area.key), known = rows.get(area.key);
+  const said = JSON.stringify([area, change, selected === area.key, renaming === area.key]);
+  if (known?.said === said) return known.item;
+  const item = row(area, change);
+  rows.set(area.key, { said, item });
+  return item;
+}
+
+function row(area, change) {
+  const name = element("button", { type: "button", class: "ghost", title: "Show on the map" }, area.name);
+  name.dataset.act = "show";
   name.setAttribute("aria-pressed", String(area.key === selected));
   name.addEventListener("click", () => select(area));
   const about = `${KINDS[area.kind]}${area.weight === undefined ? "" : ` ×${area.weight}`} · ${grouped(squareMetres(area.corners))} m²${area.on ? ` · ${area.on}` : ""}`;
@@ -185,21 +205,27 @@ function actions(area) {
   const under = (...made) => [element("span", { class: "commanders row-actions" }, ...made)];
   if (renaming === area.key) {
     const field = element("input", { type: "text", value: area.name, maxLength: 40 });
+    field.dataset.act = "rename"; // where the keyboard goes when the name is left as it was
     field.setAttribute("aria-label", `New name of ${area.name}`);
-    const keep = element("button", { type: "button" }, "Keep name"), leave = () => { renaming = null; drawList(); };
+    const keep = element("button", { type: "button" }, "Rename"), leave = () => { renaming = null; drawList(); };
     const take = () => attempt(async () => { rename(area, field.value.trim()); });
-    keep.textContent = "Rename";
+    keep.dataset.act = "rename";
     keep.addEventListener("click", take);
     field.addEventListener("keydown", (event) => {
       if (event.key === "Enter") take();
       else if (event.key === "Escape") leave();
+      else return;
+      event.preventDefault(); // the key is not for the control that has the focus now
     });
     requestAnimationFrame(() => { field.focus(); field.select(); });
     const cancel = element("button", { type: "button", class: "ghost" }, "Cancel");
+    cancel.dataset.act = "rename";
     cancel.addEventListener("click", leave);
     return under(field, keep, cancel);
   }
   const begin = element("button", { type: "button", class: "ghost" }, "Rename"), remove = element("button", { type: "button", class: "ghost" }, "Remove");
+  begin.dataset.act = "rename";
+  remove.dataset.act = "remove";
   begin.setAttribute("aria-label", `Rename ${area.name}`);
   remove.setAttribute("aria-label", `Remove ${area.name}`);
   begin.addEventListener("click", () => { renaming = area.key; drawList(); });

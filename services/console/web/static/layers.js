@@ -195,10 +195,10 @@ $("range-auto").addEventListener("click", () => setRange(null));
 
 // --- the value under the pointer ------------------------------------------------------------------------------------
 
-function showHover(place, at, event) {
+function showHover(place, at, event, sample) {
   const box = $("hover");
   if (!place) { box.hidden = true; return; }
-  box.textContent = valueText(place, map.paneAt(at[0]));
+  box.textContent = valueText(place, map.paneAt(at[0])) + (sample ? `  ·  sample ${sample.sample_id}: ${grouped(sample.helium3_ppb, 3)} ppb` : "");
   box.hidden = false;
   const wrap = $("map").getBoundingClientRect();
   box.style.left = `${Math.min(at[0] + 14, wrap.width - box.offsetWidth - 4)}px`;

@@ -119,7 +119,9 @@ export class SiteMap {
 
   hover(px, py, event) {
     if (px === null) { this.onHover(null); return; }
-    this.onHover(this.place(px, py), [px, py], event);
+    const sample = this.sampleNear(px, py, NEAR_PX.mouse);
+    this.canvas.classList.toggle("on-sample", sample !== null && !this.drawing && !this.measuring);
+    this.onHover(this.place(px, py), [px, py], event, sample);
   }
 
   take(px, py, event) {
