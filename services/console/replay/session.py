@@ -14,17 +14,22 @@ from he3.errors import InvalidInput, NotAllowed, NotFound, NotReady
 from schemas.commands import CommandList
 from schemas.ground import InterestArea, InterestList
 from schemas.link import ClockMode, ClockState
+from schemas.mission_log import MAX_ENTRIES, MAX_EVENTS, MAX_MODES, HeardEvent, MissionLog, ModeChange
 from schemas.plans import PlanReview
 from schemas.topics import (
     COMMAND_STATUS,
     EARTH_CLOCK,
+    EVENT,
     INTERESTS,
     LINK_SHOW,
     LINK_STATUS,
     LIST_COMMANDS,
     LIST_INTERESTS,
+    LOG_ENTRY,
     MAP_FEED,
+    SHOW_LOG,
     SHOW_PLAN,
+    STATE,
     Side,
     Topic,
 )
@@ -165,6 +170,8 @@ class RecordedSession(Client):
             return CommandList(commands=self._commands())
         if topic is LIST_INTERESTS:
             return self._interests()
+        if topic is SHOW_LOG:
+            return self._log()
         if topic is SHOW_PLAN:
             return PlanReview()  # plans that were not approved are not recorded
         if topic is LINK_SHOW:
@@ -235,6 +242,25 @@ class RecordedSession(Client):
             if name not in known or len(known[name].stages) <= len(heard.body.stages):
                 known[name] = heard.body
         return tuple(known.values())[-MAX_COMMANDS:]
+
+    def _log(self) -> MissionLog:
+        """The ground's log: its entries, and the rover's events and changes of mode in the order of reception."""
+        now = self.now()
+        entries = {heard.body.number: heard.body for heard in self._tape.of(LOG_ENTRY, now)}
+        events = {
+            (heard.header.incarnation, heard.header.sequence): HeardEvent(event=heard.body, received_at=heard.at)
+            for heard in reversed(self._tape.of(EVENT, now))  # of repetitions the first one counts
+        }
+        modes: list[ModeChange] = []
+        for heard in self._tape.of(STATE, now):
+            mode, made_at = heard.body.mode, heard.header.made_at
+            if not modes or (made_at > modes[-1].made_at and mode is not modes[-1].mode):
+                modes.append(ModeChange(mode=mode, made_at=made_at, received_at=heard.at))
+        return MissionLog(
+            entries=tuple(entries[number] for number in sorted(entries))[-MAX_ENTRIES:],
+            events=tuple(reversed(events.values()))[-MAX_EVENTS:],
+            modes=tuple(modes[-MAX_MODES:]),
+        )
 
     def _interests(self) -> InterestList:
         """The areas of interest; until the first change, those of the scenario."""

@@ -76,6 +76,15 @@ def test_areas_of_interest_and_earlier_maps_are_those_of_the_time(recorded: Reco
     assert recorded.history().revisions[-1].revision > early.revision
 
 
+def test_the_log_is_that_of_the_time_with_every_event_once(hub: Hub, recorded: RecordedMission) -> None:
+    hub.play(INSTANTS_S[9], None)
+    log, page = recorded.log(), hub._document()
+    assert [entry.model_dump(mode="json") for entry in log.entries] == page["entries"] != []
+    assert [change.model_dump(mode="json") for change in log.modes] == page["modes"] != []
+    heard = [(each.event.kind.value, each.received_at) for each in log.events]
+    assert sorted(heard) == sorted((each["kind"], each["received_at"]) for each in page["events"]) != []
+
+
 def test_nothing_that_changes_a_mission_is_answered(recorded: RecordedMission) -> None:
     for change in (
         lambda: recorded.command("pause"), lambda: recorded.set_link(loss=0.5), lambda: recorded.set_clock_rate(2.0),
