@@ -3,6 +3,8 @@
 
 import { nice, tenth } from "./projection.js";
 
+const TICKS_APART_PX = 80; // at least
+
 export function axes(context, projection, colour) {
   const { left, right, top, bottom } = projection.box, { west, south, east, north } = projection.window;
   context.strokeStyle = colour("--line");
@@ -10,7 +12,7 @@ export function axes(context, projection, colour) {
   context.font = "11px system-ui, sans-serif";
   context.lineWidth = 1;
   context.strokeRect(left - .5, top - .5, right - left + 1, bottom - top + 1);
-  const step = nice(Math.max(east - west, north - south) / (right - left < 420 ? 4 : 6)), digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  const step = nice(TICKS_APART_PX / projection.scale), digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   const ticks = (low, high) => Array.from({ length: Math.floor(high / step + 1e-6) - Math.ceil(low / step - 1e-6) + 1 }, (_, index) => (Math.ceil(low / step - 1e-6) + index) * step);
   for (const value of ticks(west, east)) {
     const [x] = projection.at(value, 0), text = `${value.toFixed(digits)}${value === 0 ? " m" : ""}`, half = context.measureText(text).width / 2;
