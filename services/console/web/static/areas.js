@@ -273,6 +273,8 @@ async function deliver({ kind, name, corners, weight }, change) {
   return set({ area_id: name });
 }
 
+addEventListener("beforeunload", (event) => { if (changes.length) event.preventDefault(); }); // the browser asks first
+
 inAddress("area", () => selected, (text) => { selected = text; showAreas(); });
 inAddress("draw", () => map.draft.flat().join(","), (text) => {
   const corners = pairs(text);
