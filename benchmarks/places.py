@@ -175,14 +175,17 @@ def _outcome(flight: tuple[Path, Path, str, str, str, int, int, Conditions]) -> 
         return str(error)
 
 
-def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int, seed: int, shared: Conditions) -> Row:
-    """Build the region, fly one mission over it, and return its row."""
+def fly(
+    data: Path, root: Path, name: str, size: str, planner: str, rounds: int, seed: int, shared: Conditions,
+    cost: str = "distance",
+) -> Row:  # fmt: skip
+    """Build the region, fly one mission over it, and return its row. cost: `ground.cost`."""
     from services.console.launch.in_process import run_in_process
     from services.console.report.outputs import outputs
     from services.console.report.progress import SilentProgress
 
     place = PLACES[name]
-    folder = root / f"{name}-{size}-{planner}"
+    folder = root / (f"{name}-{size}-{planner}" + ("" if cost == "distance" else f"-{cost}"))
     build_region(recipe_of(place, size, name), data, folder / "region")
     region = load_region(folder / "region")
     expect_open(region, shared.start_m)
@@ -192,7 +195,7 @@ def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int,
         "name": f"{name}-{size}", "region": str(folder / "region"), "seed": seed, "rounds": rounds,
         "start_m": shared.start_m or start_of(region),
         "field": {"noise_std_ppb": shared.noise_std_ppb},
-        "ground": {"planner": planner, "kernel": kernel, "status_period_s": period_s,
+        "ground": {"planner": planner, "kernel": kernel, "status_period_s": period_s, "cost": cost,
                    **({"budget_m": shared.budget_m} if isfinite(shared.budget_m) else {})},
         "rover": {"state_period_s": period_s},
     }, "places")  # fmt: skip
@@ -205,6 +208,7 @@ def fly(data: Path, root: Path, name: str, size: str, planner: str, rounds: int,
     elif not steepest <= _LIMIT_DEG:
         problem = f"expected a path over at most {_LIMIT_DEG:g} deg of the original raster, got {steepest:.2f} deg"
     return {
+        "cost": cost, "driving": None if report.driving is None else report.driving.model_dump(),
         "place": name, "size": size, "planner": planner, "cells": region.grid.columns * region.grid.rows,
         "width_m": region.grid.width_m, "samples": report.samples, "rmse_ppb": report.rmse_ppb,
         "std_ppb": float(region.he3_ppb.std()), "path_length_m": report.path_length_m,

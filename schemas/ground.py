@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -45,6 +45,16 @@ class KernelParameters(Wire):
     """The kernels that together stand for what the samples leave possible; None where this one is taken for certain."""
 
 
+class CostTally(Wire):
+    """What driving has cost so far, by the ground's knowledge."""
+
+    kind: Literal["distance", "time", "energy"]
+    unit: Literal["m", "h", "Wh"]
+    spent: Annotated[float, Field(ge=0)]
+    budget: Annotated[float, Field(gt=0)] | None
+    """What it may cost in all; None: as much as it takes. A budget of hours counts all hours, and is not meant."""
+
+
 class GroundStatus(Wire):
     """The state of the mission on the ground."""
 
@@ -69,6 +79,8 @@ class GroundStatus(Wire):
     rover: RoverState | None
     rover_made_at: MissionTimeNs | None
     """Mission time at which the rover reported its last state; None if it has reported none."""
+    cost: CostTally | None = Field(default=None, exclude_if=is_none)
+    """What driving has cost, where `ground.cost` is not the distance."""
     detail: Text = ""
     proposal: Count | None = Field(default=None, exclude_if=is_none)
     """Number of the plan that waits for the operator's approval; None if none does."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -65,6 +65,13 @@ class PlanProposal(Wire):
     """Length of its path."""
     lasts_s: Annotated[float, Field(ge=0)] | None
     """Expected duration, charging included; None: the sun never charges the rover enough."""
+    drive_s: Annotated[float, Field(ge=0)] = 0.0
+    """Expected time in motion, without charging [s]."""
+    energy_wh: Annotated[float, Field(ge=0)] = 0.0
+    """Energy that is drawn while it drives, the base load included [Wh]."""
+    cost: Annotated[float, Field(ge=0)] = 0.0
+    """Cost of its path, by the mission's `ground.cost`."""
+    cost_unit: Literal["m", "h", "Wh"] = "m"
     last: bool
     """Whether no round follows it."""
     proposed_at: MissionTimeNs

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from schemas.link import DirectionCounts
 from schemas.maps import MapScore, RegionLayer
 from schemas.wire import Count, Provenance, Text, Wire
@@ -28,6 +30,25 @@ class ReportSample(Wire):
     helium3_ppb: float
     measured_at_s: float
     """Mission time since the start [s]."""
+
+
+class DrivingReport(Wire):
+    """What driving took, by the rover's own model over the region's terrain; charging and sampling are not in it."""
+
+    cost: Literal["distance", "time", "energy"]
+    """What the planner kept low (`ground.cost`)."""
+    unit: Literal["m", "h", "Wh"]
+    spent: float
+    """The cost, in that unit."""
+    duration_h: float
+    energy_wh: float
+    """Energy that was drawn in motion, the base load included."""
+    motion_wh: float
+    """Of it, for traction and climbing."""
+    climb_m: float
+    """Sum of all rises from cell to cell."""
+    steepest_deg: float
+    """The steepest cell on the path."""
 
 
 class MissionReport(Wire):
@@ -59,6 +80,7 @@ class MissionReport(Wire):
     coverage_68: float | None
     coverage_95: float | None
     path_length_m: float
+    driving: DrivingReport | None = None
     drilled_m: float
     mission_time_s: float
     wall_time_s: float

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, inf, isfinite, pi, radians, tan
 from typing import TYPE_CHECKING
 
+from he3.driving import J_PER_WH, DriveFigures
 from services.mission.mission_time import SECOND, MissionTime
 
 if TYPE_CHECKING:
+    from he3.driving_cost import CostUnit
     from services.mission.scenario import Scenario
     from services.runtime.node import SavedState
 
@@ -17,7 +19,6 @@ TOUR_CONSTANT = 0.7124
 """Length of the shortest tour through n random places in an area A is about this times sqrt(n A)
 (Beardwood, Halton & Hammersley 1959)."""
 
-J_PER_WH = 3600.0
 MAX_HALVINGS = 100
 MIN_M = 1e-6
 """Precision to which the metres that fit into the hours are computed [m]."""
@@ -26,13 +27,19 @@ ROUNDING_M = 0.05
 """Reserve per round [m], because paths are sent rounded to the millimetre and may become longer."""
 
 
+NO_DRIVE = DriveFigures()
+
+
 @dataclass(frozen=True, slots=True)
 class Committed:
     """Metres and samples that the planned and unfinished rounds will still take."""
 
     metres: float
+    """Not those of `driving`."""
     samples: int
     rounds: int
+    driving: DriveFigures = NO_DRIVE
+    """What driving over the terrain takes, where it is known in detail."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +48,13 @@ class RemainingBudget:
 
     samples: int
     metres: float
+    """Level metres, where legs cost time or energy (``he3.driving_cost``)."""
     why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedDrive:
-    """A drive on ground of the mean slope."""
+    """A drive, and the charging that it needs."""
 
     duration_s: float
     """Charging included; infinite if the sun never charges the rover enough."""
@@ -59,13 +67,24 @@ class ExpectedDrive:
 class Budget:
     """The scenario's budgets. Climbs are those on a plane of the mean slope, averaged over all headings."""
 
-    def __init__(self, scenario: Scenario, open_area_m2: float, mean_slope_deg: float) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        open_area_m2: float,
+        mean_slope_deg: float,
+        unit: CostUnit | None = None,
+        level_metres: float = 1.0,
+    ) -> None:
+        """unit: of the mission's cost. level_metres: cost of a metre of open ground [level m]."""
         rover, ground, link = scenario.rover, scenario.ground, scenario.link
         self._metres = ground.budget_m
         self._ends: MissionTime | None = None
         if ground.budget_h is not None:
             self._ends = scenario.start_ns + round(ground.budget_h * 3600 * SECOND)
         self._hours = ground.budget_h
+        self._energy_wh = ground.budget_wh
+        self._unit = unit
+        self._level_metres = level_metres
         drill_s = scenario.sample_depth_m * rover.drill_s_per_m
         self._sample_s = drill_s + rover.analysis_s
         self._speed_m_s = rover.speed_m_s / (1 + rover.slope_slowdown * mean_slope_deg / rover.slope_limit_deg)
@@ -92,8 +111,9 @@ class Budget:
         When the battery is down to its reserve the rover stands and charges, each time up to the same level; infinite
         if the sun never charges it.
         """
-        work_s = committed.metres / self._speed_m_s + committed.samples * self._sample_s
-        need_j = committed.metres * self._metre_j + committed.samples * self._sample_j
+        driving = committed.driving
+        work_s = committed.metres / self._speed_m_s + committed.samples * self._sample_s + driving.duration_s
+        need_j = committed.metres * self._metre_j + committed.samples * self._sample_j + driving.motion_j
         usable_j = max(0.0, self._charge_wh - self._reserve_wh) * J_PER_WH
         missing_j = need_j - self._surplus_w * work_s - usable_j
         if missing_j <= 0:
@@ -102,18 +122,21 @@ class Budget:
             return inf
         return work_s + ceil(missing_j / self._charged_j) * self._charged_j / self._surplus_w
 
-    def drive(self, metres: float) -> ExpectedDrive:
-        """The expected duration and energy of a drive of that length from now on."""
-        duration_s = self.lasts_s(Committed(metres, 0, 0))
-        energy_wh = metres * self._metre_j / J_PER_WH
+    def drive(self, driving: DriveFigures) -> ExpectedDrive:
+        """The expected duration and energy of a drive with those figures from now on."""
+        duration_s = self.lasts_s(Committed(0.0, 0, 0, driving))
+        energy_wh = driving.motion_j / J_PER_WH
         if not isfinite(duration_s):
             return ExpectedDrive(duration_s, energy_wh, min(self._charge_wh, self._reserve_wh))
         charge_wh = self._charge_wh + self._surplus_w * duration_s / J_PER_WH - energy_wh
         return ExpectedDrive(duration_s, energy_wh, min(max(0.0, charge_wh), self._capacity_wh))
 
-    def left(self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int) -> RemainingBudget:
+    def left(
+        self, now: MissionTime, driven_m: float, committed: Committed, samples_wanted: int, spent: float = 0.0
+    ) -> RemainingBudget:
         """The number of wanted samples, and the metres, that may still be planned.
 
+        spent: what driving has cost so far, in the unit.
         Hours are converted into metres at the pace expected on this terrain, less the time for charging. Where they do
         not suffice for all samples, as many are planned as fit with the legs of a good tour between them.
         """
@@ -122,12 +145,18 @@ class Budget:
             metres = self._metres - driven_m - committed.metres - ROUNDING_M
             if metres <= 0:
                 return RemainingBudget(0, 0.0, f"the budget of {self._metres:g} m is spent or promised")
+        if self._energy_wh is not None and self._unit is not None:
+            left_wh = self._energy_wh - spent - self._unit.of(committed.driving)
+            metres = left_wh / self._unit.per_level_metre - ROUNDING_M
+            if metres <= 0:
+                return RemainingBudget(0, 0.0, f"the budget of {self._energy_wh:g} Wh is spent or promised")
         if self._ends is None:
             return RemainingBudget(samples_wanted, metres)
         time_s = (self._ends - now) / SECOND
 
         def fits(more_m: float, more: int) -> bool:
-            planned = Committed(committed.metres + more_m, committed.samples + more, committed.rounds)
+            more_m /= self._level_metres
+            planned = replace(committed, metres=committed.metres + more_m, samples=committed.samples + more)
             waits_s = (committed.rounds + more / self._per_round) * self._round_s
             return self.lasts_s(planned) + waits_s <= time_s
 
@@ -135,7 +164,7 @@ class Budget:
         samples = bisect_left(counts, True, key=lambda count: not fits(count * self._leg_m, count))
         if samples < 1:
             return RemainingBudget(0, 0.0, f"the budget of {self._hours:g} h is spent or promised")
-        least, most = samples * self._leg_m, time_s * self._speed_m_s
+        least, most = samples * self._leg_m, time_s * self._speed_m_s * self._level_metres
         for _ in range(MAX_HALVINGS):
             if most - least <= MIN_M:
                 break

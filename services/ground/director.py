@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from schemas.plans import RoundPlan
     from services.ground.belief import Belief
     from services.ground.budget import Budget, RemainingBudget
+    from services.ground.driving_costs import DrivingCosts
     from services.ground.execution import ExecutionMonitor, Outcome
     from services.ground.interests import InterestAreas
     from services.ground.planners.interface import PlannedRound
@@ -56,6 +57,8 @@ class MissionProgress:
     samples: int
     """Samples in the map."""
     driven_m: float
+    spent: float
+    """What driving has cost, in the unit of `ground.cost`."""
     plan_revision: int
     planning: bool
     """Whether a round is being planned, or waits for approval."""
@@ -81,6 +84,7 @@ class Director:
         refits: RefitSchedule,
         planning: RoundPlanning,
         budget: Budget,
+        costs: DrivingCosts,
         interests: InterestAreas,
     ) -> None:
         self._scenario = scenario
@@ -91,6 +95,7 @@ class Director:
         self._refits = refits
         self._planning = planning
         self._budget = budget
+        self._costs = costs
         self._interests = interests
         self._excursions = Excursions()
         self._rejections = PlanRejections()
@@ -131,6 +136,7 @@ class Director:
             rounds_completed=self._round_log.completed,
             samples=len(self._belief),
             driven_m=self._execution.driven_m,
+            spent=self._costs.spent(self._round_log, self._execution.driven_m),
             plan_revision=self._planning.revision,
             planning=self._planning.busy,
             proposed=self._planning.proposed,
@@ -143,7 +149,7 @@ class Director:
         """Expected time at which the rover has done all planned rounds; None if there are none, or if it never will."""
         if not self._round_log.open_rounds:
             return None
-        lasts_s = self._budget.lasts_s(self._round_log.committed())
+        lasts_s = self._budget.lasts_s(self._costs.committed(self._round_log))
         return now + seconds(lasts_s) if isfinite(lasts_s) else None
 
     # --- events -----------------------------------------------------------------------------------------------------
@@ -316,7 +322,10 @@ class Director:
 
     def _next_plan(self, now: MissionTime) -> list[Effect]:
         log = self._round_log
-        remaining = self._budget.left(now, self._execution.driven_m, log.committed(), self._samples_wanted)
+        driven_m = self._execution.driven_m
+        remaining = self._budget.left(
+            now, driven_m, self._costs.committed(log), self._samples_wanted, self._costs.spent(log, driven_m)
+        )
         why = self._why_no_more_rounds(remaining)
         if why is not None:
             self._end.give_up_planning(why)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from he3.driving import DrivenGround
 from he3.errors import He3Error, InvalidInput
 from he3.posterior.grid import expect_map_fits
 from he3.trend import OrbitalTrend
@@ -42,6 +43,7 @@ from services.ground.belief import Belief
 from services.ground.budget import Budget
 from services.ground.command_history import CommandHistory
 from services.ground.director import REPLAN_TIMER, Director
+from services.ground.driving_costs import DrivingCosts
 from services.ground.execution import ExecutionMonitor
 from services.ground.forking import Forking
 from services.ground.interests import InterestAreas
@@ -376,12 +378,14 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     round_log = RoundLog()
     samples = SampleIntake(belief, round_log)
     refits = RefitSchedule(belief, round_log, scenario.seed)
-    planning = RoundPlanning(scenario, grid, belief, terrain, round_log, interests, planner)
+    driven_ground = DrivenGround(grid, region.slope_deg, region.elevation_m, scenario.rover.driving)
+    costs = DrivingCosts(ground.cost, driven_ground, terrain.traversable)
+    planning = RoundPlanning(scenario, grid, belief, terrain, round_log, interests, planner, costs.terrain)
     mean_slope = float(region.slope_deg[terrain.traversable].mean())
     open_area = float(terrain.traversable.sum()) * grid.resolution_m**2
-    budget = Budget(scenario, open_area, mean_slope)
+    budget = Budget(scenario, open_area, mean_slope, costs.unit, costs.level_metres_a_metre)
     execution = ExecutionMonitor(terrain, round_log, samples, scenario.start_m)
-    director = Director(scenario, belief, terrain, round_log, execution, refits, planning, budget, interests)
+    director = Director(scenario, belief, terrain, round_log, execution, refits, planning, budget, costs, interests)
     scorer = Scorer(region.he3_ppb) if ground.score else None
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
@@ -398,13 +402,13 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
         director=director,
         interests=interests,
         telecommands=TelecommandHandler(scenario, NAME, history, director, authority),
-        previews=CommandPreviews(history, terrain, round_log, execution, budget),
-        reviewer=PlanReviewer(planning, budget, director, authority),
+        previews=CommandPreviews(history, terrain, round_log, execution, budget, costs),
+        reviewer=PlanReviewer(planning, budget, costs, director, authority),
         forking=Forking(scenario, terrain, round_log, execution, planning, STATE_TYPES),
         authority=authority,
         operations=OperationsLog(round_log, budget, scenario.link.up.one_way_light_time_s),
         publisher=publisher,
-        status=StatusReporter(scenario, belief, director, publisher, silence, note),
+        status=StatusReporter(scenario, belief, director, publisher, silence, note, costs.unit),
         silence=silence,
         stall=StallGuard(StallWatch(scenario), director, silence),
         status_period_s=ground.status_period_s,

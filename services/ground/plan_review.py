@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from he3.driving import J_PER_WH
 from he3.errors import InvalidInput
 from schemas.plans import PlanDecision, PlanProposal, PlanReview, PlanVerdict
 from services.ground.budget import Committed
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from services.ground.authority import CommandAuthority
     from services.ground.budget import Budget
     from services.ground.director import Director
+    from services.ground.driving_costs import DrivingCosts
     from services.ground.planning import RoundPlanning
     from services.ground.round_plans import ProposedRound
     from services.mission.mission_time import MissionTime
@@ -25,10 +27,16 @@ class PlanReviewer:
     """Shows the plan that waits for approval, and carries out what the operator decides."""
 
     def __init__(
-        self, planning: RoundPlanning, budget: Budget, director: Director, authority: CommandAuthority
+        self,
+        planning: RoundPlanning,
+        budget: Budget,
+        costs: DrivingCosts,
+        director: Director,
+        authority: CommandAuthority,
     ) -> None:
         self._planning = planning
         self._budget = budget
+        self._costs = costs
         self._director = director
         self._authority = authority
 
@@ -38,12 +46,17 @@ class PlanReviewer:
         if proposed is None:
             return PlanReview()
         length_m, count = path_length_m(proposed.plan), len(proposed.plan.samples)
-        lasts_s = self._budget.lasts_s(Committed(length_m, count, 1))
+        figures = self._costs.figures(proposed.plan.path_m)
+        lasts_s = self._budget.lasts_s(Committed(0.0, count, 1, figures))
         proposal = PlanProposal(
             proposal=proposed.number,
             plan=proposed.plan,
             length_m=length_m,
             lasts_s=lasts_s if isfinite(lasts_s) else None,
+            drive_s=figures.duration_s,
+            energy_wh=figures.energy_j / J_PER_WH,
+            cost=self._costs.unit.of(figures),
+            cost_unit=self._costs.unit.unit,
             last=proposed.task.samples_left <= count,
             proposed_at=proposed.proposed_at,
         )

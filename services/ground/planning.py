@@ -19,6 +19,7 @@ from services.ground.round_plans import PlanningTask, ProposedRound, round_plan,
 from services.runtime.node import Compute
 
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from he3.frames import FloatArray, Place, SiteGrid
     from schemas.plans import PlannedSample, RoundPlan
     from services.ground.belief import Belief
@@ -49,6 +50,7 @@ class RoundPlanning:
         round_log: RoundLog,
         interests: InterestAreas,
         planner: str | Planner | None = None,
+        cost: TerrainCost | None = None,
     ) -> None:
         """planner: in place of the scenario's. Raises InvalidInput for a plug-in planner that cannot be imported."""
         self._scenario = scenario
@@ -57,6 +59,7 @@ class RoundPlanning:
         self._terrain = terrain
         self._round_log = round_log
         self._interests = interests
+        self._cost = cost
         self._planner = planner if planner is not None else scenario.ground.planner
         self._run: Callable[..., PlannedRound] = run_planner
         if isinstance(self._planner, str) and ":" in self._planner:
@@ -130,6 +133,7 @@ class RoundPlanning:
             interest=self._interests.weights,
             options=options,
             outlook_m=self._outlook_m,
+            cost=self._cost,
         )
 
     def cancel(self) -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from he3.frames import Place
     from services.ground.budget import Budget
     from services.ground.command_history import CommandHistory
+    from services.ground.driving_costs import DrivingCosts
     from services.ground.execution import ExecutionMonitor
     from services.ground.round_log import RoundLog
     from services.ground.round_record import RoundRecord
@@ -56,12 +57,14 @@ class CommandPreviews:
         round_log: RoundLog,
         execution: ExecutionMonitor,
         budget: Budget,
+        costs: DrivingCosts,
     ) -> None:
         self._history = history
         self._terrain = terrain
         self._round_log = round_log
         self._execution = execution
         self._budget = budget
+        self._costs = costs
 
     def of(self, command: Telecommand, rover: RoverState | None, now: MissionTime) -> CommandPreview:
         """What that command would do if it were issued now. rover: its newest state; None if there is none.
@@ -70,7 +73,7 @@ class CommandPreviews:
         """
         path_m = self._path_m(command)
         drive_m = sum(hypot(bx - ax, by - ay) for (ax, ay), (bx, by) in pairwise(path_m))
-        drive = self._budget.drive(drive_m)
+        drive = self._budget.drive(self._costs.figures(path_m))
         rounds = self._rounds(command)
         return CommandPreview(
             command=command,

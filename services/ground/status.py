@@ -6,12 +6,13 @@ from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from schemas.ground import GroundStatus, MissionPhase
+from schemas.ground import CostTally, GroundStatus, MissionPhase
 from schemas.topics import GROUND_STATUS
 from services.ground.map.overview import kernel_parameters
 from services.runtime.node import SendIfHeard
 
 if TYPE_CHECKING:
+    from he3.driving_cost import CostUnit
     from he3.hyperparameters import Hyperparameters
     from schemas.maps import MapScore
     from schemas.telemetry import RoverState
@@ -31,6 +32,7 @@ class _Facts(NamedTuple):
     rounds_completed: int
     samples: int
     driven_m: float
+    spent: float
     plan_revision: int
     planning: bool
     map_revision: int
@@ -54,14 +56,16 @@ class StatusReporter:
         publisher: MapPublisher,
         silence: SilenceWatch,
         note: str = "",
+        unit: CostUnit | None = None,
     ) -> None:
-        """note: what the operator sees during the whole mission, behind what is new."""
+        """note: what the operator sees during the whole mission, behind what is new. unit: of the mission's cost."""
         self._scenario = scenario
         self._belief = belief
         self._director = director
         self._publisher = publisher
         self._silence = silence
         self._note = note
+        self._unit = unit
         self._rover: RoverState | None = None
         self._rover_made_at: MissionTime | None = None
         self._sent: _Facts | None = None
@@ -95,6 +99,7 @@ class StatusReporter:
             rounds_completed=progress.rounds_completed,
             samples=progress.samples,
             driven_m=progress.driven_m,
+            spent=progress.spent,
             plan_revision=progress.plan_revision,
             planning=progress.planning,
             map_revision=self._publisher.revision,
@@ -117,6 +122,7 @@ class StatusReporter:
             samples_total=self._scenario.samples,
             driven_m=facts.driven_m,
             budget_m=self._scenario.ground.budget_m,
+            cost=self._cost(facts.spent),
             plan_revision=facts.plan_revision,
             plans_in_work=int(facts.planning),
             map_revision=facts.map_revision,
@@ -128,6 +134,13 @@ class StatusReporter:
             detail=facts.detail,
             proposal=facts.proposal,
         )
+
+    def _cost(self, spent: float) -> CostTally | None:
+        """What driving has cost; None where the cost is the distance."""
+        unit = self._unit
+        if unit is None or unit.kind == "distance":
+            return None
+        return CostTally(kind=unit.kind, unit=unit.unit, spent=spent, budget=self._scenario.ground.budget_wh)
 
     def _phase(self, progress: MissionProgress) -> MissionPhase:
         if progress.ended is not None:

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from he3.constants import MAX_SAMPLES
+from he3.driving import DrivingModel
+from he3.driving_cost import CostKind
 from he3.errors import InvalidInput
 from he3.frames import Place
 from he3.kernels import AUTO, KERNELS
@@ -102,6 +104,18 @@ class RoverConfig(Section):
     watchdog_s: Period | None = None
     """Time without a message from the ground after which a parked rover enters safe mode [s]; None: never."""
 
+    @property
+    def driving(self) -> DrivingModel:
+        """What driving takes, as the rover and the ground compute it."""
+        return DrivingModel(
+            speed_m_s=self.speed_m_s,
+            slope_slowdown=self.slope_slowdown,
+            slope_limit_deg=self.slope_limit_deg,
+            traction_j_per_m=self.traction_j_per_m,
+            climb_j_per_m=self.climb_j_per_m,
+            base_load_w=self.base_load_w,
+        )
+
     @model_validator(mode="after")
     def _charges_beyond_its_reserve(self) -> RoverConfig:
         if self.resume_charge <= self.reserve:
@@ -162,6 +176,10 @@ class GroundConfig(Section):
     """Most metres that the whole mission may drive [m]."""
     budget_h: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Time that the whole mission may take, charging included [h]."""
+    budget_wh: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    """Energy that all driving may draw, the base load meanwhile included [Wh]; with `cost = "energy"`."""
+    cost: CostKind = "distance"
+    """What legs cost: metres, the time that they take on slopes, or the energy that they draw."""
     information_exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
     """alpha of the utility I^alpha / c."""
     clearance_m: Length = 15.0
@@ -179,6 +197,17 @@ class GroundConfig(Section):
     patience_h: Annotated[float, Field(ge=0.01, le=1e5)] = 72.0
     """Time without progress after which the mission ends with the samples it has [h]. Light time, transmission, contact
     gaps and the rover's own steps are added to it."""
+
+    @model_validator(mode="after")
+    def _budgets_count_the_cost(self) -> GroundConfig:
+        if self.budget_m is not None and self.cost != "distance":
+            instead = {"time": "budget_h", "energy": "budget_wh"}[self.cost]
+            raise ValueError(f'expected {instead} with cost "{self.cost}", got budget_m')
+        if self.budget_wh is not None and self.cost != "energy":
+            raise ValueError(f'expected cost "energy" with budget_wh, got "{self.cost}"')
+        if self.cost != "distance" and self.planner == "rrt":
+            raise ValueError(f'expected cost "distance" with planner rrt, which weighs no ways, got "{self.cost}"')
+        return self
 
     @property
     def keep_outs(self) -> dict[str, Polygon]:
@@ -226,6 +255,14 @@ class Scenario(Section):
     ground: GroundConfig = GroundConfig()
     link: LinkConditions = LinkConditions()
     network: NetworkConfig = NetworkConfig()
+
+    @model_validator(mode="after")
+    def _cost_is_positive(self) -> Scenario:
+        if self.ground.cost == "energy" and not self.rover.base_load_w + self.rover.traction_j_per_m > 0:
+            raise ValueError(
+                'ground.cost: expected a rover that draws energy on level ground with "energy", got one that draws none'
+            )
+        return self
 
     @model_validator(mode="after")
     def _samples_fit_into_a_map(self) -> Scenario:

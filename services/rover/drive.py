@@ -65,17 +65,11 @@ def drive_over(
     section: PathSection, pattern: ScanPattern, terrain: TerrainReply, config: RoverConfig, now: MissionTime
 ) -> Drive:
     """The drive over that section from now on: slower on slopes, with more power where it climbs."""
-    elapsed = begin = climb = 0.0
-    ends_s = []
-    height = terrain.elevation_m[0]
-    for index, end in enumerate(pattern.ends_m):
-        slowdown = 1 + config.slope_slowdown * terrain.slope_deg[index] / config.slope_limit_deg
-        elapsed += (end - begin) / config.speed_m_s * slowdown
-        climb += max(0.0, terrain.elevation_m[index] - height)
-        ends_s.append(elapsed)
-        begin, height = end, terrain.elevation_m[index]
-    energy_j = config.traction_j_per_m * section.length_m + config.climb_j_per_m * climb
-    return Drive(section, now, pattern.ends_m, tuple(ends_s), energy_j / elapsed)
+    reached = len(pattern.ends_m)
+    heights = terrain.elevation_m[:reached]
+    drive = config.driving.drive(pattern.ends_m, terrain.slope_deg[:reached], heights, heights[0])
+    motion_j = config.driving.motion_j(section.length_m, drive.climb_m)
+    return Drive(section, now, pattern.ends_m, drive.ends_s, motion_j / drive.duration_s)
 
 
 def heading_deg(a: Place, b: Place) -> float:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
+from he3.driving import cell_crossings, midpoints
 from he3.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -93,14 +94,14 @@ class ScanPlanner:
         for (ax, ay), (bx, by) in pairwise(section.points_m):
             dx, dy = bx - ax, by - ay
             length = math.hypot(dx, dy)
-            fractions = _cell_crossings(ax, ay, dx, dy, self.site.resolution_m)
-            centre += _midpoints(ax, ay, dx, dy, fractions)
+            fractions = cell_crossings(ax, ay, dx, dy, self.site.resolution_m)
+            centre += midpoints(ax, ay, dx, dy, fractions)
             ends += [driven + fraction * length for fraction in fractions]
             for offset in self.offsets_m:
                 px, py = ax - dy / length * offset, ay + dx / length * offset
-                fractions = _cell_crossings(px, py, dx, dy, self.site.resolution_m)
+                fractions = cell_crossings(px, py, dx, dy, self.site.resolution_m)
                 begin = len(around)
-                around += self._on_site(_midpoints(px, py, dx, dy, fractions))
+                around += self._on_site(midpoints(px, py, dx, dy, fractions))
                 if not driven:
                     side_lines.append((begin, len(around)))
             around += self._on_site([(bx + rx, by + ry) for rx, ry in self.ring_m])
@@ -137,24 +138,6 @@ def scan_planner(config: RoverConfig, site: SiteGrid) -> ScanPlanner:
         max_length_m=min(max(config.look_ahead_m, cell_m), max(cells, 1.0) * cell_m),
         max_vertices=_TURN_PLACES // places_a_turn if lines else _MAX_TURNS,
     )
-
-
-def _cell_crossings(x: float, y: float, dx: float, dy: float, cell_m: float) -> list[float]:
-    """Fractions of a segment at which it leaves a cell, ascending, its end (1) included."""
-    fractions = [1.0]
-    for origin, step in ((x, dx), (y, dy)):
-        if step:
-            low, high = sorted((origin, origin + step))
-            lines = range(math.floor(low / cell_m) + 1, math.ceil(high / cell_m))
-            fractions += [(line * cell_m - origin) / step for line in lines]
-    fractions.sort()
-    return fractions
-
-
-def _midpoints(x: float, y: float, dx: float, dy: float, fractions: list[float]) -> list[Place]:
-    """The middle of each part of a segment between two of those fractions of it."""
-    middles = [(begin + end) / 2 for begin, end in zip([0.0, *fractions], fractions, strict=False)]
-    return [(x + middle * dx, y + middle * dy) for middle in middles]
 
 
 def obstacles(

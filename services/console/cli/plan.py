@@ -111,8 +111,10 @@ def plan_lines(proposal: PlanProposal) -> list[str]:
         "never: the sun does not charge the rover enough" if proposal.lasts_s is None else duration(proposal.lasts_s)
     )
     last = ", the last one" if proposal.last else ""
+    cost = "" if proposal.cost_unit == "m" else f", costs {proposal.cost:,.1f} {proposal.cost_unit}"
     return [
         f"proposal {proposal.proposal}  round {plan.round}{last}, waits since {utc(proposal.proposed_at, 0)}",
         f"    {proposal.length_m:,.1f} m, {len(plan.samples)} samples, {plan.information_nats:.2f} nat, takes {lasts}",
+        f"    in motion {duration(proposal.drive_s)}, {proposal.energy_wh:,.1f} Wh with the base load{cost}",
         *(f"    {sample.sample_id:<10} ({sample.x_m:.1f}, {sample.y_m:.1f}) m" for sample in plan.samples),
     ]

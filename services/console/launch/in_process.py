@@ -12,7 +12,7 @@ from schemas.commands import NoParameters
 from schemas.link import LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
 from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
-from services.console.report.mission_report import Outcome, Run, gather
+from services.console.report.mission_report import Outcome, Run, driven_ground, gather
 from services.console.report.outputs import Outputs, Written, claimed, write_outcome
 from services.console.report.progress import Moment, Progress, moment_of
 from services.mission.in_process import RECORDING_FLUSH_S, InProcessMission, build_nodes
@@ -73,7 +73,15 @@ def _run_in_process(
             merge_event_logs([events], events)
         assert mission.status is not None, "the run ends only after the ground has reported its status"
         wall_time_s = time.monotonic() - began
-        run = Run("in-process", None, region.provenance, mission.mission_time_s, wall_time_s, region.layers)
+        run = Run(
+            "in-process",
+            None,
+            region.provenance,
+            mission.mission_time_s,
+            wall_time_s,
+            region.layers,
+            driven_ground(scenario, region),
+        )
         outcome = gather(_Asked(mission), scenario, mission.status, run)
     return outcome, [] if sink is None or sink.problem is None else [sink.problem]
 

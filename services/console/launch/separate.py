@@ -18,7 +18,7 @@ from services.console.client.mission_client import MissionClient
 from services.console.client.run_file import RunningMission, announced
 from services.console.launch.endpoints import Endpoints, endpoints_near, endpoints_of
 from services.console.launch.launcher import Launcher
-from services.console.report.mission_report import Outcome, Run, gather
+from services.console.report.mission_report import Outcome, Run, driven_ground, gather
 from services.console.report.outputs import Outputs, Written, claimed, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
@@ -100,7 +100,15 @@ def outcome_of(
     """The outcome of a mission that is over, as its ground has it; began: by `time.monotonic`."""
     driver, rate = ("lockstep", None) if lockstep else ("zenoh", scenario.rate)
     wall_time_s = time.monotonic() - began
-    run = Run(driver, rate, region.provenance, state.status_time_s, wall_time_s, region.layers)
+    run = Run(
+        driver,
+        rate,
+        region.provenance,
+        state.status_time_s,
+        wall_time_s,
+        region.layers,
+        driven_ground(scenario, region),
+    )
     return gather(client, scenario, status, run)
 
 

@@ -12,16 +12,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from he3.driving import J_PER_WH, DrivenGround
+from he3.driving_cost import cost_unit
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore, RegionLayer
-from schemas.report import MessageCounts, MissionReport, ReportSample
+from schemas.report import DrivingReport, MessageCounts, MissionReport, ReportSample
 from services.mission.mission_time import SECOND
 from services.runtime.files.output import write_output
 from services.runtime.heartbeat import software_version
 
 if TYPE_CHECKING:
     from he3.provenance import LayerOrigin
+    from he3.reference import Region
     from schemas.link import LinkStatus
     from services.mission.scenario import Scenario
 
@@ -49,6 +52,8 @@ class Run:
     mission_time_s: float
     wall_time_s: float
     region_layers: tuple[LayerOrigin, ...] = ()
+    ground: DrivenGround | None = None
+    """The terrain, and the vehicle that drove over it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +67,11 @@ class Outcome:
     std_ppb: NDArray[np.float32]
     """(rows, columns) its standard deviation."""
     resolution_m: float
+
+
+def driven_ground(scenario: Scenario, region: Region) -> DrivenGround:
+    """The region's terrain with the scenario's rover."""
+    return DrivenGround(region.grid, region.slope_deg, region.elevation_m, scenario.rover.driving)
 
 
 def gather(mission: Answers, scenario: Scenario, status: GroundStatus, run: Run) -> Outcome:
@@ -113,6 +123,7 @@ def build_report(
         coverage_68=None if score is None else score.coverage_68,
         coverage_95=None if score is None else score.coverage_95,
         path_length_m=status.driven_m,
+        driving=_driving(scenario, run, track),
         drilled_m=round(sum(sample.depth_m for sample in track.samples), 9),
         mission_time_s=run.mission_time_s,
         wall_time_s=run.wall_time_s,
@@ -122,6 +133,22 @@ def build_report(
         one_way_light_time_s=link.conditions.down.one_way_light_time_s,
         version=software_version(),
         host=platform.node(),
+    )
+
+
+def _driving(scenario: Scenario, run: Run, track: MissionTrack) -> DrivingReport | None:
+    if run.ground is None:
+        return None
+    figures, unit = run.ground.figures(track.driven_path_m), cost_unit(scenario.ground.cost, run.ground)
+    return DrivingReport(
+        cost=unit.kind,
+        unit=unit.unit,
+        spent=unit.of(figures),
+        duration_h=figures.duration_s / 3600.0,
+        energy_wh=figures.energy_j / J_PER_WH,
+        motion_wh=figures.motion_j / J_PER_WH,
+        climb_m=figures.climb_m,
+        steepest_deg=figures.steepest_deg,
     )
 
 

@@ -32,6 +32,8 @@ class Moment:
     rmse_ppb: float | None = None
     mean_std_ppb: float | None = None
     driven_m: float = 0.0
+    cost: str = ""
+    """What driving has cost beside its metres; empty where the cost is the distance."""
     mission_time_s: float = 0.0
     in_flight: int = 0
     rover: str = "no report yet"
@@ -52,6 +54,7 @@ def moment_of(status: GroundStatus | None, mission_time_s: float, in_flight: int
         rmse_ppb=None if status.score is None else status.score.rmse_ppb,
         mean_std_ppb=status.mean_std_ppb,
         driven_m=status.driven_m,
+        cost="" if status.cost is None else f", {status.cost.spent:,.1f} {status.cost.unit}",
         mission_time_s=mission_time_s,
         in_flight=in_flight,
         rover="no report yet" if rover is None else f"{rover.mode.value} at ({rover.x_m:.0f}, {rover.y_m:.0f}) m",
@@ -85,7 +88,7 @@ def plain_line(moment: Moment, elapsed_s: float) -> str:
     left = time_left_s(moment, elapsed_s)
     return (
         f"round {moment.round}/{moment.rounds}  samples {moment.samples}/{moment.samples_total}  rmse {rmse}  "
-        f"driven {moment.driven_m:.0f} m  mission time {duration(moment.mission_time_s)}  "
+        f"driven {moment.driven_m:.0f} m{moment.cost}  mission time {duration(moment.mission_time_s)}  "
         f"in flight {moment.in_flight}  left {'-' if left is None else duration(left)}  {moment.phase}"
     )
 
@@ -215,7 +218,7 @@ def panel(title: str, note: str, moment: Moment, elapsed_s: float, rmse_curve: l
     rows = [
         ("round", f"{moment.round} of {moment.rounds}", "samples", f"{moment.samples} of {moment.samples_total}"),
         ("RMSE", _ppb(moment.rmse_ppb), "mean std", _ppb(moment.mean_std_ppb)),
-        ("driven", f"{moment.driven_m:,.0f} m", "in flight", f"{moment.in_flight} messages"),
+        ("driven", f"{moment.driven_m:,.0f} m{moment.cost}", "in flight", f"{moment.in_flight} messages"),
         ("mission time", duration(moment.mission_time_s), "wall time", duration(elapsed_s)),
         ("phase", moment.phase, "time left", "-" if left is None else duration(left)),
         ("rover", moment.rover, "", ""),

@@ -22,6 +22,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
         ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
         *_accuracy(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
+        *_driving(report),
         ("mission time", f"{duration(report.mission_time_s)} ({report.mission_time_s:,.0f} s), "
                          f"one-way light time {report.one_way_light_time_s:g} s"),
         ("wall time", duration(report.wall_time_s)),
@@ -38,6 +39,15 @@ def _end(report: MissionReport) -> tuple[str, str]:
     if not report.completed:
         return "ended", f"NOT COMPLETED: {why}"
     return ("ended early:", why) if report.samples < report.samples_wanted else ("ended", "completed")
+
+
+def _driving(report: MissionReport) -> list[tuple[str, str]]:
+    driving = report.driving
+    if driving is None:
+        return []
+    energy = f"{driving.energy_wh:,.0f} Wh, of which {driving.motion_wh:,.0f} Wh beside the base load"
+    ground = f"{driving.climb_m:,.0f} m of rises, at most {driving.steepest_deg:.1f} deg"
+    return [("driving", f"{driving.duration_h:.1f} h, {energy}; {ground}; planned for {driving.cost}")]
 
 
 def _accuracy(report: MissionReport) -> list[tuple[str, str]]:

@@ -43,12 +43,14 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.information import information_gains
+from services.ground.planners.cheapest import cheapest_ways
+from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
 from services.ground.planners.rounds import (
     MAX_SHARE_RATIO,
+    affordable,
     belief_given,
     budget_share_m,
-    path_prefix,
     places_along,
     planned_round,
 )
@@ -56,6 +58,7 @@ from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree
 
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from he3.hyperparameters import Hyperparameters
 
 DEFAULTS = {
@@ -75,20 +78,22 @@ def informative(request: PlanningRequest) -> PlannedRound:
     if unknown := set(options.extra) - set(DEFAULTS):
         raise InvalidInput(f"informative knows the settings {', '.join(DEFAULTS)}; got {', '.join(sorted(unknown))}")
     settings = DEFAULTS | options.extra
+    request = on_gentle_ground(request)
     share_m = budget_share_m(request)
     ground = OpenGround(request.grid, request.traversable)
     start = ground.footing(request.start_m)
     lead_m = path_length(np.array([request.start_m, start]))
     growth = GrowthSettings(rewire_scale_m=settings["rewire_scale_m"]).coarser(options.step_m)
     iterations = min(int(settings["iterations"]), options.max_iterations)
-    tree = exploration_tree(ground, start, iterations=iterations, seed=request.seed, growth=growth)
+    cost = request.cost
+    tree = exploration_tree(ground, start, iterations=iterations, seed=request.seed, growth=growth, cost=cost)
     away_m = np.hypot(*(tree.nodes_m - start).T)
     if away_m.max() <= options.goal_tolerance_m:
         raise NoRoute(
             f"no path leads farther than {options.goal_tolerance_m:g} m from ({start[0]:g}, {start[1]:g}) m: "
             f"a tree of {iterations} iterations reached {len(away_m) - 1} places"
         )
-    cost_m = tree.cost_m + lead_m
+    cost_m = tree.cost_m + lead_m if cost is None else path_costs(tree, cost) + lead_m
     nodes = np.flatnonzero(tree.cost_m > 0.0)
     limit_m = max(settings["pace"] * share_m, float(cost_m[nodes].min()))  # at least the cheapest path
     nodes = nodes[cost_m[nodes] <= limit_m]
@@ -98,8 +103,21 @@ def informative(request: PlanningRequest) -> PlannedRound:
     places = places_on_paths(tree, nodes, request.samples)
     nats = path_information(replace(request, hyperparameters=hyperparameters), places)
     utility = nats**options.information_exponent / (cost_m[nodes] + settings["sample_cost_m"] * request.samples)
-    path = path_prefix(tree.path_to(int(nodes[np.argmax(utility)])), request.budget_m - lead_m)
-    return planned_round(request, path, places_along(path, request.samples))
+    path = affordable(tree.path_to(int(nodes[np.argmax(utility)])), request.budget_m - lead_m, cost)
+    places = places_along(path, request.samples)
+    if cost is not None:
+        stops_m = path_length(path) * np.arange(1, request.samples + 1) / request.samples
+        path = cheapest_ways(ground, cost, path, stops_m, request.seed)
+        path[-1] = places[-1]
+    return planned_round(request, path, places)
+
+
+def path_costs(tree: Tree, cost: TerrainCost) -> FloatArray:
+    """Cost (N,) [level m] of the path from the tree's root to each of its nodes."""
+    symmetric = tree.summed(cost.of_legs(tree.nodes_m[np.maximum(tree.parents, 0)], tree.nodes_m))
+    height = cost.heights(tree.nodes_m)
+    costs: FloatArray = symmetric + 0.5 * cost.climb * (height - height[0])
+    return costs
 
 
 def path_information(request: PlanningRequest, places_m: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid, as_points, path_length
 
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from he3.gp import Hyperparameters
 
 
@@ -53,7 +54,8 @@ class PlanningRequest:
     samples_left: int
     """Number of samples of the rest of the mission, this round included."""
     budget_m: float
-    """Distance that the rest of the mission may drive [m], this round included; may be infinite."""
+    """Distance that the rest of the mission may drive [m], this round included; may be infinite. With a `cost` it is in
+    level metres, and bounds the cost, which is never below the distance."""
     seed: int
     """Determines every random choice of the planner."""
     interest: NDArray[np.float32] | None = None
@@ -62,6 +64,8 @@ class PlanningRequest:
     outlook_m: FloatArray | None = None
     """(k, 2) places [m] where the last plan expected to sample after its round, in that order; None if it had none.
     A planner may start from it, so that consecutive plans agree."""
+    cost: TerrainCost | None = None
+    """What legs cost (`ground.cost`); None: their length."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from he3.information import information_gain
 from services.ground.planners.interface import PlannedRound, PlanningRequest
 
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from he3.frames import FloatArray
 
 MAX_SHARE_RATIO = 1.5
@@ -42,6 +43,11 @@ def path_prefix(path_m: FloatArray, length_m: float) -> FloatArray:
     share = (length_m - along[whole - 1]) / (along[whole] - along[whole - 1])
     end = path_m[whole - 1] + share * (path_m[whole] - path_m[whole - 1])
     return np.vstack((path_m[:whole], end))
+
+
+def affordable(path_m: FloatArray, budget_m: float, cost: TerrainCost | None) -> FloatArray:
+    """The part of the polyline (K, 2) [m] that a budget admits: in metres, or with a cost in level metres."""
+    return path_prefix(path_m, budget_m if cost is None else cost.metres_for(path_m, budget_m))
 
 
 def budget_share_m(request: PlanningRequest) -> float:

@@ -103,7 +103,7 @@ def shortened_path(ground: OpenGround, path_m: FloatArray) -> FloatArray:
             best = path if attempt % 2 else path[::-1]
         if not shorter and attempt:
             break
-        path = _subdivided(path, SHORTENING_SPACING_CELLS * ground.grid.resolution_m)
+        path = subdivided(path, SHORTENING_SPACING_CELLS * ground.grid.resolution_m)
     return _keep_visible(ground, best)
 
 
@@ -119,7 +119,7 @@ def _keep_visible(ground: OpenGround, path: FloatArray) -> FloatArray:
     return path[kept]
 
 
-def _subdivided(path: FloatArray, spacing_m: float) -> FloatArray:
+def subdivided(path: FloatArray, spacing_m: float) -> FloatArray:
     """The same polyline with vertices inserted, so that none are farther apart than ``spacing_m``."""
     parts = [path[:1]]
     for a, b in pairwise(path):

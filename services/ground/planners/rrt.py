@@ -28,7 +28,7 @@ from scipy import ndimage
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, Place, SiteGrid, path_length
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
-from services.ground.planners.rounds import MAX_SHARE_RATIO, budget_share_m, path_prefix, places_along, planned_round
+from services.ground.planners.rounds import MAX_SHARE_RATIO, affordable, budget_share_m, places_along, planned_round
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import GrowthSettings, tree_path
 
@@ -66,14 +66,14 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
             break
         path, reached = tree_path(
             ground, start, target, optimal=optimal, iterations=options.max_iterations, seed=request.seed, growth=growth,
-            refine=int(options.extra.get("refine_iterations", 0)),
+            refine=int(options.extra.get("refine_iterations", 0)), cost=request.cost if optimal else None,
         )  # fmt: skip
         if reached or path_length(path) > path_length(best):
             best = path
         if reached:
             break
         _close_disc(candidates, request.grid, target, options.goal_tolerance_m)
-    best = path_prefix(best, limit_m)
+    best = affordable(best, limit_m, request.cost)
     if path_length(best) <= 0.0:
         raise NoRoute(
             f"no target was reached from ({start[0]:g}, {start[1]:g}) m within {options.max_iterations} iterations "

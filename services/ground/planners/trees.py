@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import isfinite, pi, sqrt
+from math import hypot, isfinite, pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,12 +20,18 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from he3.frames import path_length
+from services.ground.planners.routes import subdivided
+
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from he3.frames import FloatArray, IntArray, Place
     from services.ground.planners.traversability import OpenGround, SegmentCheck
 
 _SEEDING = threading.Lock()
 _SEEDS = 2**31 - 1  # OMPL takes seeds from 1 up to what fits 32 bits
+_STEPS_A_PATH = 10.0  # edges of a tree along the path that it is to improve
+_SAME_PLACE_M = 1e-6  # m, within which a goal is reached that is one place
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +46,17 @@ class Tree:
     parents: IntArray
     cost_m: FloatArray
     order: IntArray
+
+    def summed(self, legs: FloatArray) -> FloatArray:
+        """The sum (N,) over the path from the root to each node, of legs (N,): what comes in each node's last leg."""
+        depth = np.zeros(len(legs), dtype=np.intp)
+        for node in self.order.tolist():
+            if self.parents[node] >= 0:
+                depth[node] = depth[self.parents[node]] + 1
+        costs = np.zeros(len(legs))
+        for level in np.split(self.order, np.flatnonzero(np.diff(depth[self.order])) + 1)[1:]:
+            costs[level] = costs[self.parents[level]] + legs[level]
+        return costs
 
     def path_to(self, node: int) -> FloatArray:
         """Polyline (K, 2) [m] from the root to the node."""
@@ -80,16 +97,17 @@ class GrowthSettings:
 
 def tree_path(
     ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, iterations: int, refine: int, seed: int,
-    growth: GrowthSettings,
+    growth: GrowthSettings, cost: TerrainCost | None = None,
 ) -> tuple[FloatArray, bool]:  # fmt: skip
     """The path (K, 2) [m] from start towards the target along the tree as it grew, and whether the target was reached.
 
-    optimal: grow RRT* rather than RRT. iterations: bound on growth. refine: once the target is reached, RRT* continues
-    to this many iterations, which makes the path shorter. If the target was not reached, the path leads to the node
-    nearest to it; it is the start alone, (1, 2), if no node is nearer than the start.
+    optimal: grow RRT* rather than RRT. cost: what RRT* keeps low; None: the length. iterations: bound on growth.
+    refine: once the target is reached, RRT* continues to this many iterations, which makes the path shorter. If the
+    target was not reached, the path leads to the node nearest to it; it is the start alone, (1, 2), if no node is
+    nearer than the start.
     """
     with _SEEDING:
-        growing = _tree_growth(ground, start_m, target_m, optimal=optimal, seed=seed, growth=growth)
+        growing = _tree_growth(ground, start_m, target_m, optimal=optimal, seed=seed, growth=growth, cost=cost)
         growing.solve(iterations, refine)
         problem = growing.problem
         if not problem.hasSolution():
@@ -99,16 +117,102 @@ def tree_path(
         return path, bool(problem.hasExactSolution())
 
 
-def exploration_tree(ground: OpenGround, start_m: Place, *, iterations: int, seed: int, growth: GrowthSettings) -> Tree:
-    """The RRT* tree over everything reachable from the start, without a target, after that number of iterations."""
+def exploration_tree(
+    ground: OpenGround, start_m: Place, *, iterations: int, seed: int, growth: GrowthSettings,
+    cost: TerrainCost | None = None,
+) -> Tree:  # fmt: skip
+    """The RRT* tree over everything reachable from the start, without a target, after that number of iterations.
+
+    cost: what its paths keep low; None: their length.
+    """
     with _SEEDING:
-        growing = _tree_growth(ground, start_m, start_m, optimal=True, seed=seed, growth=replace(growth, goal_bias=0.0))
+        growth = replace(growth, goal_bias=0.0)
+        growing = _tree_growth(ground, start_m, start_m, optimal=True, seed=seed, growth=growth, cost=cost)
         information = growing.problem.getSpaceInformation()
         growing.problem.setGoal(_UnreachableGoal(information))
         growing.solve(iterations, iterations)
         data = ob.PlannerData(information)
         growing.planner.getPlannerData(data)
         return _tree_from_planner_data(data)
+
+
+def cheaper_path(
+    ground: OpenGround, cost: TerrainCost, known_m: FloatArray, *, iterations: int, seed: int
+) -> FloatArray | None:
+    """The cheapest path (K, 2) [m] that informed RRT* finds between the ends of the known one; None if it finds none.
+
+    The tree takes in the known path (K, 2) [m] first, which is free; after as many more iterations it ends. Samples are
+    drawn from the ellipse that holds all cheaper paths.
+    """
+    length_m = path_length(known_m)
+    step_m = max(length_m / _STEPS_A_PATH, 2.0 * ground.grid.resolution_m)
+    seeds = subdivided(known_m, 0.999 * step_m)[1:]
+    with _SEEDING:
+        information, _ = _space_information(ground, seed)
+        problem = ob.ProblemDefinition(information)
+        start = information.allocState()
+        start[0], start[1] = known_m[0]
+        problem.addStartState(start)
+        goal = _GoalAfterSeeds(information, seeds.tolist())
+        problem.setGoal(goal)
+        problem.setOptimizationObjective(_TerrainObjective(information, cost))
+        planner = og.InformedRRTstar(information)
+        planner.setProblemDefinition(problem)
+        planner.setRange(step_m)
+        planner.setKNearest(False)
+        planner.setGoalBias(1.0)
+        planner.setup()
+        grown = 0
+
+        def enough() -> bool:
+            nonlocal grown
+            goal.seeding = grown < len(seeds)
+            if grown == len(seeds):
+                planner.setGoalBias(0.0)
+            grown += 1
+            return grown > len(seeds) + iterations
+
+        planner.solve(ob.PlannerTerminationCondition(enough))
+        if not problem.hasExactSolution():
+            return None
+        path = [(state[0], state[1]) for state in problem.getSolutionPath().getStates()]
+        return np.array(path, dtype=np.float64)
+
+
+class _GoalAfterSeeds(ob.GoalSampleableRegion):  # type: ignore[misc]
+    """One place as the goal. While the tree is seeded, the places to seed it with are drawn in their order instead."""
+
+    def __init__(self, space: ob.SpaceInformation, seeds_m: list[list[float]]) -> None:
+        super().__init__(space)
+        self.setThreshold(_SAME_PLACE_M)
+        self.seeding = False
+        self._seeds_m = seeds_m
+        self._next = 0
+
+    def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
+        x, y = self._seeds_m[-1]
+        return hypot(state[0] - x, state[1] - y)
+
+    def maxSampleCount(self) -> int:  # noqa: N802
+        return 1
+
+    def sampleGoal(self, state: ob.State) -> None:  # noqa: N802
+        place = self._seeds_m[-1]
+        if self.seeding and self._next < len(self._seeds_m):
+            place = self._seeds_m[self._next]
+            self._next += 1
+        state[0], state[1] = place
+
+
+class _TerrainObjective(ob.PathLengthOptimizationObjective):  # type: ignore[misc]
+    """The cost of legs over terrain. It is at least their length, from which OMPL's bounds and ellipses follow."""
+
+    def __init__(self, space: ob.SpaceInformation, cost: TerrainCost) -> None:
+        super().__init__(space)
+        self._leg = cost.leg_cost()
+
+    def motionCost(self, a: ob.State, b: ob.State) -> ob.Cost:  # noqa: N802
+        return ob.Cost(self._leg(a[0], a[1], b[0], b[1]))
 
 
 class _UnreachableGoal(ob.GoalRegion):  # type: ignore[misc]
@@ -174,9 +278,8 @@ class _TreeGrowth:
         self.validator.on_check = None
 
 
-def _tree_growth(
-    ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, seed: int, growth: GrowthSettings
-) -> _TreeGrowth:
+def _space_information(ground: OpenGround, seed: int) -> tuple[ob.SpaceInformation, _LegValidator]:
+    """The site as OMPL's space, and its exact check of legs; OMPL's generators are seeded first."""
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(seed % _SEEDS + 1)
     space = ob.RealVectorStateSpace(2)
@@ -187,15 +290,25 @@ def _tree_growth(
     space.setBounds(bounds)
     information = ob.SpaceInformation(space)
     free = ground.segment_check()
-    validator = _LegValidator(information, free)
     information.setStateValidityChecker(lambda state: free(state[0], state[1], state[0], state[1]))
+    validator = _LegValidator(information, free)
     information.setMotionValidator(validator)
     information.setup()
+    return information, validator
+
+
+def _tree_growth(
+    ground: OpenGround, start_m: Place, target_m: Place, *, optimal: bool, seed: int, growth: GrowthSettings,
+    cost: TerrainCost | None = None,
+) -> _TreeGrowth:  # fmt: skip
+    information, validator = _space_information(ground, seed)
     problem = ob.ProblemDefinition(information)
-    start, target = space.allocState(), space.allocState()
+    start, target = information.allocState(), information.allocState()
     start[0], start[1] = start_m
     target[0], target[1] = target_m
     problem.setStartAndGoalStates(start, target, growth.goal_tolerance_m)
+    if cost is not None:
+        problem.setOptimizationObjective(_TerrainObjective(information, cost))
     planner = (og.RRTstar if optimal else og.RRT)(information)
     planner.setProblemDefinition(problem)
     planner.setRange(growth.step_m)

@@ -38,6 +38,8 @@ def checked_answer(name: str, answer: object, request: PlanningRequest) -> Plann
         raise InvalidInput(f"planner {name}: expected a path from {request.start_m}, got {tuple(path[0].tolist())}")
     if (metres := path_length(path)) > request.budget_m * (1.0 + 1e-9):
         raise InvalidInput(f"planner {name}: expected {request.budget_m:.1f} m at most, got {metres:.1f} m")
+    if request.cost is not None and (cost := request.cost.of_path(path)) > request.budget_m * (1.0 + 1e-9):
+        raise InvalidInput(f"planner {name}: expected {request.budget_m:.1f} level m at most, got {cost:.1f} level m")
     _check_legs(name, request, path)
     _check_samples(name, path, samples)
     outlook = None if answer.outlook_m is None else _points(name, "outlook_m", answer.outlook_m)

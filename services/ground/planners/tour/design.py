@@ -13,6 +13,7 @@ more where the budget binds. The price at which a step shortens the tour just en
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +22,10 @@ from scipy.spatial import cKDTree
 from he3.frames import FloatArray, path_length
 from he3.tsp import short_tour
 from services.ground.planners.rounds import places_along
+from services.ground.planners.tour.legs import cost_of_bent_legs
 
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from he3.frames import IntArray
     from he3.i_optimal_design import AverageVariance
     from services.ground.planners.tour.site import Site
@@ -34,6 +37,8 @@ MAX_STEP_M = 8.0
 """Longest step of a place [m]. This and the next two hold for samples 10 m to 1 km apart, see ``step_scale``."""
 FIRST_STEP_M = 3.0
 """Root mean square step at the beginning [m], unless the budget requires more."""
+PULL_CELLS = 1.0
+"""Distance over which the legs' costs are compared to find where terrain is cheaper [cells]."""
 LAST_STEP_M = 0.4
 """Root mean square step at the end [m], unless the budget requires more."""
 OVERBUDGET_WEIGHT = 2.0
@@ -118,13 +123,17 @@ def optimise_places(
     first_step_m, last_step_m, max_step_m = first_step_m * scale, LAST_STEP_M * scale, MAX_STEP_M * scale
     momentum = np.zeros_like(places)
     corners = np.full(places.shape, np.nan)
+    terrain: TerrainPull | None = None
     for step in range(steps):
         if step % REORDER_EVERY == 0:
             order, corners = _shorter_order(site, places)
             places, momentum = places[order], momentum[order]
+            terrain = None if site.cost is None else terrain_pull(site, site.cost, places, corners)
         _, gradient = variance.with_gradient(places)
         momentum = gradient if step == 0 else 0.6 * momentum + 0.4 * gradient
         pull, length = length_gradient(site.start_m, places, corners)
+        if terrain is not None:
+            pull, length = pull + terrain.pull, length * terrain.rate
         wanted = first_step_m * (last_step_m / first_step_m) ** (step / max(steps - 1, 1))
         size = float(np.sqrt(np.mean(np.sum((momentum + price * pull) ** 2, axis=1))))
         if not size > 0:
@@ -179,6 +188,48 @@ def length_gradient(start_m: FloatArray, places_m: FloatArray, corners_m: FloatA
     gradient[:-1] -= (out / np.maximum(out_length, 1e-9)[:, None])[1:]
     length = float(np.where(bent[:, 0], into_length + out_length, into_length).sum())
     return gradient, length
+
+
+@dataclass(frozen=True, slots=True)
+class TerrainPull:
+    """What terrain adds to a tour's length and to its gradient."""
+
+    pull: FloatArray
+    """(n, 2), level metres a metre."""
+    rate: float
+    """Cost of the tour in its lengths [level m a metre]."""
+
+
+def terrain_pull(site: Site, cost: TerrainCost, places_m: FloatArray, corners_m: FloatArray) -> TerrainPull:
+    """What the terrain adds, by differences of the legs' costs over a few cells around each place (n, 2) [m]."""
+    step_m = PULL_CELLS * site.ground.grid.resolution_m
+    from_m = np.vstack((site.start_m, places_m[:-1]))
+
+    def around(places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Costs and lengths (n,) of the two legs at each place, if that place alone is moved there."""
+        after = np.vstack((corners_m[1:], np.full((1, 2), np.nan)))
+        to_m = np.vstack((places_m[1:], places[-1:]))
+        costs = cost_of_bent_legs(cost, from_m, corners_m, places) + cost_of_bent_legs(cost, places, after, to_m)
+        return costs, _bent_lengths(from_m, corners_m, places) + _bent_lengths(places, after, to_m)
+
+    pull = np.zeros_like(places_m)
+    for axis in (0, 1):
+        aside = np.zeros(2)
+        aside[axis] = step_m
+        far, near = site.snap_to_reachable(places_m + aside), site.snap_to_reachable(places_m - aside)
+        (cost_far, length_far), (cost_near, length_near) = around(far), around(near)
+        pull[:, axis] = (cost_far - length_far - cost_near + length_near) / (2.0 * step_m)
+    lengths = _bent_lengths(from_m, corners_m, places_m)
+    return TerrainPull(
+        pull, float(cost_of_bent_legs(cost, from_m, corners_m, places_m).sum() / max(lengths.sum(), 1e-9))
+    )
+
+
+def _bent_lengths(a_m: FloatArray, corners_m: FloatArray, b_m: FloatArray) -> FloatArray:
+    """Lengths (n,) [m] of legs from a (n, 2) to b (n, 2) [m], by corners (n, 2) [m] that may be NaN."""
+    middle = np.where(np.isnan(corners_m), b_m, corners_m)
+    lengths: FloatArray = np.hypot(*(middle - a_m).T) + np.hypot(*(b_m - middle).T)
+    return lengths
 
 
 def _shorter_order(site: Site, places: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from he3.frames import FloatArray
 
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from services.ground.planners.traversability import OpenGround
 
 NEIGHBOURS = 10
@@ -40,15 +41,20 @@ class LegTable:
     """Lengths of the legs between n places, and their corners."""
 
     lengths_m: FloatArray
-    """(n, n) [m]."""
+    """(n, n) [m], or with a cost [level m], the same in both directions."""
     corners_m: FloatArray
     """(n, n, 2) [m], NaN for straight legs and for those whose path is not known."""
     free: NDArray[np.bool_]
     """(n, n): whether the leg, with its corner if any, is known to be free."""
 
 
-def leg_table(ground: OpenGround, places_m: FloatArray, bound: LengthBound | None = None) -> LegTable:
-    """The legs between places (n, 2) [m], all on open ground. bound: called only if many legs are blocked."""
+def leg_table(
+    ground: OpenGround, places_m: FloatArray, bound: LengthBound | None = None, cost: TerrainCost | None = None
+) -> LegTable:
+    """The legs between places (n, 2) [m], all on open ground. bound: called only if many legs are blocked.
+
+    cost: what legs cost; None: their length.
+    """
     n = len(places_m)
     distance = np.hypot(*(places_m[:, None] - places_m[None]).transpose(2, 0, 1))
     lengths = distance * DISTANT_LEG_FACTOR
@@ -66,7 +72,22 @@ def leg_table(ground: OpenGround, places_m: FloatArray, bound: LengthBound | Non
         free[i, j] = free[j, i] = is_free
         if bound is not None and np.count_nonzero(~is_free) > LABYRINTH_SHARE * len(pairs):
             lengths = np.where(free, lengths, np.maximum(lengths, bound(places_m)))
+        if cost is not None:
+            known = cost_of_bent_legs(cost, places_m[i], corner, places_m[j])
+            metres = max(float(length[is_free].sum()), 1e-9)
+            lengths *= max(1.0, float(known[is_free].sum()) / metres)  # legs whose way is not known cost as the others
+            i, j, known = i[is_free], j[is_free], known[is_free]
+            lengths[i, j] = lengths[j, i] = known
     return LegTable(lengths, corners, free)
+
+
+def cost_of_bent_legs(cost: TerrainCost, a_m: FloatArray, corner_m: FloatArray, b_m: FloatArray) -> FloatArray:
+    """Symmetric costs (k,) [level m] of legs from a (k, 2) to b (k, 2) [m], by corners (k, 2) [m] that may be NaN."""
+    bent = ~np.isnan(corner_m[:, 0])
+    middle = np.where(bent[:, None], corner_m, b_m)
+    costs = cost.of_legs(a_m, middle)
+    costs[bent] += cost.of_legs(middle[bent], b_m[bent])
+    return costs
 
 
 def legs_with_one_corner(

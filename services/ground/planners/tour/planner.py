@@ -22,6 +22,8 @@ from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.i_optimal_design import AverageVariance, field_nodes
 from he3.kernels import Kernel, kernel_from
+from services.ground.planners.cheapest import cheapest_ways
+from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
 from services.ground.planners.rounds import path_prefix, planned_round
 from services.ground.planners.tour.design import (
@@ -73,18 +75,23 @@ def tour(request: PlanningRequest) -> PlannedRound:
     extra = validated(request).options.extra
     if unknown := set(extra) - set(SETTINGS):
         raise InvalidInput(f"tour knows the settings {', '.join(SETTINGS)}; got {', '.join(sorted(unknown))}")
+    request = on_gentle_ground(request)
     nodes = field_nodes(request.grid, request.interest)
-    site = reachable_site(request.grid, request.traversable, request.start_m, nodes)
+    site = reachable_site(request.grid, request.traversable, request.start_m, nodes, request.cost)
     budget_m = request.budget_m - path_length(np.array([request.start_m, site.start_m]))
     if not budget_m > 0:
         raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")
     places = site.snap_to_cell_centres(_design(request, site, budget_m, extra))
-    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed).truncated(
-        budget_m * (1.0 - BUDGET_ROUNDING)
-    )
+    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed)
+    affordable_m = budget_m * (1.0 - BUDGET_ROUNDING)
+    if site.cost is not None and isfinite(budget_m):
+        affordable_m = site.cost.metres_for(route.path_m, affordable_m)
+    route = route.truncated(affordable_m)
     now, later = route.places_m[: request.samples], route.places_m[request.samples :]
     path = path_prefix(route.path_m, float(route.at_m[request.samples - 1]))
     path[-1] = now[-1]
+    if site.cost is not None:
+        path = cheapest_ways(site.ground, site.cost, path, route.at_m[: request.samples], request.seed)
     return replace(planned_round(request, path, now), outlook_m=later)
 
 
@@ -125,7 +132,8 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
 
 def _default_budget_m(site: Site, places: FloatArray, leg_m: float) -> float:
     """The budget [m] of a tour through the places (n, 2) [m] if none is given: legs of ``leg_m``, detours included."""
-    around_obstacles, straight = tour_lengths(site, places)
+    # In metres also where legs cost something else: what terrain costs beyond level ground is to be saved elsewhere.
+    around_obstacles, straight = tour_lengths(replace(site, cost=None), places)
     return len(places) * leg_m * max(around_obstacles, leg_m) / max(straight, leg_m)
 
 

@@ -63,7 +63,7 @@ def route_through(site: Site, places_m: FloatArray, kicks: int, seed: int) -> Ro
             pair = min(i, j), max(i, j)
             if not legs.free[pair] and pair not in found:
                 found[pair] = shortest_path(site.ground, stops[pair[0]], stops[pair[1]])
-                lengths[i, j] = lengths[j, i] = path_length(found[pair])
+                lengths[i, j] = lengths[j, i] = site.way_cost(found[pair])
         if look == MAX_REORDERINGS - 1:
             break
         shorter = short_tour(lengths, order)

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from he3.errors import NoRoute
+from he3.frames import path_length
 from services.ground.planners.routes import RouteFinder
 from services.ground.planners.tour.legs import LegTable, leg_table
 from services.ground.planners.traversability import OpenGround
 
 if TYPE_CHECKING:
+    from he3.driving_cost import TerrainCost
     from he3.frames import FloatArray, SiteGrid
     from he3.i_optimal_design import FieldNodes
 
@@ -35,6 +37,8 @@ class Site:
     """(2, rows, columns): row and column of the reachable cell nearest to each cell."""
     component: int
     """Label of the connected component that the rover is in."""
+    cost: TerrainCost | None = None
+    """What legs cost; None: their length."""
 
     def snap_to_reachable(self, places_m: FloatArray) -> FloatArray:
         """The places (n, 2) [m], each unreachable one replaced by the centre of the nearest reachable cell."""
@@ -56,7 +60,13 @@ class Site:
 
     def legs(self, places_m: FloatArray) -> LegTable:
         """The legs between places (n, 2) [m], all reachable."""
-        return leg_table(self.ground, places_m, self._length_bounds)
+        return leg_table(self.ground, places_m, self._length_bounds, self.cost)
+
+    def way_cost(self, path_m: FloatArray) -> float:
+        """Length of the polyline (K, 2) [m], or its symmetric cost [level m]."""
+        if self.cost is None:
+            return path_length(path_m)
+        return float(self.cost.of_legs(path_m[:-1], path_m[1:]).sum())
 
     def _length_bounds(self, places_m: FloatArray) -> FloatArray:
         """Lower bounds (n, n) [m] on path lengths: differences of the places' distances from the landmarks."""
@@ -82,7 +92,11 @@ class Site:
 
 
 def reachable_site(
-    grid: SiteGrid, traversable: NDArray[np.bool_], start_m: tuple[float, float], nodes: FieldNodes
+    grid: SiteGrid,
+    traversable: NDArray[np.bool_],
+    start_m: tuple[float, float],
+    nodes: FieldNodes,
+    cost: TerrainCost | None = None,
 ) -> Site:
     """The site reachable from the start [m]. Raises NoRoute if the rover is walled in or on closed ground."""
     cells = traversable.astype(np.bool_).tobytes()
@@ -90,7 +104,7 @@ def reachable_site(
     start = np.array(ground.footing(start_m))
     row, column = grid.cells_of(start[None])
     component = int(labels[row[0], column[0]])
-    return Site(ground, nodes, start, _nearest_reachable(grid, cells, component), component)
+    return Site(ground, nodes, start, _nearest_reachable(grid, cells, component), component, cost)
 
 
 @lru_cache(maxsize=4)

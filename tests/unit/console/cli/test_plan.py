@@ -14,10 +14,14 @@ PLAN = RoundPlan(
 
 
 def test_a_plan_that_waits_is_shown_with_its_figures_and_its_samples() -> None:
-    proposal = PlanProposal(proposal=12, plan=PLAN, length_m=1500.0, lasts_s=3600.0, last=True, proposed_at=0)
+    proposal = PlanProposal(
+        proposal=12, plan=PLAN, length_m=1500.0, lasts_s=3600.0, drive_s=1800.0, energy_wh=750.0, cost=750.0,
+        cost_unit="Wh", last=True, proposed_at=0,
+    )  # fmt: skip
     assert plan_lines(proposal) == [
         "proposal 12  round 7, the last one, waits since 1970-01-01T00:00:00Z",
         "    1,500.0 m, 1 samples, 1.25 nat, takes 1 h 00 min",
+        "    in motion 30 min 00 s, 750.0 Wh with the base load, costs 750.0 Wh",
         "    r07s1      (1500.0, 0.0) m",
     ]
 

@@ -63,13 +63,19 @@ def test_the_nominal_scenario_names_every_key_that_there_is() -> None:
     assert set(keys(Scenario)) <= set(named(tomllib.loads(text)))
 
 
-@pytest.mark.parametrize("absent", ["windows", "duty_cycle"])
-def test_its_optional_keys_are_right_when_they_are_switched_on(absent: str, tmp_path: Path) -> None:
-    path = tmp_path / "all.toml"
-    path.write_text(re.sub(rf"^{absent} = .*$", "", uncommented(), flags=re.MULTILINE))
+@pytest.mark.parametrize(
+    ("absent", "cost"), [(("windows", "budget_wh"), "distance"), (("duty_cycle", "budget_m"), "energy")]
+)
+def test_its_optional_keys_are_right_when_they_are_switched_on(
+    absent: tuple[str, ...], cost: str, tmp_path: Path
+) -> None:
+    path, text = tmp_path / "all.toml", uncommented().replace('cost = "distance"', f'cost = "{cost}"')
+    for key in absent:
+        text = re.sub(rf"^{key} = .*$", "", text, flags=re.MULTILINE)
+    path.write_text(text)
     scenario = load_scenario(path)
     assert scenario.ground.interest
-    assert scenario.ground.budget_m is not None
+    assert (scenario.ground.budget_m is None) == (scenario.ground.budget_wh is not None)
     assert bool(scenario.link.windows) != (scenario.link.duty_cycle is not None)
 
 
