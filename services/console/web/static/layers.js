@@ -14,7 +14,7 @@ const NAMES = {
 };
 const FIXED = { exceedance: [0, 1], traversable: [0, 1] }; // ends of the colours that no value moves
 const OF_REGION = ["elevation", "slope", "shade", "reference"]; // the same at every revision
-const HISTORY_EVERY_MS = 1900, TRACK_EVERY_MS = 2000, KEPT_SOURCES = 6;
+const HISTORY_EVERY_MS = 1900, TRACK_EVERY_MS = 2000, KEPT_SOURCES = 6, AGAIN_MS = 5000;
 const UNAVAILABLE = 503;
 
 export const map = new SiteMap($("map"), showHover);
@@ -41,9 +41,18 @@ export function wantMap() {
   loading = true;
   loadMap()
     // Before the first map, and while the mission is away, there is nothing to tell.
-    .catch((error) => { if (state.connected && state.revisions.length && error.status !== UNAVAILABLE) toast(error.message, true); })
+    .catch((error) => { if (state.connected && state.revisions.length && error.status !== UNAVAILABLE) refuse(error.message); })
     .finally(() => { loading = false; if (wanted) { wanted = false; setTimeout(wantMap, 250); } });
 }
+
+// What the ground refuses is told once, and asked for again after a while.
+let refused = { key: "", until: 0 };
+function refuse(why) {
+  const key = JSON.stringify({ ...wish(), revision: null });
+  if (key !== refused.key) toast(why, true);
+  refused = { key, until: performance.now() + AGAIN_MS };
+}
+const isRefused = (wished) => performance.now() < refused.until && JSON.stringify({ ...wished, revision: null }) === refused.key;
 
 // What is to be shown, as the controls say.
 function wish() {
@@ -58,7 +67,7 @@ async function loadMap() {
   const wished = wish(), key = JSON.stringify(wished);
   const track = loadTrack(wished);
   track.catch(() => {}); // awaited below, unless the layer fails first
-  if (key !== shownKey) {
+  if (key !== shownKey && !isRefused(wished)) {
     const { mode } = wished;
     const first = await opened(wished.layer, wished.threshold, wished.revision);
     const second = mode ? await opened(wished.other, wished.threshold, wished.than) : null;
@@ -68,6 +77,7 @@ async function loadMap() {
     if (key === JSON.stringify(wish())) {
       // The ground reports a new map a moment before it answers from it.
       const late = [[first, wished.revision], [second, wished.than]].filter(([source, asked]) => source && !OF_REGION.includes(source.layer) && source.about.revision < asked && asked === newestRevision());
+      refused = { key: "", until: 0 };
       shownKey = late.length ? "" : key;
       if (late.length) wanted = true;
       for (const [source] of late) sources.delete(source.key);
