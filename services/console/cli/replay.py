@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson
+from services.console.cli.options import AsJson, checked
 
 if TYPE_CHECKING:
     from schemas.ground import GroundStatus
@@ -20,6 +20,7 @@ EXAMPLES = """\b
 Examples:
   he3 replay runs/t1/mission.mcap
   he3 replay runs/t1/mission.mcap --topic tm/sample | head -3
+  he3 replay --live runs/t1/mission.mcap --at 20h --rate 100     then: he3 status; he3 watch; he3 map at 120 340
   he3 replay --verify runs/t1/mission.mcap             compute the map again, compare it with the recorded one
 """
 
@@ -33,6 +34,33 @@ Verify = Annotated[
     typer.Option(
         "--verify",
         help="Rebuild the belief from the recorded samples; compare it with the recorded map, to 1e-6 ppb.",
+    ),
+]
+Live = Annotated[
+    bool,
+    typer.Option(
+        "--live",
+        help="Serve the recorded mission to every command that reads one, until Ctrl-C; he3 time pauses and paces it.",
+    ),
+]
+
+
+def _moment(text: str) -> str:
+    from services.console.client.time_format import parse_moment
+
+    parse_moment(text, 0)
+    return text
+
+
+At = Annotated[
+    str | None,
+    typer.Option("--at", metavar="TIME", callback=checked(_moment),
+                 help="With --live: begin there, such as 20h after the mission's beginning, or at a time in UTC."),
+]  # fmt: skip
+Pace = Annotated[
+    float,
+    typer.Option(
+        "--rate", metavar="R", min=0, max=100_000, help="With --live: mission seconds a second; 0: it stands."
     ),
 ]
 
@@ -58,7 +86,15 @@ class _Seen:
             self.status = message.body
 
 
-def replay(file: FileName, topic: TopicName = None, verify: Verify = False, json: AsJson = False) -> None:
+def replay(
+    file: FileName,
+    topic: TopicName = None,
+    verify: Verify = False,
+    live: Live = False,
+    at: At = None,
+    rate: Pace = 1.0,
+    json: AsJson = False,
+) -> None:
     """Summarise a recording. Intact parts of a damaged file are read; missing ones are reported, with exit code 1."""
     import json as json_format
 
@@ -67,6 +103,13 @@ def replay(file: FileName, topic: TopicName = None, verify: Verify = False, json
     from schemas.wire import printable
     from services.recorder.reader import Recording
 
+    if live:
+        if verify or topic is not None or json:
+            raise InvalidInput("--live: expected none of --verify, --topic and --json, got one")
+        _serve(file, at, rate)
+        return
+    if at is not None:
+        raise InvalidInput("--at: expected --live with it, got --at alone")
     names = [each.name for each in TOPICS if each.recorded]
     if topic is not None and topic not in names:
         raise InvalidInput(f"--topic: expected one of {', '.join(names)}; got '{topic}'")
@@ -87,6 +130,33 @@ def replay(file: FileName, topic: TopicName = None, verify: Verify = False, json
     _say_problems(file, problems)
     if problems:
         raise typer.Exit(1)
+
+
+def _serve(file: Path, at: str | None, rate: float) -> None:
+    """Serve the recorded mission at a free endpoint of this machine until Ctrl-C."""
+    import os
+    import threading
+
+    from services.console.client.run_file import RunningMission, announced
+    from services.console.client.time_format import parse_moment
+    from services.console.launch.endpoints import free_endpoints
+    from services.console.replay.mission import RecordedMission
+    from services.console.replay.serving import serving
+
+    with RecordedMission(file) as mission:
+        _say_problems(file, mission.notes)
+        if at is not None:
+            mission.jump(parse_moment(at, mission.begin_ns))
+        where = free_endpoints()
+        running = RunningMission(mission.mission, str(file), where.moon, where.earth, os.getpid(), {})
+        with serving(mission, where.earth), announced(running):
+            mission.set_pace(rate)
+            typer.echo(
+                f"recording of mission '{mission.mission}' at {where.earth}, {rate:g} mission seconds a second; "
+                "he3 time rate and he3 time pause change that, Ctrl-C stops it",
+                err=True,
+            )
+            threading.Event().wait()
 
 
 def _verify(file: Path, json: bool) -> None:

@@ -46,6 +46,11 @@ class RecordedMission(MissionClient):
         self._states: list[RecordedState] = []
 
     @property
+    def session(self) -> RecordedSession:
+        """The session behind this client."""
+        return self._played
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """One line on each part of the mission that is not shown as it was."""
         return (*self.tape.evidence.problems, *self._maps.notes)

@@ -6,6 +6,7 @@ that time goes by. Everything that would change a mission is refused: a recordin
 
 from __future__ import annotations
 
+import secrets
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Final
@@ -37,6 +38,7 @@ from schemas.wire import Header
 from services.console.client.mission_state import MAX_COMMANDS, supersedes
 from services.ground.map.service import MAP_TOPICS
 from services.mission.mission_time import SECOND, MissionTime
+from services.runtime.machine_time import this_machine
 from services.runtime.queries.server import Encoded
 from services.runtime.transport.client import Client
 from services.runtime.transport.request import request_from_selector
@@ -53,6 +55,7 @@ MAX_PACE: Final = 100_000.0
 """Mission seconds per wall second at which a recording is played, at most."""
 LOOK_EVERY_NS: Final = 10 * SECOND
 """Mission time after which a listener of time is called again, where messages are further apart."""
+EPOCH_BITS: Final = 52
 MOST_LOOKS: Final = 20_000
 """So many times in a whole recording, at most."""
 
@@ -67,11 +70,19 @@ class PlayedTime:
         self._wall_ns = wall_ns
         self._pace = 0.0
         self._anchor = wall_ns(), begin
+        self._changes = 0
+        self.epoch = 1 + secrets.randbits(EPOCH_BITS)
+        """Identifies this clock among those that a process may follow."""
 
     @property
     def pace(self) -> float:
         """Mission seconds per wall second; 0 while it stands still, and at the end."""
         return self._pace if self.now() < self.end else 0.0
+
+    @property
+    def revision(self) -> int:
+        """Grows with every change of the pace, and when the end is reached."""
+        return 2 * self._changes + (self.now() >= self.end)
 
     def now(self) -> MissionTime:
         """The present time [ns]."""
@@ -89,6 +100,7 @@ class PlayedTime:
                 f"{(at - self.begin) / SECOND:.0f} s"
             )
         now = self.now() if at is None else at
+        self._changes += 1
         self._pace = self._pace if pace is None else pace
         self._anchor = self._wall_ns(), now
 
@@ -162,7 +174,7 @@ class RecordedSession(Client):
     def query(self, topic: Topic, request: Wire, timeout_s: float = 0.0) -> Any:
         """The body of the reply; raises NotAllowed for a query that changes a mission, He3Error for a refusal."""
         if topic in MAP_TOPICS:
-            found = self._maps.answer(topic, request, self.now())
+            found = self.map_answer(topic, request)
             if isinstance(found, Encoded):
                 raise InvalidInput(f"{topic.name}: expected the format json, got another")
             return found
@@ -178,12 +190,16 @@ class RecordedSession(Client):
             return self.latest(LINK_STATUS)[1]
         raise NotAllowed(f"{topic.name}: expected a running mission, got a recording, which only tells what was")
 
+    def map_answer(self, topic: Topic, request: Wire) -> Wire | Encoded:
+        """The reply to a query of the map, in the format that it asks for; raises He3Error."""
+        return self._maps.answer(topic, request, self.now())
+
     def fetch(self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = 0.0) -> tuple[bytes, bytes]:
         """The reply to a query by selector parameters, and its attachment; raises He3Error."""
         if topic not in MAP_TOPICS:
             raise NotAllowed(f"{topic.name}: expected a query of the map, as this is a recording")
         text = {key: str(value) for key, value in parameters.items() if value is not None}
-        found = self._maps.answer(topic, request_from_selector(topic, text), self.now())
+        found = self.map_answer(topic, request_from_selector(topic, text))
         if isinstance(found, Encoded):
             return found.payload, found.about
         return found.model_dump_json().encode(), b""
@@ -221,9 +237,11 @@ class RecordedSession(Client):
 
     def _clock(self, now: MissionTime) -> tuple[Header, ClockState]:
         pace = self.time.pace
+        machine = this_machine()
         clock = ClockState(
-            mode=ClockMode.WALL, rate=pace, anchor_wall_ns=time.time_ns(), anchor_mission_ns=now,
-            start_ns=self._tape.start_ns,
+            mode=ClockMode.WALL, epoch=self.time.epoch, revision=self.time.revision, rate=pace,
+            anchor_wall_ns=machine.wall_ns(), anchor_mission_ns=now, start_ns=self._tape.start_ns,
+            boot_id=machine.boot_id, anchor_monotonic_ns=machine.monotonic_ns(),
         )  # fmt: skip
         header = Header(mission=self._tape.mission, source="link", incarnation=0, sequence=0, made_at=now)
         return header, clock
