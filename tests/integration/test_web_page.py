@@ -870,6 +870,9 @@ def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_befor
     assert main(["area", "rename", "new", "newer", *where]) == 0
     assert main(["area", "add", "newer", "10,10", "20,10", "20,20", "--interest", *where]) == 2
     assert main(["area", "remove", "newer", *where]) == 0
+    mission.command("set-keep-out", area_id="closed", polygon_m=[(480, 10), (490, 10), (490, 20)])
+    assert main(["command", "keep-out", "closed", "480,10", "495,10", "490,20", *where]) == 2
+    assert main(["area", "remove", "closed", *where]) == 0
     assert names() == kept
 
 

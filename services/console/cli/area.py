@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from services.console.cli.command import Area as AreaName
-from services.console.cli.command import Yes, asks, confirmed
+from services.console.cli.command import Replace, Yes, asks, confirmed, expect_new_name
 from services.console.cli.coordinates import NEGATIVE_NUMBERS, polygon
 from services.console.cli.options import AsJson, AsName, Earth, IdentityFolder, Insecure, Mission, one_of, within
 
@@ -90,7 +90,7 @@ def add(
         bool, typer.Option("--interest", help="An area of interest; without it, one that the rover may not enter.")
     ] = False,
     weight: Weight = 2.0,
-    replace: Annotated[bool, typer.Option("--replace", help="Replace the area of that name.")] = False,
+    replace: Replace = False,
     mission: Mission = None,
     earth: Earth = None,
     identity: IdentityFolder = None,
@@ -99,15 +99,13 @@ def add(
     yes: Yes = False,
 ) -> None:  # fmt: skip
     """Add an area. Its name is new, unless --replace is given."""
-    from he3.errors import InvalidInput
     from services.console.client.areas import Area, AreaKind
 
     kind = AreaKind.INTEREST if interest else AreaKind.KEEP_OUT
     area = Area(kind, name, polygon(corners), weight if interest else None)
     with _joined(mission, earth, identity, insecure, as_name) as client:
-        objection = None if replace else client.name_objection(kind, name)
-        if objection is not None:
-            raise InvalidInput(f"{objection}; --replace gives it another outline")
+        if not replace:
+            expect_new_name(client, kind, name)
         _set(client, area, yes=yes)
     typer.echo(f"mission '{client.mission}': {kind.value} {name} set")
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from schemas.commands import CommandStage, CommandStatus
+    from services.console.client.areas import AreaKind
     from services.console.client.mission_client import MissionClient
     from services.console.client.previews import CommandOutlook
 
@@ -38,6 +39,7 @@ Examples:
   he3 command go-to 120 340 --preview      what it would do; nothing is sent
   he3 command go-to 120 340 --expires-in 3600 --yes
   he3 command keep-out crater 100,100 150,100 125,150
+  he3 command keep-out crater 90,90 160,90 125,160 --replace
   he3 command keep-out crater              removes that area
   he3 commands
 """
@@ -90,6 +92,7 @@ Preview = Annotated[
 Yes = Annotated[
     bool, typer.Option("--yes", "-y", help="Send it without a question. Without a terminal there is none in any case.")
 ]
+Replace = Annotated[bool, typer.Option("--replace", help="Replace the area of that name.")]
 Area = Annotated[str, typer.Argument(metavar="AREA", help="Name of the area.", callback=checked(_identifier))]
 
 _PLAIN = {
@@ -155,6 +158,7 @@ def go_to(
 def keep_out(
     area: Area,
     corners: Corners = None,
+    replace: Replace = False,
     mission: Mission = None,
     earth: Earth = None,
     identity: IdentityFolder = None,
@@ -168,12 +172,15 @@ def keep_out(
     yes: Yes = False,
     json: AsJson = False,
 ) -> None:
-    """Close an area to the rover; without corners, open it again."""
+    """Close an area to the rover; without corners, open it again. The name is new, unless --replace is given."""
     what: dict[str, Any] = {"area_id": area}
     if corners:
         what["polygon_m"] = polygon(corners)
     session = _Session(mission, earth, identity, insecure, as_name)
-    _issue(session, "set-keep-out", what, _Sending(command_id, expires_in, wait, timeout, preview, yes, json))
+    sending = _Sending(
+        command_id, expires_in, wait, timeout, preview, yes, json, new_area=bool(corners) and not replace
+    )
+    _issue(session, "set-keep-out", what, sending)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,10 +205,13 @@ class _Sending:
     preview: bool
     yes: bool
     json: bool
+    new_area: bool = False
+    """Whether the command sets an area whose name must be new."""
 
 
 def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) -> None:
     from schemas.commands import CommandStage
+    from services.console.client.areas import AreaKind
     from services.console.client.mission_client import MissionClient
 
     stage = None if how.wait is None else CommandStage(how.wait)
@@ -212,6 +222,8 @@ def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) ->
         insecure=session.insecure,
         as_name=session.as_name,
     ) as client:
+        if how.new_area:
+            expect_new_name(client, AreaKind.KEEP_OUT, what["area_id"], how.command_id)
         if how.preview:
             _show(client, client.preview(kind, **what), json=how.json)
             return
@@ -222,6 +234,15 @@ def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) ->
         status = issued.status if stage is None else issued.wait(stage, how.timeout_s)
     typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(command_lines([status])))
     fail_if_it_failed(status, stage)
+
+
+def expect_new_name(client: MissionClient, kind: AreaKind, name: str, command_id: str | None = None) -> None:
+    """Raise InvalidInput if an area of that kind has the name; command_id: see `Areas.name_objection`."""
+    from he3.errors import InvalidInput
+
+    objection = client.name_objection(kind, name, command_id)
+    if objection is not None:
+        raise InvalidInput(f"{objection}; --replace gives it another outline")
 
 
 def asks(kind: str, *, yes: bool) -> bool:

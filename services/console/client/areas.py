@@ -55,11 +55,17 @@ class Areas(Commanding, MapQueries):
         outlines.update(commanded_keep_outs(self.commands()))
         return tuple(Area(kind, name, corners) for name, corners in outlines.items())
 
-    def name_objection(self, kind: AreaKind, name: str | None) -> str | None:
-        """One line on why a new area cannot have that name: one of its kind has it. None if it can."""
+    def name_objection(self, kind: AreaKind, name: str | None, command_id: str | None = None) -> str | None:
+        """One line on why a new area cannot have that name: one of its kind has it. None if it can.
+
+        command_id: of the command that is to set it; one that is sent again sets nothing new.
+        """
         if name is None or all(area.name != name for area in self.areas_of(kind)):
             return None
-        return f"expected a new name, got that of an area of {kind.value} that is set: {name}"
+        if command_id is not None and any(each.command.command_id == command_id for each in self.commands()):
+            return None
+        of = "a keep-out" if kind is AreaKind.KEEP_OUT else "an area of interest"
+        return f"expected a new name, got that of {of} that is set: {name}"
 
 
 def commanded_keep_outs(commands: Iterable[CommandStatus]) -> dict[str, tuple[Place, ...]]:
