@@ -17,6 +17,7 @@ import { showPlan } from "./planreview.js";
 import { showRecording, takeRecording } from "./recording.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
+import { showTimeline } from "./timeline.js";
 import { showView } from "./view.js";
 import { elapsed, grouped, utc } from "./words.js";
 
@@ -33,6 +34,7 @@ whenTimeChanges(() => {
 });
 whenCommandsChange(showAreas);
 whenCommandsChange(showLog);
+whenCommandsChange(showTimeline);
 
 listen({
   state: takeAll,
@@ -42,14 +44,14 @@ listen({
   status: (status) => { state.status = { ...state.status, ...status }; showStatus(); wantMap(); mapIsAt(state.status.map_revision); },
   rover: (rover) => { state.rover = { ...state.rover, ...rover }; showRover(); },
   link: (link) => { state.link = { ...state.link, ...link }; showLink(); },
-  contacts: (contacts) => { state.contacts = { ...state.contacts, ...contacts }; showLog(); },
-  event: (event) => { state.events.push(event); showLog(); },
-  entry: (entry) => { state.entries.push(entry); showLog(); },
-  mode: (mode) => { state.modes.push(mode); },
+  contacts: (contacts) => { state.contacts = { ...state.contacts, ...contacts }; showLog(); showTimeline(); },
+  event: (event) => { state.events.push(event); showLog(); showTimeline(); },
+  entry: (entry) => { state.entries.push(entry); showLog(); showTimeline(); },
+  mode: (mode) => { state.modes.push(mode); showTimeline(); },
   command: takeCommand,
   curve: ({ name, points }) => charts[name].extend(points),
   interests: takeInterests,
-  alarms: (alarms) => { state.alarms = alarms; showAlarms(); showLog(); },
+  alarms: (alarms) => { state.alarms = alarms; showAlarms(); showLog(); showTimeline(); },
 }, () => { state.connected = false; showLiveness(); });
 
 let newestMap = null;
@@ -73,7 +75,7 @@ function takeAll(all) {
   $("mission").textContent = all.mission;
   document.title = all.recording ? `${all.mission}: recording` : `${all.mission}: helium-3 live map`;
   for (const [name, chart] of Object.entries(charts)) chart.set(all.curves[name]);
-  showStatus(); showRover(); showLink(); showCommands(); showAlarms(); showLog();
+  showStatus(); showRover(); showLink(); showCommands(); showAlarms(); showLog(); showTimeline();
   heard(all.liveness);
   forgetMap();
   askJson("interest").then(takeInterests).catch(() => {}); // none before the ground answers
