@@ -95,12 +95,18 @@ class HeardEvent(Wire):
     received_at: MissionTimeNs
 
 
+SILENCE_S: Final = 300.0
+"""Time between two reports of the rover from which on it is not known what it did between them."""
+
+
 class ModeChange(Wire):
-    """The rover reported a mode other than the one before."""
+    """The rover reported a mode other than the one before, or any mode after `SILENCE_S` without a report."""
 
     mode: RoverMode
     made_at: MissionTimeNs
     """When the rover made the first report of it that reached the ground."""
+    before_at: MissionTimeNs | None = Field(default=None, exclude_if=is_none)
+    """When it made the report before, if that was longer than `SILENCE_S` before."""
     received_at: MissionTimeNs
 
 
@@ -110,3 +116,18 @@ class MissionLog(Wire):
     entries: Annotated[tuple[LogEntry, ...], Field(max_length=MAX_ENTRIES)] = ()
     events: Annotated[tuple[HeardEvent, ...], Field(max_length=MAX_EVENTS)] = ()
     modes: Annotated[tuple[ModeChange, ...], Field(max_length=MAX_MODES)] = ()
+
+
+def mode_change(
+    last: ModeChange | None, reported_at: int | None, mode: RoverMode, made_at: int, received_at: int
+) -> ModeChange | None:
+    """The change that a report of the rover's mode makes known; None if it tells nothing new, or was overtaken.
+
+    last: the change before; reported_at: when the newest report so far was made.
+    """
+    if reported_at is not None and made_at <= reported_at:
+        return None
+    silent = reported_at is not None and made_at - reported_at > SILENCE_S * 1e9
+    if last is not None and mode is last.mode and not silent:
+        return None
+    return ModeChange(mode=mode, made_at=made_at, received_at=received_at, before_at=reported_at if silent else None)

@@ -22,6 +22,7 @@ from schemas.mission_log import (
     LogKind,
     MissionLog,
     ModeChange,
+    mode_change,
 )
 from schemas.plans import PlanVerdict
 from schemas.topics import LOG_ENTRY
@@ -54,6 +55,7 @@ class OperationsLog:
         self._entries: list[LogEntry] = []
         self._events: list[HeardEvent] = []
         self._modes: list[ModeChange] = []
+        self._reported_at: MissionTime | None = None
 
     def listed(self) -> MissionLog:
         """All that is kept."""
@@ -65,10 +67,12 @@ class OperationsLog:
         del self._events[:-MAX_EVENTS]
 
     def reported(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> None:
-        """Keep the rover's mode if it is another than before; a report that was overtaken changes nothing."""
+        """Keep the rover's mode if it is another than before, or the first after a silence."""
         last = self._modes[-1] if self._modes else None
-        if last is None or (made_at > last.made_at and state.mode is not last.mode):
-            self._modes.append(ModeChange(mode=state.mode, made_at=made_at, received_at=now))
+        change = mode_change(last, self._reported_at, state.mode, made_at, now)
+        self._reported_at = max(made_at, self._reported_at or 0)
+        if change is not None:
+            self._modes.append(change)
             del self._modes[:-MAX_MODES]
 
     def planned(self, plan: MissionPlan, now: MissionTime) -> Effect:
@@ -135,9 +139,11 @@ class OperationsLog:
             "entries": list(self._entries),
             "events": list(self._events),
             "modes": list(self._modes),
+            "reported_at": self._reported_at,
         }
 
     def restore(self, state: SavedState) -> None:
         """Restore the log from this state."""
         self._number = state["number"]
         self._entries, self._events, self._modes = list(state["entries"]), list(state["events"]), list(state["modes"])
+        self._reported_at = state["reported_at"]

@@ -39,6 +39,7 @@ from tests.waiting import PATIENCE_S, expect_within, until
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 IPV6 = Path("/proc/net/if_inet6").exists() and Path("/proc/net/if_inet6").read_text() != ""
+FACTS = Path(__file__).parent / "timeline_facts.js"
 AXE = Path(__file__).parents[1] / "vendor" / "axe-core" / "axe.min.js"
 ENTER, ESCAPE = "\ue007", "\ue00c"
 RATE = 60.0
@@ -703,6 +704,47 @@ def pinch(driver: Any, x: float, y: float) -> None:
     for kind, apart in (("touchStart", 20), ("touchMove", 30), ("touchMove", 60), ("touchEnd", 0)):
         points = [{"x": x - apart, "y": y, "id": 1}, {"x": x + apart, "y": y, "id": 2}] if apart else []
         driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+
+def test_the_timeline_tells_plan_from_flight_and_what_is_known_from_what_is_not(browser: Any) -> None:
+    found = browser.execute_async_script(FACTS.read_text())
+    assert found["rounds"] == [
+        ["planned", 0, 60, 0], ["planned", 65, 125, 0],  # the newest plan of a round counts
+        ["good", 5, 70, 1], ["good", 70, 95, 1],  # flown as far as word has come
+    ]  # fmt: skip
+    assert found["rover"] == [["good", 1, 50, 0], ["accent", 90, 95, 0], ["unknown", 50, 90, 0]]
+    assert found["rows"] == [0, 1]  # they overlap
+    assert found["contact"] == [[None, 20, 20, 0], ["contact", 0, 20, 0], ["none", 20, 100, 0], ["ahead", 200, 260, 0]]
+    # As late as it began, as it ended, as the next one began; overdue by what light has brought, not by the clock.
+    assert found["deviations"] == [5, 10, 5, 15]
+    assert found["text"] == "round 2: 15 min 00 s behind plan, as of T+ 0 d 02:20:00"
+    assert found["next"] == "next contact in 1 h 40 min, at T+ 0 d 03:20:00"
+    assert "no report of what the rover did for 40 min 00 s" in found["said"]
+    assert found["edges"] == [0, 1, 5, 10]
+
+
+def test_one_cursor_goes_over_timeline_plots_and_map_by_keyboard(browser: Any, mission: MissionClient) -> None:
+    until(lambda: "round 1 as flown" in script(browser, "return document.getElementById('timeline-says').textContent")
+          or mission.status().round >= 1, "a round")  # fmt: skip
+    strip = browser.find_element("id", "timeline")
+    script(browser, "document.getElementById('timeline').focus()")
+    label = "return document.querySelector('#chart-energy .plot').getAttribute('aria-label')"
+    strip.send_keys("0", "\ue012")  # the whole mission; left
+    until(lambda: " at T+ 0 d " in script(browser, label), "the cursor on the plot")
+    assert written(browser, "#timeline-says").startswith("T+ 0 d ")
+    for _ in range(4):
+        strip.send_keys("p")
+    strip.send_keys("+")
+    until(lambda: "span=" in browser.current_url, "what is seen in the address")
+    strip.send_keys(ENTER)
+    until(lambda: not script(browser, "return document.getElementById('past').hidden"), "the map of that moment")
+    strip.send_keys(ESCAPE, "0")
+    until(lambda: " at T+" not in script(browser, label) and "span=" not in browser.current_url, "the present")
+    click(browser, "#live")
+    script(browser, "document.getElementById('timeline-list').open = true")
+    until(lambda: "as planned" in written(browser, "#timeline-rows"), "the rows in words")
+    script(browser, "document.getElementById('timeline-list').open = false")
+    assert "contact" in written(browser, "#timeline-contact")
 
 
 def test_the_map_is_zoomed_and_panned_in_every_way_and_a_drag_is_no_click(browser: Any, mission: MissionClient) -> None:

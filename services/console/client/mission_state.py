@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from he3.errors import He3Error
 from schemas.commands import CommandStatus, NoParameters
-from schemas.mission_log import MAX_ENTRIES, MAX_MODES, ModeChange
+from schemas.mission_log import MAX_ENTRIES, MAX_MODES, ModeChange, mode_change
 from schemas.topics import (
     COMMAND_STATUS,
     EARTH_CLOCK,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from schemas.ground import GroundStatus, Presence
     from schemas.link import ClockState, LinkStatus
     from schemas.mission_log import LogEntry, MissionLog
-    from schemas.telemetry import RoverEvent, RoverState
+    from schemas.telemetry import RoverEvent, RoverMode, RoverState
     from schemas.wire import Header
     from services.runtime.transport.client import Client
 
@@ -350,16 +350,19 @@ class MissionState:
             return False
         self._facts[topic] = Fact(header, body)
         if topic is STATE:
-            self._note_mode(ModeChange(mode=body.mode, made_at=header.made_at, received_at=self.time.now()))
+            reported_at = None if last is None else last.made_at
+            self._note_mode(body.mode, reported_at, header.made_at, self.time.now())
         if topic is STATE and last is not None and header.incarnation == last.header.incarnation:
             self._report_gaps_s.append((header.made_at - last.made_at) / SECOND)
         if topic is EARTH_CLOCK:
             self.time.follow(body)
         return True
 
-    def _note_mode(self, change: ModeChange) -> None:
-        last = self._modes[-1] if self._modes else None
-        if last is None or (change.mode is not last.mode and change.made_at > last.made_at):
+    def _note_mode(
+        self, mode: RoverMode, reported_at: MissionTime | None, made_at: MissionTime, now: MissionTime
+    ) -> None:
+        change = mode_change(self._modes[-1] if self._modes else None, reported_at, mode, made_at, now)
+        if change is not None:
             self._modes.append(change)
             del self._modes[:-MAX_MODES]
 
@@ -370,9 +373,8 @@ class MissionState:
             logged = [Happened(heard.event, heard.received_at) for heard in log.events]
             earlier = [each for each in logged if each.key not in known]
             self._events = deque([*earlier, *self._events], maxlen=MAX_EVENTS)
-            heard, self._modes = self._modes, list(log.modes)
-            for change in heard:
-                self._note_mode(change)
+            newest = log.modes[-1].made_at if log.modes else 0
+            self._modes = [*log.modes, *(change for change in self._modes if change.made_at > newest)]
             self._entries = {**{entry.number: entry for entry in log.entries}, **self._entries}
         self.changed.set()
         if self._on_change is not None:

@@ -119,6 +119,16 @@ def test_only_changes_of_the_mode_are_kept_and_none_that_was_overtaken() -> None
     ]
 
 
+def test_what_the_rover_did_during_a_silence_is_not_known() -> None:
+    kept = log()
+    for made_at_s in (10, 60, 60 + 400, 520):
+        kept.reported(state(RoverMode.DRIVING), made_at_s * SECOND, NOW)
+    assert [(change.made_at // SECOND, change.before_at) for change in kept.listed().modes] == [
+        (10, None),
+        (460, 60 * SECOND),
+    ]
+
+
 def test_the_log_is_bounded_and_survives_a_restart() -> None:
     kept = log()
     for at in range(MAX_EVENTS + 5):

@@ -39,7 +39,7 @@ export class Chart {
         { ...axis, size: 44, gap: 4, grid, space: 26, values: (_, splits) => splits.map((value) => Number(value.toPrecision(6)).toLocaleString("en")) },
       ],
       series: [{}, { stroke: () => colour("--accent"), width: 1.8, points: { show: false }, ...(step ? { paths: uPlot.paths.stepped({ align: 1 }) } : {}) }],
-      cursor: { y: false, drag: { x: true, y: false, setScale: false }, points: { size: 7 } },
+      cursor: { y: false, drag: { x: true, y: false, setScale: false }, points: { show: false } },
       hooks: {
         // It is called for every change of the plot, too; only the pointer over this plot points at a moment.
         setCursor: [(plot) => { if (this.hovered && plot.cursor.left >= 0) pointAt(plot.posToVal(plot.cursor.left, "x"), this); }],

@@ -100,7 +100,12 @@ function drawLane({ name, rows, items }, top, width) {
 function drawItem({ from, to, look, label, open, stages, row = 0 }, y, width, labelled) {
   const x = Math.max(toX(from), names() - 4), right = Math.min(Number.isFinite(to) ? toX(to) : width + 4, width + 4), wide = Math.max(right - x, 1.5), high = ROW - 2;
   if (right < names() || x > width) return;
-  if (look === "planned" || look === "ahead") {
+  if (look === "unknown") {
+    pen.fillStyle = colour("--dim");
+    pen.globalAlpha = .3;
+    pen.fillRect(x, y, wide, high);
+    pen.globalAlpha = 1;
+  } else if (look === "planned" || look === "ahead") {
     pen.globalAlpha = look === "ahead" ? .35 : 1;
     pen.strokeStyle = colour(look === "ahead" ? "--good" : "--planned-line");
     pen.setLineDash(look === "ahead" ? [3, 3] : []);

@@ -58,12 +58,13 @@ function flown({ events, at, ...facts }) {
 function rover({ modes, samples, events, at, heard_s }) {
   const spans = modes.map(({ mode, made_at }, index) => {
     const from = at(made_at), next = modes[index + 1];
-    const to = next ? at(next.made_at) : Math.max(heard_s ?? from, from);
+    const to = next ? at(next.before_at ?? next.made_at) : Math.max(heard_s ?? from, from);
     return { from, to, look: WORKS[mode] ?? "dim", label: "", text: `${mode} for ${duration(to - from)}`, open: !next };
   });
+  const silent = modes.filter(({ before_at }) => before_at).map(({ before_at, made_at }) => ({ from: at(before_at), to: at(made_at), look: "unknown", label: "", text: `no report of what the rover did for ${duration((made_at - before_at) / 1e9)}` }));
   const taken = samples.map(({ sample_id, measured_at, helium3_ppb }) => ({ from: at(measured_at), to: at(measured_at), tick: "sample", text: `sample ${sample_id}: ${helium3_ppb.toFixed(2)} ppb` }));
   const marked = events.filter(({ kind }) => MARKED.has(kind)).map((event) => ({ from: at(event.at), to: at(event.at), tick: "bad", text: `${words(event.kind)}${event.detail ? `: ${event.detail}` : ""}` }));
-  return [...spans, ...taken, ...marked];
+  return [...spans, ...silent, ...taken, ...marked];
 }
 
 function commands({ commands: known, at, ...facts }) {
