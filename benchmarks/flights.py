@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.missions import FOOTPRINT_RADIUS_M, Mission, Row, run_mission
+from benchmarks.missions import FOOTPRINT_RADIUS_M, ROUNDS, Mission, Row, run_mission
 from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error, InvalidInput
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
@@ -47,6 +47,7 @@ class Flight:
     """Name of the row in tables; the planner's name if empty."""
     variation: int | None = None
     """Seed of another variation of an embedded region; its own if None. A region from a file has no other."""
+    rounds: int = ROUNDS
     likeliest: bool = True
     """Hyperparameters of maximum likelihood, as the paper has them; else all that the samples leave possible."""
     noise_std_ppb: float = DEFAULT_NOISE_STD_PPB
@@ -143,6 +144,7 @@ def fly(flight: Flight) -> Mission:
         planner_for(flight.planner),
         flight.kernel,
         flight.seed,
+        rounds=flight.rounds,
         budget_m=flight.budget_m,
         prior=flight.prior,
         likeliest=flight.likeliest,

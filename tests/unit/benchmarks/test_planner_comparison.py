@@ -55,14 +55,15 @@ def test_the_floors_stand_in_the_table_each_under_its_name():
 
 def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marked(quarter_of_t1):
     rows = calibration.coverage(Flight(str(quarter_of_t1), "rrtstar", "matern52", 1))
-    assert [row["kernel"] for row in rows] == [*KERNELS, "auto"]
+    judged = [(how, kernel) for how in ("bayes", "ml") for kernel in (*KERNELS, "auto")]
+    assert [(row["hyperparameters"], row["kernel"]) for row in rows] == judged
     assert rows[-1]["chosen"] in KERNELS
     assert {row["kernel"] for row in rows if row["mismatched"]} == {"se", "matern12", "matern32", "matern52"}
     assert all(0.2 < row["coverage_68"] < row["coverage_95"] <= 1.0 for row in rows)
     likelihood = {row["kernel"]: row["log_likelihood"] for row in rows}
     assert likelihood["matern12"] > likelihood["se"], "the field's covariance is exponential, and the samples tell"
-    lines = calibration.table([{**row, "region": "t1"} for row in rows], "t1")
-    assert any("smooth+rough " in line for line in lines)
+    lines = calibration.table([{**row, "region": "t1"} for row in rows], "t1", 150)
+    assert sum("smooth+rough " in line for line in lines) == 2
     assert any("matern12+" in line for line in lines)
     assert any("se*" in line for line in lines)
 
