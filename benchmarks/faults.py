@@ -47,9 +47,6 @@ from benchmarks.fault_schedules import (
 from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
-from he3.gp import Hyperparameters
-from he3.kernels import kernel_from
-from he3.posterior.grid import GridPosterior
 from he3.reference import Region
 from schemas.codec import decode
 from schemas.commands import CommandKind, NoParameters, Telecommand
@@ -57,7 +54,10 @@ from schemas.link import LinkChange, LinkConditions
 from schemas.topics import ISSUE_COMMAND, LINK_SET, SAMPLE, TRACK, Side, Topic
 from schemas.wire import Wire
 from services.field.node import build_node as build_field
+from services.ground.belief import Belief
+from services.ground.map.overview import hyperparameters_from
 from services.ground.node import build_node as build_ground
+from services.ground.observation import Observation
 from services.ground.planner_process import PlannerProcess
 from services.link.node import build_node as build_link
 from services.mission.in_process import InProcessMission
@@ -381,13 +381,14 @@ class World:
         status = self.mission.status
         if status is None or status.kernel is None:
             return
-        kernel = status.kernel
-        fitted = Hyperparameters(
-            kernel_from(kernel.name, kernel.parameters), kernel.noise_std_ppb, kernel.mean_ppb, kernel.scale_ppb
-        )
-        places = np.array([(sample.x_m, sample.y_m) for sample in shown.samples])
-        values = np.array([sample.helium3_ppb for sample in shown.samples])
-        faultless = GridPosterior.build(shown.grid, fitted, places, values)
+        fitted = hyperparameters_from(status.kernel)
+        belief = Belief(shown.grid, fitted.kernel.name, fitted.noise_std_ppb, likeliest=True)
+        observations = {
+            sample.sample_id: Observation((1, 1, number), (sample.x_m, sample.y_m), sample.helium3_ppb)
+            for number, sample in enumerate(shown.samples)
+        }
+        belief.begin_with(observations, fitted)
+        faultless = belief.map
         for name, there, here in (
             ("mean", faultless.mean_ppb, shown.mean_ppb),
             ("std", faultless.std_ppb, shown.std_ppb),

@@ -17,12 +17,10 @@ import numpy as np
 
 from he3.errors import He3Error, InvalidInput
 from he3.frames import Float32Array, SiteGrid
-from he3.hyperparameters import Hyperparameters
-from he3.kernels import kernel_from
-from he3.trend import OrbitalTrend, UnknownConstant
+from he3.trend import OrbitalTrend
 from schemas.topics import MAP_OVERVIEW, PLAN, SAMPLE
 from services.ground.belief import Belief
-from services.ground.map.overview import checksum, kernel_parameters, reduced
+from services.ground.map.overview import checksum, hyperparameters_from, kernel_parameters, reduced
 from services.ground.observation import Observation
 from services.mission.regions import load_region
 from services.mission.scenario import Scenario
@@ -174,7 +172,7 @@ class RebuiltBelief:
     def begin_at(self, overview: MapOverview, samples: Iterable[str]) -> None:
         """Begin at a revision that was rebuilt with new hyperparameters, from these samples."""
         observed = {name: self._evidence.observation(name) for name in samples}
-        self.belief.begin_with(observed, _hyperparameters(overview))
+        self.belief.begin_with(observed, hyperparameters_from(overview.kernel))
         self._fits, self.revision = overview.fits, overview.revision
 
     def follow(self, overview: MapOverview) -> None:
@@ -185,7 +183,7 @@ class RebuiltBelief:
                 self.belief.add(sample_id, self._evidence.observation(sample_id))
             self.exact = self.exact and overview.revision == self.revision + 1
             if overview.fits != self._fits or kernel_parameters(self.belief.hyperparameters) != overview.kernel:
-                self.belief.adopt(_hyperparameters(overview))
+                self.belief.adopt(hyperparameters_from(overview.kernel))
                 self.exact = not added
         except He3Error as error:
             raise He3Error(f"revision {overview.revision} of the map cannot be rebuilt: {error}") from None
@@ -203,20 +201,6 @@ class RebuiltBelief:
             known = len(self.belief) + len(added) + len(between)
             raise He3Error(f"expected {overview.samples} samples in the recording, got {known}")
         return between[:lost] + added
-
-
-def _hyperparameters(overview: MapOverview) -> Hyperparameters:
-    kernel = overview.kernel
-    return Hyperparameters(
-        kernel_from(kernel.name, kernel.parameters),
-        kernel.noise_std_ppb,
-        kernel.mean_ppb,
-        kernel.scale_ppb,
-        trend=None if kernel.mean_std_ppb is None else UnknownConstant(kernel.mean_std_ppb),
-        alternatives=tuple(
-            (each.weight, kernel_from(kernel.name, each.parameters)) for each in kernel.alternatives or ()
-        ),
-    )
 
 
 def _with(

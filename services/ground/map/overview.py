@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
+from he3.hyperparameters import Hyperparameters
+from he3.kernels import kernel_from
 from he3.trend import UnknownConstant
 from schemas.ground import (
     MAX_OVERVIEW_CELLS,
@@ -25,7 +27,6 @@ from schemas.ground import (
 
 if TYPE_CHECKING:
     from he3.frames import IntArray
-    from he3.hyperparameters import Hyperparameters
     from services.ground.map.snapshot import MapSnapshot
 
 
@@ -79,6 +80,20 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
             for weight, kernel in hyperparameters.alternatives
         )
         or None,
+    )
+
+
+def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
+    """The hyperparameters that operators saw, as ``kernel_parameters`` gave them; without an orbital trend."""
+    return Hyperparameters(
+        kernel_from(kernel.name, kernel.parameters),
+        kernel.noise_std_ppb,
+        kernel.mean_ppb,
+        kernel.scale_ppb,
+        trend=None if kernel.mean_std_ppb is None else UnknownConstant(kernel.mean_std_ppb),
+        alternatives=tuple(
+            (each.weight, kernel_from(kernel.name, each.parameters)) for each in kernel.alternatives or ()
+        ),
     )
 
 
