@@ -15,7 +15,7 @@ from he3.errors import InvalidInput, NotAllowed, NotFound, NotReady
 from schemas.commands import CommandList
 from schemas.ground import InterestArea, InterestList
 from schemas.link import ClockMode, ClockState
-from schemas.mission_log import MAX_ENTRIES, MAX_EVENTS, MAX_MODES, HeardEvent, MissionLog, ModeChange
+from schemas.mission_log import MAX_ENTRIES, MAX_EVENTS, MAX_MODES, HeardEvent, MissionLog, ModeChange, mode_change
 from schemas.plans import PlanReview
 from schemas.topics import (
     COMMAND_STATUS,
@@ -270,10 +270,12 @@ class RecordedSession(Client):
             for heard in reversed(self._tape.of(EVENT, now))  # of repetitions the first one counts
         }
         modes: list[ModeChange] = []
+        reported_at: MissionTime | None = None
         for heard in self._tape.of(STATE, now):
-            mode, made_at = heard.body.mode, heard.header.made_at
-            if not modes or (made_at > modes[-1].made_at and mode is not modes[-1].mode):
-                modes.append(ModeChange(mode=mode, made_at=made_at, received_at=heard.at))
+            last, made_at = modes[-1] if modes else None, heard.header.made_at
+            if change := mode_change(last, reported_at, heard.body.mode, made_at, heard.at):
+                modes.append(change)
+            reported_at = max(made_at, reported_at or 0)
         return MissionLog(
             entries=tuple(entries[number] for number in sorted(entries))[-MAX_ENTRIES:],
             events=tuple(reversed(events.values()))[-MAX_EVENTS:],

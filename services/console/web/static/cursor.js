@@ -17,11 +17,20 @@ export function timeLabel(at_s, step_s) {
   return `${Math.round(at_s / DAY)} d`;
 }
 
+const themed = [];
+const colours = new Map(); // of the present theme
+
 // A colour of the page's theme, for a canvas.
-export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+export function colour(name) {
+  if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return colours.get(name);
+}
 
 // Called when the theme has changed: what was drawn on a canvas has the old colours.
-export function whenThemeChanges(callback) {
-  new MutationObserver(callback).observe(document.documentElement, { attributeFilter: ["data-theme"] });
-  matchMedia("(prefers-color-scheme: light)").addEventListener("change", callback);
+export const whenThemeChanges = (callback) => themed.push(callback);
+function changeTheme() {
+  colours.clear();
+  for (const callback of themed) callback();
 }
+new MutationObserver(changeTheme).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+matchMedia("(prefers-color-scheme: light)").addEventListener("change", changeTheme);

@@ -16,6 +16,7 @@ let shown = [], facts = null, changed = true;
 let span = null;      // what is seen [s]; null for the whole mission
 let follows = false;  // whether the span moves with the present time
 let cursor = null;    // the moment that is pointed at [s]
+let drawnAt = null;   // the present when it was drawn last [s]
 
 export function showTimeline() { changed = true; }
 
@@ -23,14 +24,17 @@ function look() {
   if (document.hidden || !state.clock) return;
   const time = isTimeKnown() ? now() : null;
   if (!changed && time === facts?.time) return;
-  changed = false;
+  const before = facts;
   facts = moments({
     start_ns: state.clock.start_ns, now_ns: time, heard_ns: state.rover?.made_at, events: state.events, entries: state.entries,
     modes: state.modes, commands: [...state.commands.values()], contacts: state.contacts, alarms: state.alarms, samples: map.track?.samples ?? [],
   });
   facts.time = time;
-  shown = lanes(facts);
   rewrite($("timeline-contact"), contactText(facts));
+  // While nothing happens it is drawn again when the present has moved on by a pixel.
+  if (!changed && before?.heard_s === facts.heard_s && time !== null && drawnAt !== null && Math.abs(toX(facts.now_s) - toX(drawnAt)) < 1) return;
+  changed = false;
+  shown = lanes(facts);
   rewrite($("timeline-deviation"), deviationText(facts));
   if (follows && span && facts.now_s !== null) moveTo(facts.now_s + .3 * (span[1] - span[0]) - (span[1] - span[0]));
   draw();
@@ -53,6 +57,7 @@ const heightOf = ({ rows }) => rows * ROW + GAP;
 function draw() {
   const width = canvas.clientWidth, height = shown.reduce((sum, lane) => sum + heightOf(lane), AXIS), ratio = devicePixelRatio;
   if (!width || !shown.length) return;
+  drawnAt = facts.now_s;
   if (canvas.style.height !== `${height}px`) canvas.style.height = `${height}px`;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) { canvas.width = Math.round(width * ratio); canvas.height = Math.round(height * ratio); }
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);

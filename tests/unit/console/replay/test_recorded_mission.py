@@ -12,6 +12,7 @@ from he3.errors import InvalidInput, NotAllowed
 from schemas.maps import MapLayer, MapLayerQuery, MapTrackQuery
 from schemas.topics import MAP_LAYER, MAP_POINT, TRACK
 from services.console.replay.mission import RecordedMission
+from services.console.report.alarm_history import recorded_alarms
 from services.console.web.hub import Hub
 from services.mission.mission_time import SECOND
 from tests.unit.console.flown import HOUR_S, INSTANTS_S, PLACE, Flown
@@ -62,6 +63,15 @@ def test_at_ten_instants_the_page_shows_what_it_showed_live(
     track = query(TRACK, MapTrackQuery()).model_dump(exclude={"plan_ends"})
     assert live.track is not None
     assert track == live.track.model_dump(exclude={"plan_ends"})
+
+
+def test_the_alarms_of_a_recording_are_those_that_the_page_showed(
+    hub: Hub, recorded: RecordedMission, flown_with_faults: Flown
+) -> None:
+    found = recorded_alarms(flown_with_faults.path)
+    hub.play((recorded.end_ns - recorded.begin_ns) / SECOND, None)
+    assert {alarm.kind for alarm in found.current} == {alarm.kind for alarm in hub._alarms.current}
+    assert all(alarm.ended_at is not None and alarm.ended_at >= alarm.raised_at for alarm in found.history)
 
 
 def test_areas_of_interest_and_earlier_maps_are_those_of_the_time(recorded: RecordedMission) -> None:
