@@ -143,6 +143,7 @@ class DaskEngine(_Replies):
         # What its processes say of their work is for its dashboard; errors come with the replies.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._cluster: LocalCluster | None = None
+        self._pending: dict[str, tuple[Task, Any]] = {}
         if address is None:
             self._cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1",
@@ -172,23 +173,44 @@ class DaskEngine(_Replies):
     def submit(self, task: Task) -> None:
         """Have that task computed."""
         future = self._client.submit(computed, task.request(), key=f"he3-{task.key}", pure=False)
+        self._pending[task.key] = task, future
         future.add_done_callback(lambda done: self._queue.put((task, self._reply_of(done))))
+
+    def replies(self, timeout_s: float) -> list[tuple[Task, Reply]]:
+        """Tasks with their replies: at least one, or none after that time.
+
+        What a scheduler that was gone has forgotten is submitted to the one that came in its place, if one did.
+        """
+        found = []
+        for task, reply in super().replies(timeout_s):
+            if self._pending.pop(task.key, None) is not None:
+                found.append((task, reply))
+        if not found and self._client.status in ("running", "closed"):
+            forgotten = [task for task, future in self._pending.values() if future.status in ("lost", "cancelled")]
+            for task in forgotten:
+                if self._client.status == "running":
+                    self.submit(task)
+                else:
+                    found.append((self._pending.pop(task.key)[0], self._gone()))
+        return found
 
     def _reply_of(self, future: Any) -> Reply:
         if future.status == "finished":
             try:
-                reply = reply_of(future.result(timeout=CONNECT_S))
+                return reply_of(future.result(timeout=CONNECT_S))
             except Exception as error:  # noqa: BLE001 - whatever the cluster raises, the task has no reply
                 return Reply(LOST, error=f"{type(error).__name__}: {error}")
             finally:
                 future.release()
-            return reply
         if future.status == "error":
             raised = future.exception()
             # A worker of other software may not even know the function.
             kind = REFUSED if isinstance(raised, (ImportError, AttributeError)) else FAILED
             return Reply(kind, error=f"{type(raised).__name__}: {raised}".splitlines()[0])
-        return Reply(LOST, error=f"the cluster at {self._address} is gone, or cancelled the task")
+        return self._gone()
+
+    def _gone(self) -> Reply:
+        return Reply(LOST, error=f"the cluster at {self._address} is gone")
 
     def close(self) -> None:
         """Give up what is computed, and end a cluster that was made here; returns soon, whatever the scheduler does."""

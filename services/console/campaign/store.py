@@ -147,7 +147,8 @@ class Store:
     def write(self, task: Task, reply: Reply) -> None:
         """Write the row of that task, durably. A row with a result is never replaced, one with an error is."""
         with self._told():
-            self._database.execute(_WRITE, _values(task, reply))
+            if not self._database.execute(_WRITE, _values(task, reply)).rowcount:
+                self._database.execute("UPDATE rows SET attempts = attempts + 1 WHERE key = ?", (task.key,))
 
     def write_all(self, rows: Iterable[tuple[Task, Reply]]) -> None:
         """Write many rows in one transaction."""
@@ -173,6 +174,13 @@ class Store:
         """Number of rows that are not current."""
         with self._told():
             return int(self._database.execute("SELECT count(*) FROM rows WHERE current = 0").fetchone()[0])
+
+    @property
+    def rewritten(self) -> int:
+        """Number of current rows whose task was computed more than once to its end."""
+        with self._told():
+            query = "SELECT count(*) FROM rows WHERE current = 1 AND attempts > 1"
+            return int(self._database.execute(query).fetchone()[0])
 
     def close(self) -> None:
         """Close the file and let others write it."""

@@ -27,6 +27,7 @@ def test_a_row_with_a_result_stays_and_one_with_an_error_is_replaced(tmp_path: P
             store.write(task(4), Reply(LOST))
     with Store(path, write=False) as store:
         found = {row.labels["seed"]: (row.status, row.result, row.error) for row in store.rows()}
+        assert store.rewritten == 2
     assert found == {1: (DONE, {"figure": 0.1}, ""), 2: (DONE, {"figure": 0.3}, ""), 3: (FAILED, None, "no luck")}
 
 
