@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks.flights import Flight, conditions, expect_open, fly, mean_and_std, region_named, written
 from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Row
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.kernels import AUTO, KERNELS
@@ -48,6 +48,8 @@ def run(
     region: Path | None = None,
     rounds: Sequence[int] = (ROUNDS,),
     jobs: int = 2,
+    engine: str = "local",
+    store: Path | None = None,
     noise: float = DEFAULT_NOISE_STD_PPB,
     start: Sequence[float] = (),
     budget: float | None = None,
@@ -58,8 +60,8 @@ def run(
     """One row a fit; the table printed, rows written to `json`.
 
     regions: embedded names; region: a field as .npz in their place; rounds: of 5 samples, of each mission. noise:
-    standard deviation [ppb]; start: X,Y [m]; budget: metres. Raises InvalidInput for names that are not known and
-    numbers that do not fit.
+    standard deviation [ppb]; start: X,Y [m]; budget: metres. engine, store: as `he3 campaign run` takes them; with a
+    store, a run that was ended goes on. Raises InvalidInput for names that are not known and numbers that do not fit.
     """
     if seeds < 1 or jobs < 1 or not (regions or region) or not rounds or min(rounds) < 1:
         raise InvalidInput(f"expected one seed, job, region and round at least, got {seeds}, {jobs} and {len(regions)}")
@@ -73,7 +75,7 @@ def run(
     ]  # fmt: skip
     found: dict[Flight, list[Row]] = {}
     began = time.monotonic()
-    with WorkerPool(jobs) as pool:
+    with Tasks(jobs, engine, store) as pool:
         for flight, of_flight in pool.results(coverage, flights):
             found[flight] = of_flight
             progress(f"  {len(found):>3}/{len(flights)} sets of samples   ({time.monotonic() - began:.0f} s)")

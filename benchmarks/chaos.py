@@ -39,8 +39,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.journalled_mission import RECORDER, SERVICES, JournalledMission, judged_samples
+from benchmarks.tasks import Tasks, progress
 from benchmarks.wall_clock import WallClock, compiled
-from benchmarks.worker_pool import WorkerPool, progress
 from he3.errors import He3Error, InvalidInput
 from services.mission.processes import LINK
 
@@ -153,7 +153,7 @@ def run(
             progress("the wall clock is not stepped: there is no C compiler")
         flown = [f"rounds={rounds}", f"samples_per_round={samples_per_round}", f"rate={rate}", *settings]
         task = partial(fly, seed=seed, settings=flown, within_s=within, folder=folder, library=library)
-        with WorkerPool(jobs) as pool:
+        with Tasks(jobs) as pool:
             for _, outcome in pool.results(task, range(first, first + schedules)):
                 outcomes.append(outcome)
                 say(_described(outcome))

@@ -22,12 +22,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from benchmarks.flights import written
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.errors import He3Error, InvalidInput
 from schemas.ground import MissionPhase
 from services.ground.planner_process import PlannerProcess
@@ -72,12 +73,15 @@ def run(
     seed: int = 1,
     rounds: int = 30,
     jobs: int = 2,
+    engine: str = "local",
+    store: Path | None = None,
     *,
     say: Callable[[str], None] = print,
 ) -> list[Row]:
     """A row for each light time and black-out, stop-and-wait and pipelined; printed, written, and drawn as `delay.png`.
 
-    Raises InvalidInput for a depth that is no pipeline, a black-out that never ends, or no light time to compare.
+    engine, store: as `he3 campaign run` takes them; with a store, a run that was ended goes on. Raises InvalidInput for
+    a depth that is no pipeline, a black-out that never ends, or no light time to compare.
     """
     if pipeline < 1 or jobs < 1:
         raise InvalidInput(f"expected a pipeline of one round and one job at least, got {pipeline} and {jobs}")
@@ -91,11 +95,10 @@ def run(
         for light_time, share in conditions
         for depth in (0, pipeline)
     ]
+    cases.sort(key=lambda case: case.pipeline)  # neighbours share plans
     found: dict[Case, Row] = {}
-    with WorkerPool(jobs) as pool:
-        # Missions of one pipeline depth share their plans, so they are flown in one process.
-        groups = [[case for case in cases if case.pipeline == depth] for depth in (0, pipeline)]
-        for _, (case, row) in pool.items(fly_all, groups):
+    with Tasks(jobs, engine, store) as pool:
+        for case, row in pool.results(flown, cases):
             found[case] = row
             progress(f"  {len(found):>3}/{len(cases)}  {_line(row)}")
         rows = [found[case] for case in sorted(cases, key=lambda case: case.pipeline) if case in found]
@@ -158,12 +161,14 @@ class Remembering:
         return self._known[query]
 
 
-def fly_all(cases: Sequence[Case]) -> Iterator[tuple[Case, Row]]:
-    """Each case with its row, as soon as its mission has ended."""
-    with PlannerProcess(parallel=1) as planners:
-        remembering = Remembering(planners)
-        for case in cases:
-            yield case, fly(case, remembering)
+def flown(case: Case) -> Row:
+    """The row of that case. The missions that one worker process flies share their plans."""
+    return fly(case, _remembering())
+
+
+@cache
+def _remembering() -> Remembering:
+    return Remembering(PlannerProcess(parallel=1))
 
 
 def fly(case: Case, executor: Executor) -> Row:

@@ -29,7 +29,7 @@ from benchmarks.exam_methods import METHODS, Asked, Settings, Survey, with_our_m
 from benchmarks.exam_scores import mean_and_interval, scores
 from benchmarks.flights import conditions, expect_open
 from benchmarks.missions import SAMPLES_A_ROUND
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.errors import He3Error, InvalidInput
 from he3.kernels import AUTO, KERNELS
 
@@ -55,6 +55,8 @@ def run(
     kernel: str = AUTO,
     hyperparameters: Literal["ml", "bayes"] = "bayes",
     jobs: int = 1,
+    engine: str = "local",
+    store: Path | None = None,
     json: Path | None = None,
     picture: Path | None = None,
     *,
@@ -64,8 +66,8 @@ def run(
 
     data: folder with rasters (docs/exam.md); without it, our own regions alone. fields: all that there are if empty.
     noise: standard deviation as a share of the field's; the field's own if None. start: X,Y [m]. budget: metres.
-    kernel and hyperparameters: of our planners and our map. Raises InvalidInput for names and numbers that do not fit;
-    He3Error, after the tables, if a survey failed.
+    kernel and hyperparameters: of our planners and our map. engine, store: as `he3 campaign run` takes
+    them. Raises InvalidInput for names and numbers that do not fit; He3Error, after the tables, if a survey failed.
     """
     settings = _settings(samples, start, budget, kernel, hyperparameters)
     if seeds < 1:
@@ -83,7 +85,7 @@ def run(
              for seed in range(1, seeds + 1) for name in names]  # fmt: skip
     failures: list[str] = []
     began = time.monotonic()
-    with WorkerPool(jobs) as pool:
+    with Tasks(jobs, engine, store) as pool:
         for _, row in pool.items(surveys, tasks):
             head = f"  {row['field']:<16} {row['method']:<22} seed {row['seed']:<3}"
             if "failed" in row:

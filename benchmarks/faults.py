@@ -44,7 +44,7 @@ from benchmarks.fault_schedules import (
     shrunk,
     telecommand,
 )
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
 from he3.reference import Region
@@ -103,17 +103,22 @@ def run(
     runs: int = 100,
     seed: int = 0,
     jobs: int = 2,
+    engine: str = "local",
+    store: Path | None = None,
     json: Path | None = None,
     *,
     say: Callable[[str], None] = print,
 ) -> Row:
-    """The counts of failures in that many missions, seeds from `seed` on; printed, and written as JSON."""
+    """The counts of failures in that many missions, seeds from `seed` on; printed, and written as JSON.
+
+    engine, store: as `he3 campaign run` takes them; with a store, a run that was ended continues.
+    """
     if runs < 1 or jobs < 1:
         raise InvalidInput(f"expected one run and one job at least, got {runs} and {jobs}")
     began = time.monotonic()
     failures: list[Outcome] = []
     count = 0
-    with WorkerPool(jobs) as pool:
+    with Tasks(jobs, engine, store) as pool:
         for count, (_, outcome) in enumerate(pool.results(fly_and_shrink, range(seed, seed + runs)), start=1):
             if outcome.failed:
                 failures.append(outcome)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.missions import FOOTPRINT_RADIUS_M, ROUNDS, Mission, Row, run_mission
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.errors import He3Error, InvalidInput
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.reference import Region
@@ -98,7 +98,7 @@ def expect_open(region: Region, start_m: tuple[float, float] | None) -> None:
                            f"0..{grid.height_m:g} m north, got {start_m[0]:g},{start_m[1]:g}")  # fmt: skip
 
 
-def flown(flights: Sequence[Flight], pool: WorkerPool) -> tuple[dict[Flight, Mission], list[str]]:
+def flown(flights: Sequence[Flight], pool: Tasks) -> tuple[dict[Flight, Mission], list[str]]:
     """The missions that were completed, in the order of the flights, and a line for each that failed.
 
     A line of progress is printed for each. A mission that fails does not stop the others. After a signal, only the
@@ -107,7 +107,7 @@ def flown(flights: Sequence[Flight], pool: WorkerPool) -> tuple[dict[Flight, Mis
     completed: dict[Flight, Mission] = {}
     failures: list[str] = []
     began = time.monotonic()
-    for count, (flight, outcome) in enumerate(pool.results(_outcome, flights), start=1):
+    for count, (flight, outcome) in enumerate(pool.outcomes(fly, flights), start=1):
         head = f"  {count:>3}/{len(flights)}  {flight.region:<4} {flight.name:<22} seed {flight.seed:<3} "
         if isinstance(outcome, He3Error):
             failures.append(f"{flight.name} on {flight.region}, seed {flight.seed}: {outcome}")
@@ -126,13 +126,6 @@ def expect_none(failures: Sequence[str]) -> None:
     """Raise He3Error if a flight failed: to be called when the others are printed and written."""
     if failures:
         raise He3Error(f"{len(failures)} of the missions failed, the first: {failures[0]}")
-
-
-def _outcome(flight: Flight) -> Mission | He3Error:
-    try:
-        return fly(flight)
-    except He3Error as error:
-        return error
 
 
 def fly(flight: Flight) -> Mission:
@@ -183,7 +176,7 @@ def mean_and_std(rows: Sequence[Row], key: str) -> tuple[float, float]:
 
 
 def written(
-    rows: Sequence[Row], json: Path | None, say: Callable[[str], None], pool: WorkerPool | None = None, **more: Any
+    rows: Sequence[Row], json: Path | None, say: Callable[[str], None], pool: Tasks | None = None, **more: Any
 ) -> None:
     """Write ``{"rows": [...]}`` to that file, if one is given; say so if a signal left some rows out."""
     stopped = None if pool is None else pool.stopped

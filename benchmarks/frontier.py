@@ -11,7 +11,7 @@ from pathlib import Path
 
 from benchmarks.flights import Flight, conditions, expect_none, expect_open, flown, mean_and_std, region_named, written
 from benchmarks.missions import Mission, Row
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 
@@ -26,6 +26,8 @@ def run(
     budgets: Sequence[float] = BUDGETS_M,
     kernel: str = "smooth+rough",
     jobs: int = 2,
+    engine: str = "local",
+    store: Path | None = None,
     peers: bool = True,
     noise: float = DEFAULT_NOISE_STD_PPB,
     start: Sequence[float] = (),
@@ -37,7 +39,8 @@ def run(
     """One row a mission; the table printed, the frontier drawn into `out`, rows written to `json`.
 
     regions: embedded names; region: a field as .npz in their place; peers: also run SGP-Tools, once per budget and
-    region. noise: standard deviation [ppb]; start: X,Y [m]. Raises InvalidInput for numbers that do not fit.
+    region. noise: standard deviation [ppb]; start: X,Y [m]. engine, store: as `he3 campaign run` takes them; with a
+    store, a run that was ended goes on. Raises InvalidInput for numbers that do not fit.
     """
     if seeds < 1 or not budgets or not all(budget > 0 for budget in budgets) or not (regions or region):
         raise InvalidInput(
@@ -50,7 +53,7 @@ def run(
     flights = [Flight(name, "tour", kernel, seed, budget_m=budget) for name in names for budget in budgets
                for seed in range(1, seeds + 1)]  # fmt: skip
     flights += [Flight(name, "rrtstar", "matern52", seed) for name in names for seed in range(1, seeds + 1)]
-    with WorkerPool(jobs) as pool:
+    with Tasks(jobs, engine, store) as pool:
         missions, failures = flown([shared.on(flight) for flight in flights], pool)
         peer_rows = _peer_rows(missions, pool, say) if peers else []
         rows = [mission.row for mission in missions.values()] + peer_rows
@@ -68,7 +71,7 @@ def run(
     return rows
 
 
-def _peer_rows(missions: dict[Flight, Mission], pool: WorkerPool, say: Callable[[str], None]) -> list[Row]:
+def _peer_rows(missions: dict[Flight, Mission], pool: Tasks, say: Callable[[str], None]) -> list[Row]:
     """SGP-Tools' rows, one for each `tour` with one of its budgets, whose row gets `rmse_own_gp_ppb`."""
     from benchmarks.peer_environments import SGPTOOLS
 

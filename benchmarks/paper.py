@@ -40,7 +40,7 @@ from benchmarks.flights import (
 from benchmarks.floor import Floor
 from benchmarks.floor import floor as floor_of
 from benchmarks.missions import ROUNDS, SAMPLES_A_ROUND, Mission, Row
-from benchmarks.worker_pool import WorkerPool
+from benchmarks.tasks import Tasks
 from he3.errors import InvalidInput
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from services.ground.planners import PLANNERS, planner_named
@@ -71,6 +71,8 @@ def run(
     kernel: str = "se",
     own_kernel: str = "smooth+rough",
     jobs: int = 2,
+    engine: str = "local",
+    store: Path | None = None,
     floor: bool = True,
     noise: float = DEFAULT_NOISE_STD_PPB,
     start: Sequence[float] = (),
@@ -82,10 +84,10 @@ def run(
 ) -> list[Row]:
     """One row a mission; the table printed, figures drawn into `out`, rows written to `json`.
 
-    regions: embedded names; region: a field as .npz in their place. kernel: of the paper's protocol;
-    own_kernel: of our planners. floor: find it, too, which takes half a minute a region and budget. noise: standard
-    deviation [ppb]; start: X,Y [m]; budget: metres, of every mission. Raises InvalidInput for names that are not known
-    and numbers that do not fit.
+    regions: embedded names; region: a field as .npz in their place. kernel: of the paper's protocol; own_kernel: of our
+    planners. floor: find it, too, which takes half a minute a region and budget. noise: standard deviation [ppb];
+    start: X,Y [m]; budget: metres, of every mission. engine, store: as `he3 campaign run` takes them; with a store, a
+    run that was ended goes on. Raises InvalidInput for names that are not known and numbers that do not fit.
     """
     if seeds < 1:
         raise InvalidInput(f"expected one seed at least, got {seeds}")
@@ -106,7 +108,7 @@ def run(
         raise InvalidInput(f"expected {YARDSTICK} among the planners, as '{FIFTH}' is measured by it")
     first = [shared.on(_flight(name, planner, seed, kernel, own_kernel)) for name in names for planner in planners
              for seed in range(1, seeds + 1) if planner != FIFTH]  # fmt: skip
-    with WorkerPool(jobs) as pool:
+    with Tasks(jobs, engine, store) as pool:
         missions, failures = flown(first, pool)
         if FIFTH in planners:
             fifths = []
@@ -154,7 +156,7 @@ def _floors(
     names: Sequence[str],
     planners: Sequence[str],
     shared: Conditions,
-    pool: WorkerPool,
+    pool: Tasks,
 ) -> dict[str, list[Floor]]:
     """The floors of each region, without a limit on metres first."""
     wanted = [(name, shared) for name in names]

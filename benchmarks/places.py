@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.flights import Conditions, conditions, expect_open
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.constants import MOON_RADIUS_M
 from he3.errors import He3Error, InvalidInput
 from he3.frames import FloatArray
@@ -133,7 +133,7 @@ def run(
             for size in sizes
             for planner in planners
         ]
-        with WorkerPool(jobs) as pool:
+        with Tasks(jobs) as pool:
             for flight, outcome in pool.results(_outcome, flights):
                 name = f"{flight[2]} {flight[3]} {flight[4]}"
                 if isinstance(outcome, str):

@@ -98,28 +98,41 @@ def run(
     on_progress: Callable[[Progress], None] = lambda progress: None,
     *,
     retry_failed: bool = False,
-    on_reply: Callable[[Task, Reply], None] = lambda task, reply: None,
 ) -> Progress:
     """Compute every task that has no row, and write its row as it comes; returns what it came to.
 
-    retry_failed: compute those, too, whose row is an error. Raises InvalidInput when a worker refuses a task because of
-    its software, He3Error when the engine is gone; the rows until then are in the store.
+    on_progress: called with each reply, and twice a second. For the rest see `replies`.
+    """
+    progress = Progress(len({task.key for task in tasks}), workers=engine.workers)
+    on_progress(progress)
+    for _ in replies(tasks, store, engine, progress, retry_failed=retry_failed):
+        on_progress(progress)
+    return progress
+
+
+def replies(
+    tasks: Sequence[Task], store: Store, engine: Engine, progress: Progress, *, retry_failed: bool = False
+) -> Iterator[tuple[Task, Reply] | None]:
+    """Each task that had no row with its reply, whose row is written; None while there is nothing new.
+
+    retry_failed: compute those, too, whose row is an error. progress: is kept up to date. Raises InvalidInput when a
+    worker refuses a task because of its software, He3Error when the engine is gone; the rows until then stay.
     """
     began = time.monotonic()
     known = store.begin(tasks)
     again = {key for key, status in known.items() if status == FAILED and retry_failed}
     waiting = deque(_once(task for task in tasks if task.key not in known or task.key in again))
-    progress = Progress(len({task.key for task in tasks}), workers=engine.workers)
     progress.kept = len(known) - len(again)
     progress.failed_before = sum(status == FAILED for status in known.values()) - len(again)
     running = 0
-    on_progress(progress)
     while waiting or running:
         progress.workers = max(progress.workers, engine.workers)
         while waiting and running < AHEAD * progress.workers:
             engine.submit(waiting.popleft())
             running += 1
-        for task, reply in engine.replies(WAIT_S):
+        came = engine.replies(WAIT_S)
+        progress.elapsed_s = time.monotonic() - began
+        for task, reply in came:
             running -= 1
             if reply.status == REFUSED:
                 raise InvalidInput(f"refused: {reply.error}")
@@ -130,10 +143,9 @@ def run(
                 )
             store.write(task, reply)
             progress.add(reply)
-            on_reply(task, reply)
-        progress.elapsed_s = time.monotonic() - began
-        on_progress(progress)
-    return progress
+            yield task, reply
+        if not came:
+            yield None
 
 
 def _once(tasks: Iterable[Task]) -> Iterator[Task]:

@@ -10,7 +10,7 @@ from benchmarks import calibration, frontier, paper
 from benchmarks.flights import Flight, conditions, expect_open, flown, fly
 from benchmarks.floor import Floor
 from benchmarks.missions import start_of
-from benchmarks.worker_pool import WorkerPool
+from benchmarks.tasks import Tasks
 from he3.errors import He3Error, InvalidInput
 from he3.kernels import KERNELS
 from services.mission.regions import load_region
@@ -128,7 +128,7 @@ def test_a_mission_that_fails_does_not_take_the_others_with_it(quarter_of_t1, tm
 def test_missions_are_in_the_order_in_which_they_were_asked_for(quarter_of_t1):
     region = str(quarter_of_t1)
     slow, quick = Flight(region, "rrtstar", "matern52", 1), Flight(region, "rrt", "matern52", 1)
-    with WorkerPool(2) as pool:
+    with Tasks(2) as pool:
         completed, failures = flown([slow, quick], pool)
     assert list(completed) == [slow, quick]
     assert failures == []
