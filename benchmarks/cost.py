@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.flights import DEFAULT_NOISE_STD_PPB, Conditions, conditions
 from benchmarks.places import PLACES, SIZES, Row, fly
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.driving_cost import UNITS
 from he3.errors import He3Error, InvalidInput
 
@@ -55,7 +55,7 @@ def run(
             for planner in planners
             for cost in costs
         ]
-        with WorkerPool(jobs) as pool:
+        with Tasks(jobs) as pool:
             for flight, row in pool.results(_flown, flights):
                 rows.append(row)
                 progress(f"  {len(rows):>3}/{len(flights)}  {flight[2]} {flight[4]} {flight[8]}")

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.calibration import NOMINAL
 from benchmarks.flights import mean_and_std, planner_for, region_named, written
 from benchmarks.missions import Row, run_mission, start_of
-from benchmarks.worker_pool import WorkerPool, progress
+from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.reference import Region
@@ -127,7 +127,7 @@ def run(
         ]
     found: dict[Trial, Row] = {}
     began = time.monotonic()
-    with WorkerPool(jobs) as pool:
+    with Tasks(jobs) as pool:
         for trial, row in pool.results(fly, trials):
             found[trial] = row
             progress(f"  {len(found):>3}/{len(trials)} missions   ({time.monotonic() - began:.0f} s)")
