@@ -140,8 +140,8 @@ class DaskEngine(_Replies):
             from distributed import Client, LocalCluster
         except ImportError:
             raise InvalidInput(NEEDS) from None
-        # What its processes say of their work is for its dashboard; errors come with the replies.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in ("distributed", "distributed.client", "tornado", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # Dask gives each its own; errors come with the replies
         self._cluster: LocalCluster | None = None
         self._pending: dict[str, tuple[Task, Any]] = {}
         if address is None:
@@ -160,7 +160,9 @@ class DaskEngine(_Replies):
     @property
     def about(self) -> str:
         """Where it is."""
-        return f"Dask cluster at {self._address}, dashboard at {self._client.dashboard_link}"
+        services = self._client.scheduler_info().get("services", {})
+        dashboard = f", dashboard at {self._client.dashboard_link}" if "dashboard" in services else ""
+        return f"Dask cluster at {self._address}{dashboard}"
 
     @property
     def workers(self) -> int:
