@@ -2,10 +2,8 @@
 
 import { follow } from "./gestures.js";
 import * as marks from "./marks.js";
-import { clamp, nice, Projection, tenth } from "./projection.js";
+import { clamp, Projection, tenth } from "./projection.js";
 import { drawRaster } from "./raster.js";
-
-export { nice }; // the charts use it, too
 
 const ZOOM_STEP = 1.5, PAN_SHARE = .25;
 const TILES_A_FRAME = 2;
