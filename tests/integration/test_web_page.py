@@ -968,10 +968,11 @@ def test_the_page_fits_a_phone_in_light_and_dark(browser: Any) -> None:
 def barriers(driver: Any) -> list[tuple[str, str]]:
     """What axe-core finds on the page that is serious or worse: the rule, and the first element that breaks it."""
     driver.execute_script(AXE.read_text())
+    driver.set_script_timeout(PATIENCE_S)
     return [
         (found["id"], found["nodes"][0]["html"][:200])
         for found in driver.execute_async_script(
-            "const done = arguments[0]; axe.run().then((it) => done(it.violations))"
+            "const done = arguments[0]; axe.run({resultTypes: ['violations']}).then((it) => done(it.violations))"
         )
         if found["impact"] in ("serious", "critical")
     ]
