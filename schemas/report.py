@@ -51,6 +51,20 @@ class DrivingReport(Wire):
     """The steepest cell on the path."""
 
 
+class ClosedGroundReport(Wire):
+    """Shares of the site that are closed to the rover, each cell under its first reason, and the share cut off."""
+
+    too_steep: float
+    """Steeper than the rover, the planners or the region's rule admit."""
+    rough: float
+    """Not traversable in the region for another reason, such as hollows, hummocks and the gaps between."""
+    keep_outs: float
+    margin: float
+    """So near to closed ground that the rover's footprint would touch it."""
+    cut_off: float
+    """Open, but not connected to the start."""
+
+
 class MissionReport(Wire):
     """The course of a mission and the quality of its map. Equal runs differ in `wall_time_s` and `host` only."""
 
@@ -81,6 +95,7 @@ class MissionReport(Wire):
     coverage_95: float | None
     path_length_m: float
     driving: DrivingReport | None = None
+    closed_ground: ClosedGroundReport | None = None
     drilled_m: float
     mission_time_s: float
     wall_time_s: float

@@ -419,10 +419,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
 def terrain_of(scenario: Scenario, region: Region) -> GroundTerrain:
     """The region's terrain less keep-outs and what is too steep; raises InvalidInput unless there is open ground."""
     ground = scenario.ground
-    steepest = scenario.rover.slope_limit_deg
-    if ground.max_slope_deg is not None:
-        steepest = min(steepest, ground.max_slope_deg)
-    open_cells = region.traversable & (region.slope_deg <= steepest)
+    open_cells = region.traversable & (region.slope_deg <= slope_limit_deg(scenario))
     terrain = GroundTerrain(region.grid, open_cells, scenario.rover.footprint_radius_m, ground.keep_outs)
     if not terrain.traversable.any():
         raise InvalidInput(f"scenario '{scenario.name}': expected open ground, got none: every cell is closed")
@@ -430,6 +427,12 @@ def terrain_of(scenario: Scenario, region: Region) -> GroundTerrain:
     if (why := interest_objection(weights, terrain.traversable)) is not None:
         raise InvalidInput(f"scenario '{scenario.name}': ground.interest: {why}")
     return terrain
+
+
+def slope_limit_deg(scenario: Scenario) -> float:
+    """The steepest slope [deg] that planners use, which the rover enters."""
+    limit, ours = scenario.rover.slope_limit_deg, scenario.ground.max_slope_deg
+    return limit if ours is None else min(limit, ours)
 
 
 def _check_places(scenario: Scenario, grid: SiteGrid) -> None:

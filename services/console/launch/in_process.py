@@ -12,7 +12,8 @@ from schemas.commands import NoParameters
 from schemas.link import LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
 from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
-from services.console.report.mission_report import Outcome, Run, driven_ground, gather
+from services.console.launch.terrain_facts import terrain_facts
+from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, write_outcome
 from services.console.report.progress import Moment, Progress, moment_of
 from services.mission.in_process import RECORDING_FLUSH_S, InProcessMission, build_nodes
@@ -80,7 +81,7 @@ def _run_in_process(
             mission.mission_time_s,
             wall_time_s,
             region.layers,
-            driven_ground(scenario, region),
+            *terrain_facts(scenario, region),
         )
         outcome = gather(_Asked(mission), scenario, mission.status, run)
     return outcome, [] if sink is None or sink.problem is None else [sink.problem]

@@ -18,7 +18,8 @@ from services.console.client.mission_client import MissionClient
 from services.console.client.run_file import RunningMission, announced
 from services.console.launch.endpoints import Endpoints, endpoints_near, endpoints_of
 from services.console.launch.launcher import Launcher
-from services.console.report.mission_report import Outcome, Run, driven_ground, gather
+from services.console.launch.terrain_facts import terrain_facts
+from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
@@ -107,7 +108,7 @@ def outcome_of(
         state.status_time_s,
         wall_time_s,
         region.layers,
-        driven_ground(scenario, region),
+        *terrain_facts(scenario, region),
     )
     return gather(client, scenario, status, run)
 

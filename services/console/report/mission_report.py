@@ -17,15 +17,15 @@ from he3.driving_cost import cost_unit
 from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore, RegionLayer
-from schemas.report import DrivingReport, MessageCounts, MissionReport, ReportSample
+from schemas.report import ClosedGroundReport, DrivingReport, MessageCounts, MissionReport, ReportSample
 from services.mission.mission_time import SECOND
 from services.runtime.files.output import write_output
 from services.runtime.heartbeat import software_version
 
 if TYPE_CHECKING:
     from he3.provenance import LayerOrigin
-    from he3.reference import Region
     from schemas.link import LinkStatus
+    from services.ground.closed_ground import ClosedGround
     from services.mission.scenario import Scenario
 
 
@@ -54,6 +54,8 @@ class Run:
     region_layers: tuple[LayerOrigin, ...] = ()
     ground: DrivenGround | None = None
     """The terrain, and the vehicle that drove over it."""
+    closed: ClosedGround | None = None
+    """How much of the site is closed, and why."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,11 +69,6 @@ class Outcome:
     std_ppb: NDArray[np.float32]
     """(rows, columns) its standard deviation."""
     resolution_m: float
-
-
-def driven_ground(scenario: Scenario, region: Region) -> DrivenGround:
-    """The region's terrain with the scenario's rover."""
-    return DrivenGround(region.grid, region.slope_deg, region.elevation_m, scenario.rover.driving)
 
 
 def gather(mission: Answers, scenario: Scenario, status: GroundStatus, run: Run) -> Outcome:
@@ -124,6 +121,7 @@ def build_report(
         coverage_95=None if score is None else score.coverage_95,
         path_length_m=status.driven_m,
         driving=_driving(scenario, run, track),
+        closed_ground=None if run.closed is None else ClosedGroundReport(**asdict(run.closed)),
         drilled_m=round(sum(sample.depth_m for sample in track.samples), 9),
         mission_time_s=run.mission_time_s,
         wall_time_s=run.wall_time_s,

@@ -23,6 +23,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
         *_accuracy(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
         *_driving(report),
+        *_closed(report),
         ("mission time", f"{duration(report.mission_time_s)} ({report.mission_time_s:,.0f} s), "
                          f"one-way light time {report.one_way_light_time_s:g} s"),
         ("wall time", duration(report.wall_time_s)),
@@ -48,6 +49,23 @@ def _driving(report: MissionReport) -> list[tuple[str, str]]:
     energy = f"{driving.energy_wh:,.0f} Wh, of which {driving.motion_wh:,.0f} Wh beside the base load"
     ground = f"{driving.climb_m:,.0f} m of rises, at most {driving.steepest_deg:.1f} deg"
     return [("driving", f"{driving.duration_h:.1f} h, {energy}; {ground}; planned for {driving.cost}")]
+
+
+def _closed(report: MissionReport) -> list[tuple[str, str]]:
+    ground = report.closed_ground
+    if ground is None:
+        return []
+    reasons = {
+        "too steep": ground.too_steep,
+        "rough": ground.rough,
+        "keep-outs": ground.keep_outs,
+        "beside closed ground": ground.margin,
+    }
+    closed = sum(reasons.values())
+    why = ", ".join(f"{share:.1%} {reason}" for reason, share in reasons.items() if share > 0)
+    cut_off = ground.cut_off / (1.0 - closed) if closed < 1.0 else 0.0
+    reached = f"{cut_off:.1%} of the rest cannot be reached from the start"
+    return [("closed ground", f"{closed:.1%}{why and f': {why}'}; {reached}")]
 
 
 def _accuracy(report: MissionReport) -> list[tuple[str, str]]:

@@ -1,0 +1,47 @@
+"""How much ground is closed to the rover, why, and how much of the rest it cannot reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from he3.constants import ROVER_SLOPE_NOMINAL_DEG
+from he3.terrain import reachable
+
+if TYPE_CHECKING:
+    from he3.frames import Place
+    from he3.reference import Region
+    from services.ground.terrain import GroundTerrain
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedGround:
+    """Shares of the site; the first four reasons add up to what is closed."""
+
+    too_steep: float
+    """Steeper than the rover, the planners or the region's rule admit."""
+    rough: float
+    """Not traversable in the region for another reason than slope, such as hollows, hummocks and the gaps between."""
+    keep_outs: float
+    """In a keep-out, and open otherwise."""
+    margin: float
+    """So near to closed ground that the rover's footprint would touch it."""
+    cut_off: float
+    """Open, but not connected to the start."""
+
+
+def closed_ground(region: Region, terrain: GroundTerrain, start_m: Place, slope_limit_deg: float) -> ClosedGround:
+    """The account of a region's ground as the ground station knows it. slope_limit_deg: of rover and planners."""
+    impassable = ~region.traversable
+    steep = (region.slope_deg > slope_limit_deg) | (impassable & (region.slope_deg > ROVER_SLOPE_NOMINAL_DEG))
+    rough = impassable & ~steep
+    kept_out = np.zeros_like(steep)
+    for area in terrain.areas.values():
+        kept_out |= area & ~steep & ~rough
+    open_cells = terrain.traversable
+    margin = ~open_cells & ~steep & ~rough & ~kept_out
+    reached = reachable(terrain.open_from(start_m), region.grid, start_m) & open_cells
+    shares = (float(cells.mean()) for cells in (steep, rough, kept_out, margin, open_cells & ~reached))
+    return ClosedGround(*shares)
