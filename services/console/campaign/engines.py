@@ -27,6 +27,9 @@ AHEAD: Final = 2
 CONNECT_S: Final = 10.0
 """Longest time [s] to connect to a cluster's scheduler."""
 CLOSE_S: Final = 1.0
+"""Longest time [s] to close a cluster that was made here, when something else ends the campaign."""
+END_S: Final = 20.0
+"""The same when the campaign is over."""
 NEEDS: Final = "expected Dask for this engine, which is not installed: pip install 'he3-seeker[cluster]'"
 
 
@@ -144,6 +147,7 @@ class DaskEngine(_Replies):
             logging.getLogger(name).setLevel(logging.CRITICAL)  # Dask gives each its own; errors come with the replies
         self._cluster: LocalCluster | None = None
         self._pending: dict[str, tuple[Task, Any]] = {}
+        self._over = False
         if address is None:
             self._cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1",
@@ -218,7 +222,13 @@ class DaskEngine(_Replies):
         """Give up what is computed, and end a cluster that was made here; returns soon, whatever the scheduler does."""
         closing = threading.Thread(target=self._close, daemon=True)
         closing.start()
-        closing.join(CLOSE_S)
+        closing.join(END_S if self._over else CLOSE_S)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over = kind is None
+        self.close()
 
     def _close(self) -> None:
         with suppress(Exception):
@@ -228,4 +238,4 @@ class DaskEngine(_Replies):
     def _close_cluster(self) -> None:
         if self._cluster is not None:
             with suppress(Exception):
-                self._cluster.close(timeout=CLOSE_S)
+                self._cluster.close(timeout=END_S)
