@@ -246,4 +246,5 @@ def _capital(text: str) -> str:
 
 
 def _signed(value: float) -> str:
-    return f"{'−' if value < 0 else '+'}{number(abs(value))}"
+    size = abs(value)
+    return f"{'−' if value < 0 else '+'}{f'{size:.3g}' if 1e-3 <= size < 1000 else number(size)}"
