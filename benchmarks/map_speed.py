@@ -10,6 +10,8 @@ Every figure is of the same machine, the same run, the same samples and hyperpar
                         change nothing. The squared exponential, being separable, keeps and reads none, and may take
                         less than its stream_s, which is that of reading all n
     refit_s             new hyperparameters from the last ones (warm start), and the whole map recomputed
+    mixture_update_s    one sample more with the uncertainty of the hyperparameters counted, map and all (median)
+    mixture_refit_s     new hyperparameters with their uncertainty, and the whole map recomputed
     predict_s           the whole map recomputed, mean and standard deviation of every cell
     sklearn_predict_s   the same from scikit-learn, already fitted, in its fastest chunking, on as many threads
 
@@ -37,7 +39,10 @@ import numpy as np
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters, fit_hyperparameters
+from he3.hyperposterior import infer_hyperparameters
+from he3.hyperprior import Hyperprior
 from he3.kernels import KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential
+from he3.mixture_posterior import MixturePosterior
 from he3.posterior.grid import GridPosterior
 
 SITE = SiteGrid(500, 500, 1.0)
@@ -69,7 +74,7 @@ def run(
         _require_sklearn()
     say(
         f"{'n':>5} {'kernel':<13} {'cells':>7} {'update':>9} {'stream':>9} {'ratio':>6} {'read':>5} {'refit':>9} "
-        f"{'predict':>9} {'sklearn':>9} {'update vs sklearn':>18}"
+        f"{'mixture':>9} {'refit':>9} {'predict':>9} {'sklearn':>9} {'update vs sklearn':>18}"
     )
     rows = []
     for n in sizes:
@@ -80,7 +85,7 @@ def run(
             say(
                 f"{n:>5} {name:<13} {row['cells']:>7} {_ms(row['update_s'])} {_ms(row['stream_s'])} "
                 f"{row['update_s'] / row['stream_s']:>6.2f} {row['read_fraction']:>5.0%} {_ms(row['refit_s'])} "
-                f"{_ms(row['predict_s'])} "
+                f"{_ms(row['mixture_update_s'])} {_ms(row['mixture_refit_s'])} {_ms(row['predict_s'])} "
                 + (f"{_ms(theirs)} {theirs / row['update_s']:>17.0f}x" if theirs else f"{'-':>9} {'-':>18}")
             )
     if json is not None:
@@ -95,6 +100,7 @@ def measure(n: int, kernel_name: str, *, grid: SiteGrid, seed: int, threads: int
     rng = np.random.default_rng(np.random.SeedSequence([seed, n]))
     places, values = _samples(n + 16, grid, rng)
     extra = list(zip(places[n:], values[n:], strict=True))
+    extra_of_mixture = list(extra)
     places, values = places[:n], values[:n]
     before = max(n - 5, 1)
     previous = fit_hyperparameters(places[:before], values[:before], kernel_name, rng=rng, noise_std_ppb=NOISE_STD_PPB)
@@ -117,6 +123,22 @@ def measure(n: int, kernel_name: str, *, grid: SiteGrid, seed: int, threads: int
 
     update_s = _median(update, 11)
     read_fraction = statistics.median(read)
+    start = time.perf_counter()
+    inferred = infer_hyperparameters(
+        places, values, kernel_name, Hyperprior(max(grid.width_m, grid.height_m)), noise_std_ppb=NOISE_STD_PPB,
+        previous=fitted,
+    )  # fmt: skip
+    mixture = MixturePosterior(
+        grid, inferred, lambda on, of: GridPosterior.build(on, of, places, values, threads=threads)
+    )
+    mixture.snapshot()
+    mixture_refit_s = time.perf_counter() - start
+
+    def update_mixture() -> None:
+        mixture.add(*extra_of_mixture.pop())
+        mixture.snapshot()
+
+    mixture_update_s = _median(update_mixture, 11)
     streamed = read_fraction or 1.0
     stream_s = _median(stream_of(n, cells, streamed), 11)
     row: Row = {
@@ -127,6 +149,8 @@ def measure(n: int, kernel_name: str, *, grid: SiteGrid, seed: int, threads: int
         "stream_s": stream_s,
         "read_fraction": read_fraction,
         "refit_s": fit_s + predict_s,
+        "mixture_update_s": mixture_update_s,
+        "mixture_refit_s": mixture_refit_s,
         "predict_s": predict_s,
         "sklearn_predict_s": None,
         "fit_s": fit_s,

@@ -20,7 +20,15 @@ def test_every_size_and_kernel_has_a_row_with_all_times_in_seconds(tmp_path: Pat
     assert [(row["n"], row["kernel"]) for row in rows] == [(n, kernel) for n in (6, 9) for kernel in KERNELS]
     for row in rows:
         assert row["cells"] == 180
-        for key in ("update_s", "stream_s", "refit_s", "predict_s", "sklearn_predict_s"):
+        for key in (
+            "update_s",
+            "stream_s",
+            "refit_s",
+            "mixture_update_s",
+            "mixture_refit_s",
+            "predict_s",
+            "sklearn_predict_s",
+        ):
             assert 0 < row[key] < 60
         assert row["read_fraction"] == 0 if row["kernel"] == "se" else 0 < row["read_fraction"] <= 1
     assert len(said) == 1 + len(rows)
