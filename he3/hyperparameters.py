@@ -50,7 +50,7 @@ from he3.kernels import (
 from he3.likelihood import log_marginal_likelihood
 
 if TYPE_CHECKING:
-    from he3.trend import OrbitalTrend, Trend
+    from he3.trend import CovariateTrend, Trend
 
 DEFAULT_NOISE_STD_PPB = 0.1  # ppb, the sensor's, PAPER
 EXTENT_M = 500.0  # m, width of the site that the following length scales are for, PAPER
@@ -201,7 +201,7 @@ def fit_hyperparameters(
     rng: np.random.Generator,
     noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
     previous: Hyperparameters | None = None,
-    trend: OrbitalTrend | None = None,
+    trend: CovariateTrend | None = None,
     extent_m: float = EXTENT_M,
 ) -> Hyperparameters:
     """The maximum-likelihood hyperparameters of the samples, within the bounds of this module.
@@ -239,7 +239,7 @@ class _Data:
     xy: FloatArray
     values: FloatArray
     noise_std_ppb: float
-    trend: OrbitalTrend | None
+    trend: CovariateTrend | None
     extent_m: float
 
     def __len__(self) -> int:

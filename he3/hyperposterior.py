@@ -49,7 +49,7 @@ from he3.trend import UnknownConstant
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from he3.trend import OrbitalTrend
+    from he3.trend import CovariateTrend
 
 LEAST_PRECISION = 0.5  # 1, of the normal approximation along any axis, in units of the prior's
 COMPONENTS = 6  # 1, kernels that stand for the posterior
@@ -71,7 +71,7 @@ def infer_hyperparameters(
     prior: Hyperprior,
     *,
     noise_std_ppb: float,
-    trend: OrbitalTrend | None = None,
+    trend: CovariateTrend | None = None,
     previous: Hyperparameters | None = None,
 ) -> Hyperparameters:
     """The hyperparameters given observations (n,) [ppb] at places (n, 2) [m]: the most probable, and the alternatives.
@@ -220,7 +220,7 @@ def _inferred(
     kernel_name: str,
     prior: Hyperprior,
     noise_std_ppb: float,
-    trend: OrbitalTrend | None,
+    trend: CovariateTrend | None,
     previous: Hyperparameters | None,
 ) -> _Inference:
     """The posterior of a kernel's parameters."""
@@ -230,7 +230,7 @@ def _inferred(
     if trend is None:
         mean = prior.mean_ppb
         away = abs(sample_mean - mean) if len(residual) else 0.0
-        unknown: UnknownConstant | OrbitalTrend = UnknownConstant(max(prior.mean_std_ppb, away))
+        unknown: UnknownConstant | CovariateTrend = UnknownConstant(max(prior.mean_std_ppb, away))
         scale *= max(1.0, away / prior.mean_std_ppb)
     else:
         mean, unknown = sample_mean, trend  # the trend's own offset lies about the samples' misfit

@@ -1,13 +1,16 @@
-"""A prior mean with unknown coefficients: a constant, or a coarse orbital map with gain and offset.
+"""A prior mean with unknown coefficients: a constant, or layers from orbit, each with a weight of its own.
 
-With an orbital map the field is modelled as m(x) + g(x), with g the zero-mean Gaussian process of the kernel and
+With k layers the field is modelled as m(x) + g(x), with g the zero-mean Gaussian process of the kernel and
 
-    m(x) = M + offset + gain (o(x) - M),      gain ~ N(1, gain_std^2),  offset ~ N(0, offset_std^2)
+    m(x) = level + offset + sum_j w_j z_j(x),      w_j ~ N(e_j, s_j^2),  offset ~ N(0, s_0^2)
 
-where o is the orbital map and M its mean over the site, so that gain and offset are nearly independent. Both being
-Gaussian, they are marginalised exactly by adding their covariance to the kernel's (Rasmussen & Williams 2006, sect.
-2.7): their uncertainty is part of the posterior variance from the first sample on. A constant alone, whose mean value
-is the hyperparameters' ``mean_ppb``, is the same with one coefficient.
+where z_j is layer j less its mean over the site, divided by its standard deviation; so weights and offset are nearly
+independent. All being Gaussian, they are marginalised exactly by adding their covariance X S X' to the kernel's
+(Rasmussen & Williams 2006, sect. 2.7): their uncertainty is part of the posterior variance from the first sample on. A
+layer that has nothing to do with the field ends with a weight about zero.
+
+A coarse orbital map of the field itself is the case of one layer whose weight is expected to be the map's own spread
+(`orbital_trend`). A constant alone, whose mean value is the hyperparameters' ``mean_ppb``, has no layer.
 """
 
 from __future__ import annotations
@@ -23,6 +26,10 @@ from scipy.linalg import solve_triangular
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, IntArray, SiteGrid, as_points
 
+GAIN_STD = 0.5  # 1, weak: half of all contrast that a map from orbit shows may be wrong, ASSUMED
+OFFSET_STD_PPB = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
+# 1, standard deviation of the weight of a layer of which nothing is known, in units of the field's scale, ASSUMED
+WEIGHT_SHARE = 0.5
 MAX_TREND_STD = 30.0  # 1, prior standard deviation of the trend anywhere, in units of the field's scale
 
 
@@ -58,33 +65,76 @@ class UnknownConstant:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OrbitalTrend:
-    """The orbital map over the site [ppb], as ``[row, column]`` at cell centres, and its prior uncertainty.
+class CovariateTrend:
+    """Layers over the site as (k, rows, columns) at cell centres, in any unit, and the priors of their weights.
 
-    The defaults are weak: a map that is a third too steep and several ppb too high lies within them. Raises
-    InvalidInput for a map of another shape than the grid, or one with a value that is not finite.
+    A weight is the change of the field [ppb] for one standard deviation of its layer. Its prior's standard deviation is
+    given in ppb; NaN stands for ``WEIGHT_SHARE`` of the field's own scale. A layer that does not vary counts as none.
+    Raises InvalidInput for layers of another shape than the grid, with a value that is not finite, or without one prior
+    each.
     """
 
     grid: SiteGrid
-    orbital_ppb: NDArray[np.floating]
-    gain_std: float = 0.5  # 1, weak: half of all contrast that the map shows may be wrong, ASSUMED
-    offset_std_ppb: float = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
-    _mean_ppb: float = field(init=False)
-    _contrast_ppb: float = field(init=False)
+    layers: NDArray[np.floating]
+    expected_ppb: FloatArray
+    """(k,) expected weights [ppb]."""
+    weight_std_ppb: FloatArray
+    """(k,) standard deviations of the weights' priors [ppb]; NaN for a share of the field's scale."""
+    level_ppb: float = 0.0
+    """The field's expected mean, but for an offset [ppb]."""
+    offset_std_ppb: float = OFFSET_STD_PPB
+    _standard: FloatArray = field(init=False)
+    """(k, rows, columns): the layers with mean 0 and standard deviation 1 over the site."""
+    _reach: FloatArray = field(init=False)
+    """(k,) the farthest that each standardised layer is from zero."""
 
     def __post_init__(self) -> None:
-        values = np.array(self.orbital_ppb, dtype=np.float64)
-        if values.shape != self.grid.shape:
-            raise InvalidInput(f"expected an orbital map of shape {self.grid.shape}, got {values.shape}")
-        if not np.isfinite(values).all():
-            raise InvalidInput("expected an orbital map of finite values [ppb], got NaN or infinity")
-        values.setflags(write=False)
-        object.__setattr__(self, "orbital_ppb", values)
-        object.__setattr__(self, "_mean_ppb", float(values.mean()))
-        object.__setattr__(self, "_contrast_ppb", float(np.abs(values - self._mean_ppb).max()))
+        grid, given = self.grid, np.array(self.layers, dtype=np.float64)
+        if given.ndim != 3 or given.shape[1:] != grid.shape:
+            raise InvalidInput(f"expected layers of shape (k, {grid.rows}, {grid.columns}), got {given.shape}")
+        if not np.isfinite(given).all():
+            raise InvalidInput("expected layers of finite values, got NaN or infinity")
+        expected, stds = (np.array(prior, dtype=np.float64) for prior in (self.expected_ppb, self.weight_std_ppb))
+        if not expected.shape == stds.shape == given.shape[:1]:
+            raise InvalidInput(f"expected a prior for each of {len(given)} layers, got {expected.shape}, {stds.shape}")
+        standard = given - given.mean(axis=(1, 2), keepdims=True)
+        # In units of the largest value, whose square neither overflows nor vanishes.
+        magnitude = np.abs(standard).max(axis=(1, 2), keepdims=True)
+        standard /= np.where(magnitude > 0, magnitude, 1.0)
+        spread = standard.std(axis=(1, 2), keepdims=True)
+        standard /= np.where(spread > 0, spread, 1.0)
+        reach = np.abs(standard).max(axis=(1, 2))
+        for name, array in (
+            ("layers", given), ("expected_ppb", expected), ("weight_std_ppb", stds), ("_standard", standard),
+            ("_reach", reach),
+        ):  # fmt: skip
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def spread_ppb(self) -> float:
+        """Standard deviation over the site [ppb] of the field that the layers lead to expect."""
+        return float(np.tensordot(self.expected_ppb, self._standard, 1).std()) if len(self.expected_ppb) else 0.0
 
     def at(self, points_m: FloatArray) -> FloatArray:
-        """The map (N,) [ppb] at places (N, 2) [m]: bilinear between cell centres, constant beyond the outermost."""
+        """The expected field (N,) [ppb] at places (N, 2) [m]."""
+        expected: FloatArray = self.level_ppb + self._standardised(points_m) @ self.expected_ppb
+        return expected
+
+    def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
+        """Columns (N, k + 1) at places (N, 2) [m] whose outer product is the covariance of weights and offset.
+
+        In units of scale_ppb. A prior standard deviation above ``MAX_TREND_STD`` anywhere is reduced to that. The prior
+        is then still nearly flat, and the covariance keeps enough digits for the rest of the field.
+        """
+        stds = np.where(np.isnan(self.weight_std_ppb), WEIGHT_SHARE, self.weight_std_ppb / scale_ppb)
+        stds = np.minimum(stds, MAX_TREND_STD / np.maximum(self._reach, 1e-300))
+        offset_std = min(self.offset_std_ppb / scale_ppb, MAX_TREND_STD)
+        columns: FloatArray = np.column_stack((self._standardised(points_m) * stds, np.full(len(points_m), offset_std)))
+        return columns
+
+    def _standardised(self, points_m: FloatArray) -> FloatArray:
+        """The layers (N, k) at places (N, 2) [m]: bilinear between cell centres, constant beyond the outermost."""
         xy = as_points(points_m)
         rows, columns = self.grid.shape
         row = np.clip(xy[:, 1] / self.grid.resolution_m - 0.5, 0.0, rows - 1.0)
@@ -95,24 +145,38 @@ class OrbitalTrend:
         column_1 = np.minimum(column_0 + 1, columns - 1)
         north = row - row_0
         east = column - column_0
-        values = self.orbital_ppb
-        south_edge = values[row_0, column_0] * (1.0 - east) + values[row_0, column_1] * east
-        north_edge = values[row_1, column_0] * (1.0 - east) + values[row_1, column_1] * east
+        values = self._standard
+        south_edge = values[:, row_0, column_0] * (1.0 - east) + values[:, row_0, column_1] * east
+        north_edge = values[:, row_1, column_0] * (1.0 - east) + values[:, row_1, column_1] * east
         interpolated: FloatArray = south_edge * (1.0 - north) + north_edge * north
-        return interpolated
+        return interpolated.T
 
-    def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
-        """Columns (N, 2) at places (N, 2) [m] whose outer product is the covariance of gain and offset.
 
-        In units of scale_ppb. A prior standard deviation above ``MAX_TREND_STD`` is reduced to that. The prior is then
-        still nearly flat, and the covariance keeps enough digits for the rest of the field.
-        """
-        contrast = self.at(points_m) - self._mean_ppb
-        gain_std = min(self.gain_std, MAX_TREND_STD * scale_ppb / self._contrast_ppb) if self._contrast_ppb else 0.0
-        offset_std_ppb = min(self.offset_std_ppb, MAX_TREND_STD * scale_ppb)
-        columns: FloatArray = np.column_stack((contrast * gain_std, np.full(len(contrast), offset_std_ppb)))
-        columns /= scale_ppb
-        return columns
+def orbital_trend(
+    grid: SiteGrid,
+    orbital_ppb: NDArray[np.floating],
+    gain_std: float = GAIN_STD,
+    offset_std_ppb: float = OFFSET_STD_PPB,
+    covariates: NDArray[np.floating] | None = None,
+) -> CovariateTrend:
+    """The trend of a coarse map (rows, columns) [ppb] of the field itself: gain ~ N(1, gain_std^2), and an offset.
+
+    covariates: (k, rows, columns) further layers, of which nothing is known but that they may say something. The
+    defaults are weak: a map that is a third too steep and several ppb too high lies within them. Raises InvalidInput
+    for a map of another shape than the grid, or one with a value that is not finite.
+    """
+    orbital = np.array(orbital_ppb, dtype=np.float64)
+    if orbital.shape != grid.shape:
+        raise InvalidInput(f"expected an orbital map of shape {grid.shape}, got {orbital.shape}")
+    if not np.isfinite(orbital).all():
+        raise InvalidInput("expected an orbital map of finite values [ppb], got NaN or infinity")
+    spread = float(orbital.std())
+    others = np.empty((0, *grid.shape)) if covariates is None else np.asarray(covariates, dtype=np.float64)
+    unknown = np.full(len(others), math.nan)
+    return CovariateTrend(
+        grid, np.concatenate((orbital[None], others)), np.array([spread, *np.zeros(len(others))]),
+        np.array([gain_std * spread, *unknown]), float(orbital.mean()), offset_std_ppb,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

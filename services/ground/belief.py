@@ -26,7 +26,7 @@ from services.ground.fitting import FitRequest, fit
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray, SiteGrid
-    from he3.trend import OrbitalTrend
+    from he3.trend import CovariateTrend
     from services.ground.observation import Observation
     from services.runtime.node import SavedState
 
@@ -50,7 +50,7 @@ class Belief:
         grid: SiteGrid,
         kernel: str,
         noise_std_ppb: float,
-        trend: OrbitalTrend | None = None,
+        trend: CovariateTrend | None = None,
         *,
         likeliest: bool = False,
     ) -> None:
@@ -218,9 +218,9 @@ class Belief:
         self._map = self._standing().snapshot() if known is None else known  # None: it follows from the rest
 
 
-def hyperprior(grid: SiteGrid, trend: OrbitalTrend | None) -> Hyperprior:
+def hyperprior(grid: SiteGrid, trend: CovariateTrend | None) -> Hyperprior:
     """What is known of the site's hyperparameters before landing."""
     extent_m = max(grid.width_m, grid.height_m)
-    spread_ppb = 0.0 if trend is None else float(trend.orbital_ppb.std())
+    spread_ppb = 0.0 if trend is None else trend.spread_ppb
     # A map that shows no contrast says nothing of what it does not resolve.
     return Hyperprior(extent_m) if spread_ppb < MIN_ORBITAL_STD_PPB else Hyperprior(extent_m, field_std_ppb=spread_ppb)

@@ -13,7 +13,7 @@ from he3.hyperposterior import infer_hyperparameters
 if TYPE_CHECKING:
     from he3.frames import FloatArray
     from he3.hyperprior import Hyperprior
-    from he3.trend import OrbitalTrend
+    from he3.trend import CovariateTrend
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class FitRequest:
     kernel: str
     noise_std_ppb: float
     previous: Hyperparameters | None
-    trend: OrbitalTrend | None
+    trend: CovariateTrend | None
     seed: tuple[int, ...]
     extent_m: float
     prior: Hyperprior | None = None

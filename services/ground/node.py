@@ -10,7 +10,7 @@ import numpy as np
 from he3.driving import DrivenGround
 from he3.errors import He3Error, InvalidInput
 from he3.posterior.grid import expect_map_fits
-from he3.trend import OrbitalTrend
+from he3.trend import orbital_trend
 from schemas.authority import AuthorityChange
 from schemas.commands import CommandReport, NoParameters, Telecommand
 from schemas.ground import InterestChange
@@ -370,7 +370,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     grid, ground = region.grid, scenario.ground
     _check_places(scenario, grid)
     terrain = terrain_of(scenario, region)
-    trend = OrbitalTrend(grid, region.orbital_ppb) if ground.prior == "orbital" else None
+    trend = orbital_trend(grid, region.orbital_ppb) if ground.prior == "orbital" else None
     expect_map_fits(grid, ground.kernel, scenario.samples)
     likeliest = ground.hyperparameters == "ml"
     belief = Belief(grid, ground.kernel, scenario.field.noise_std_ppb, trend, likeliest=likeliest)

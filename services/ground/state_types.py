@@ -12,7 +12,7 @@ from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import Hyperprior
 from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
 from he3.posterior.grid import PosteriorMap
-from he3.trend import OrbitalTrend, UnknownConstant
+from he3.trend import CovariateTrend, UnknownConstant
 from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
 from schemas.ground import KeepOutArea, MissionPhase
@@ -47,7 +47,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     MissionPhase,
     ModeChange,
     Observation,
-    OrbitalTrend,
+    CovariateTrend,
     PlannedRound,
     PlannerOptions,
     PlanningRequest,

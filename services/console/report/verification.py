@@ -17,7 +17,7 @@ import numpy as np
 
 from he3.errors import He3Error, InvalidInput
 from he3.frames import Float32Array, SiteGrid
-from he3.trend import OrbitalTrend
+from he3.trend import CovariateTrend, orbital_trend
 from schemas.topics import MAP_OVERVIEW, PLAN, SAMPLE
 from services.ground.belief import Belief
 from services.ground.map.overview import checksum, hyperparameters_from, kernel_parameters, reduced
@@ -141,12 +141,12 @@ class Evidence:
             if message.topic is MAP_OVERVIEW:
                 yield message.body, message.body.values
 
-    def trend(self, grid: SiteGrid) -> OrbitalTrend | None:
+    def trend(self, grid: SiteGrid) -> CovariateTrend | None:
         """The prior mean of the belief, if the scenario has one; raises He3Error if its region is not at hand."""
         scenario = self.scenario
         if scenario is None or scenario.ground.prior != "orbital":
             return None
-        return OrbitalTrend(grid, load_region(scenario.region, scenario.field.field_seed).orbital_ppb)
+        return orbital_trend(grid, load_region(scenario.region, scenario.field.field_seed).orbital_ppb)
 
     def observation(self, sample_id: str) -> Observation:
         """The sample as the belief takes it; raises He3Error if its report or its plan was not recorded."""

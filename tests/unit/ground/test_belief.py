@@ -12,7 +12,7 @@ from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
 from he3.kernels import AUTO, KERNELS
 from he3.mixture import ProcessMixture
-from he3.trend import OrbitalTrend
+from he3.trend import CovariateTrend, orbital_trend
 from services.ground.belief import Belief
 from services.ground.fitting import fit
 from services.ground.observation import Observation
@@ -31,7 +31,7 @@ def observations(count: int, seed: int = 4) -> dict[str, Observation]:
     }
 
 
-def belief_of(samples: dict[str, Observation], kernel: str = "matern52", trend: OrbitalTrend | None = None) -> Belief:
+def belief_of(samples: dict[str, Observation], kernel: str = "matern52", trend: CovariateTrend | None = None) -> Belief:
     belief = Belief(GRID, kernel, NOISE, trend)
     for name, observation in samples.items():
         belief.add(name, observation)
@@ -165,7 +165,7 @@ def test_every_kernel_of_a_scenario_has_most_probable_parameters_the_same_for_th
 def test_an_orbital_prior_is_the_map_before_the_first_sample_and_survives_a_refit() -> None:
     x, _ = np.meshgrid(GRID.x_m, GRID.y_m)
     orbital = 6.0 + 0.05 * x
-    belief = Belief(GRID, "matern52", NOISE, OrbitalTrend(GRID, orbital))
+    belief = Belief(GRID, "matern52", NOISE, orbital_trend(GRID, orbital))
     assert np.allclose(belief.map.mean_ppb, orbital, atol=1e-5)
     for name, observation in observations(10).items():
         belief.add(name, observation)

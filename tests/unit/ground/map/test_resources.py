@@ -11,7 +11,7 @@ from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
 from he3.kernels import kernel_from
 from he3.posterior.grid import GridPosterior
 from he3.resource import area_mean, drawn_fields, share_above
-from he3.trend import OrbitalTrend
+from he3.trend import orbital_trend
 from schemas.maps import ResourceQuery
 from services.ground.map.resources import corners_of, estimate
 from services.ground.map.snapshot import MapSnapshot
@@ -23,7 +23,7 @@ NOISE_STD_PPB = 0.1
 
 def belief(kernel: str = "matern52", samples: int = 12, trend: bool = False) -> GaussianProcess:
     rng = np.random.default_rng(3)
-    orbital = OrbitalTrend(GRID, rng.normal(8, 1, GRID.shape)) if trend else None
+    orbital = orbital_trend(GRID, rng.normal(8, 1, GRID.shape)) if trend else None
     hyperparameters = Hyperparameters(kernel_from(kernel), NOISE_STD_PPB, 0.0 if trend else 8.0, 1.5, trend=orbital)
     places = rng.uniform(0, (GRID.width_m, GRID.height_m), (samples, 2))
     return GaussianProcess(hyperparameters).condition(places, rng.normal(8, 1, samples))

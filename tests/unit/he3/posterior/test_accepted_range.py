@@ -20,7 +20,7 @@ from he3.gp import Hyperparameters, fit_hyperparameters
 from he3.kernels import KERNELS, Kernel, SmoothPlusRough
 from he3.posterior import grid as grid_module
 from he3.posterior.grid import GridPosterior, expect_map_fits
-from he3.trend import OrbitalTrend
+from he3.trend import orbital_trend
 
 MEAN_TOLERANCE = 1e-5  # of the field's scale
 VARIANCE_TOLERANCE = 1e-4  # of the prior variance
@@ -218,7 +218,7 @@ def test_the_map_of_an_accurate_instrument_is_that_of_scikit_learn(name: str) ->
 def test_with_an_orbital_map_of_any_size_the_map_is_that_of_the_process(case: Case, orbital_ppb: float) -> None:
     points = case.grid.points()
     orbital = orbital_ppb * (1.0 + 0.3 * np.sin(points[:, 0] / case.grid.width_m * 4)).reshape(case.grid.shape)
-    trend = OrbitalTrend(case.grid, orbital)
+    trend = orbital_trend(case.grid, orbital)
     fitted = fit_hyperparameters(
         case.places_m, case.values_ppb, "matern52", rng=np.random.default_rng(0),
         noise_std_ppb=case.hyperparameters.noise_std_ppb, trend=trend,

@@ -16,7 +16,7 @@ from he3.posterior.rows import SPLIT_FROM
 from he3.posterior.separable_rows import SeparableRows
 from he3.posterior.stored_rows import ROWS_PER_BLOCK, StoredRows
 from he3.posterior.tiles import TILE_EDGE, Task, TiledGrid
-from he3.trend import OrbitalTrend
+from he3.trend import orbital_trend
 
 GRID = SiteGrid(45, 60, 5.0)
 KERNELS = [
@@ -185,7 +185,7 @@ def test_the_number_of_threads_changes_no_bit(kernel: Kernel, built: int) -> Non
 @pytest.mark.parametrize("count", [ROWS_PER_BLOCK + 5, 600])
 def test_a_map_with_an_orbital_prior_is_the_exact_posterior(kernel: Kernel, count: int) -> None:
     orbital = 7.0 + np.add.outer(np.linspace(0, 2, GRID.rows), np.linspace(0, 1, GRID.columns))
-    hyperparameters = Hyperparameters(kernel, 0.1, 0.4, 0.9, trend=OrbitalTrend(GRID, orbital))
+    hyperparameters = Hyperparameters(kernel, 0.1, 0.4, 0.9, trend=orbital_trend(GRID, orbital))
     places, values = samples(count, seed=9)
     built = GridPosterior.build(GRID, hyperparameters, places[:-3], values[:-3])
     for place, value in zip(places[-3:], values[-3:], strict=True):
