@@ -25,11 +25,12 @@ from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, IntArray, SiteGrid, as_points
+from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
 
 GAIN_STD = 0.5  # 1, weak: half of all contrast that a map from orbit shows may be wrong, ASSUMED
 OFFSET_STD_PPB = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
 # 1, standard deviation of the weight of a layer of which nothing is known, in units of the field's scale, ASSUMED
-WEIGHT_SHARE = 0.5
+WEIGHT_SHARE = 0.3
 MAX_TREND_STD = 30.0  # 1, prior standard deviation of the trend anywhere, in units of the field's scale
 
 
@@ -150,6 +151,12 @@ class CovariateTrend:
         north_edge = values[:, row_1, column_0] * (1.0 - east) + values[:, row_1, column_1] * east
         interpolated: FloatArray = south_edge * (1.0 - north) + north_edge * north
         return interpolated.T
+
+
+def covariate_trend(grid: SiteGrid, layers: NDArray[np.floating]) -> CovariateTrend:
+    """The trend of layers (k, rows, columns) of which nothing is known but that they may say something of the field."""
+    none = np.zeros(len(layers))
+    return CovariateTrend(grid, layers, none, np.full(len(layers), math.nan), MEAN_PPB, MEAN_STD_PPB)
 
 
 def orbital_trend(

@@ -10,7 +10,6 @@ import numpy as np
 from he3.driving import DrivenGround
 from he3.errors import He3Error, InvalidInput
 from he3.posterior.grid import expect_map_fits
-from he3.trend import orbital_trend
 from schemas.authority import AuthorityChange
 from schemas.commands import CommandReport, NoParameters, Telecommand
 from schemas.ground import InterestChange
@@ -72,6 +71,7 @@ from services.ground.terrain import (
     interest_weights,
     keep_out_objection,
 )
+from services.mission.covariates import trend_of
 from services.mission.mission_time import MissionTime, seconds
 from services.mission.regions import load_region
 from services.runtime.node import (
@@ -370,7 +370,7 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     grid, ground = region.grid, scenario.ground
     _check_places(scenario, grid)
     terrain = terrain_of(scenario, region)
-    trend = orbital_trend(grid, region.orbital_ppb) if ground.prior == "orbital" else None
+    trend = trend_of(scenario, region)
     expect_map_fits(grid, ground.kernel, scenario.samples)
     likeliest = ground.hyperparameters == "ml"
     belief = Belief(grid, ground.kernel, scenario.field.noise_std_ppb, trend, likeliest=likeliest)

@@ -38,6 +38,7 @@ Power = Annotated[float, Field(ge=0, le=1e6)]  # W
 EnergyPerMetre = Annotated[float, Field(ge=0, le=1e7)]  # J/m
 Duration = Annotated[float, Field(ge=0, le=1e7)]  # s; 116 days
 Period = Annotated[float, Field(ge=0.1, le=1e7)]  # s
+LayerName = Annotated[str, Field(min_length=1, max_length=1000)]
 Polygon = Annotated[tuple[Place, ...], Field(min_length=3, max_length=256)]
 
 
@@ -164,6 +165,9 @@ class GroundConfig(Section):
     and that of the mean in the map's; or those of maximum likelihood, taken for certain, as the paper's."""
     prior: Literal["constant", "orbital"] = "constant"
     """Prior mean: a learned constant, or the coarse orbital map with learned gain and offset."""
+    covariates: Annotated[tuple[LayerName, ...], Field(max_length=16)] = ()
+    """Layers that may say something of the field: orbital_ppb, elevation_m, slope_deg of the region, or rasters .npy
+    and .tif of its cells. The weight of each is learned, and may come out as none."""
     planning_s: Duration = 30.0
     """Mission time that planning a round takes in virtual time, and at least on the wall clock [s]."""
     planner_limit_s: Annotated[float, Field(ge=1, le=1e6)] = 1800.0

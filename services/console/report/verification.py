@@ -17,11 +17,12 @@ import numpy as np
 
 from he3.errors import He3Error, InvalidInput
 from he3.frames import Float32Array, SiteGrid
-from he3.trend import CovariateTrend, orbital_trend
+from he3.trend import CovariateTrend
 from schemas.topics import MAP_OVERVIEW, PLAN, SAMPLE
 from services.ground.belief import Belief
 from services.ground.map.overview import checksum, hyperparameters_from, kernel_parameters, reduced
 from services.ground.observation import Observation
+from services.mission.covariates import trend_of
 from services.mission.regions import load_region
 from services.mission.scenario import Scenario
 from services.recorder.about import SCENARIO_RECORD
@@ -141,12 +142,12 @@ class Evidence:
             if message.topic is MAP_OVERVIEW:
                 yield message.body, message.body.values
 
-    def trend(self, grid: SiteGrid) -> CovariateTrend | None:
+    def trend(self) -> CovariateTrend | None:
         """The prior mean of the belief, if the scenario has one; raises He3Error if its region is not at hand."""
         scenario = self.scenario
-        if scenario is None or scenario.ground.prior != "orbital":
+        if scenario is None or (scenario.ground.prior != "orbital" and not scenario.ground.covariates):
             return None
-        return orbital_trend(grid, load_region(scenario.region, scenario.field.field_seed).orbital_ppb)
+        return trend_of(scenario, load_region(scenario.region, scenario.field.field_seed))
 
     def observation(self, sample_id: str) -> Observation:
         """The sample as the belief takes it; raises He3Error if its report or its plan was not recorded."""
@@ -164,7 +165,7 @@ class RebuiltBelief:
         grid = SiteGrid(first.rows, first.columns, first.resolution_m)
         self._evidence = evidence
         self._fits = 0
-        self.belief = Belief(grid, first.kernel.name, first.kernel.noise_std_ppb, evidence.trend(grid))
+        self.belief = Belief(grid, first.kernel.name, first.kernel.noise_std_ppb, evidence.trend())
         self.revision = 0
         self.exact = True
         """Whether every step since the last fit is known, in its order."""

@@ -1,0 +1,67 @@
+"""The prior mean of a scenario: what is known from orbit, as layers over the region whose weights are to be learned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from he3.errors import InvalidInput
+from he3.frames import FloatArray
+from he3.reference import Region
+from he3.trend import CovariateTrend, covariate_trend, orbital_trend
+from services.mission.scenario import Scenario
+from services.mission.tiff import NotPlain, read_tiff
+
+REGION_LAYERS: Final = ("orbital_ppb", "elevation_m", "slope_deg")
+"""Layers that every region has, which a scenario may name; the reference field is none of them."""
+
+
+def trend_of(scenario: Scenario, region: Region) -> CovariateTrend | None:
+    """The trend of that scenario over its region; None for an unknown constant alone. Raises InvalidInput."""
+    layers = covariates(scenario.ground.covariates, region)
+    if scenario.ground.prior == "orbital":
+        return orbital_trend(region.grid, region.orbital_ppb, covariates=layers)
+    return covariate_trend(region.grid, layers) if len(layers) else None
+
+
+def covariates(names: Sequence[str], region: Region) -> FloatArray:
+    """The layers (k, rows, columns) of these names, row 0 south.
+
+    A name is one of ``REGION_LAYERS``, or a raster of the region's cells: .npy with row 0 south, or .tif with row 0
+    north. Raises InvalidInput, in one line, for a name that is neither, and for a raster of another shape or with cells
+    that are not finite.
+    """
+    layers = np.empty((len(names), *region.grid.shape))
+    for number, name in enumerate(names):
+        values = getattr(region, name) if name in REGION_LAYERS else _raster(name)
+        if values.shape != region.grid.shape or values.dtype.kind not in "iuf":
+            raise InvalidInput(
+                f"covariate {name}: expected numbers of shape {region.grid.shape}, as the region, got {values.dtype} "
+                f"of shape {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise InvalidInput(f"covariate {name}: expected a value on every cell, got NaN or infinity")
+        layers[number] = values
+    return layers
+
+
+def _raster(name: str) -> NDArray[Any]:
+    path = Path(name)
+    if path.suffix.lower() not in (".npy", ".tif", ".tiff"):
+        raise InvalidInput(f"covariate {name}: expected {', '.join(REGION_LAYERS)}, or a file .npy or .tif")
+    if not path.is_file():
+        raise InvalidInput(f"covariate {name}: expected a file, found none")
+    if path.suffix.lower() != ".npy":
+        try:
+            return read_tiff(path)[::-1]
+        except NotPlain as error:
+            raise InvalidInput(f"covariate {name}: expected a plain GeoTIFF, got {error}") from None
+    try:
+        values: NDArray[Any] = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InvalidInput(f"covariate {name}: expected an array that NumPy reads, got {error}") from None
+    return values

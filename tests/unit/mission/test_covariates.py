@@ -1,0 +1,55 @@
+"""The covariates of a scenario: layers of its region, and rasters of its cells."""
+
+import numpy as np
+import pytest
+
+from he3.errors import InvalidInput
+from services.mission.covariates import covariates, trend_of
+from services.mission.regions import load_region
+from services.mission.scenario import checked_scenario
+
+
+@pytest.fixture(scope="module")
+def region(quarter_of_t1):
+    return load_region(quarter_of_t1)
+
+
+def scenario(quarter, **ground):
+    return checked_scenario({"name": "trial", "region": str(quarter), "ground": ground}, "trial")
+
+
+def test_layers_of_the_region_and_rasters_become_one_trend(region, quarter_of_t1, tmp_path):
+    raster = np.arange(region.he3_ppb.size, dtype=np.int16).reshape(region.grid.shape)
+    np.save(tmp_path / "ramp.npy", raster)
+    names = ["elevation_m", str(tmp_path / "ramp.npy")]
+    layers = covariates(names, region)
+    assert (layers[0] == region.elevation_m).all()
+    assert (layers[1] == raster).all()
+    trend = trend_of(scenario(quarter_of_t1, covariates=names), region)
+    assert trend.layers.shape == (2, *region.grid.shape)
+    with_map = trend_of(scenario(quarter_of_t1, covariates=names, prior="orbital"), region)
+    assert with_map.layers.shape == (3, *region.grid.shape)
+    assert with_map.spread_ppb == pytest.approx(region.orbital_ppb.std())
+    assert trend_of(scenario(quarter_of_t1), region) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("he3_ppb", None, "expected orbital_ppb, elevation_m, slope_deg, or a file"),
+        ("none.npy", None, "found none"),
+        ("small.npy", np.zeros((3, 3)), r"numbers of shape \(125, 125\)"),
+        ("holes.npy", np.full((125, 125), np.nan), "a value on every cell"),
+        ("text.npy", b"no array", "an array that NumPy reads"),
+        ("text.tif", b"no raster", "expected a TIFF file"),
+    ],
+)
+def test_what_is_no_covariate_is_refused_in_one_line(name, content, why, region, tmp_path):
+    path = tmp_path / name
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        np.save(path, content)
+    with pytest.raises(InvalidInput, match=why) as refusal:
+        covariates([name if name == "he3_ppb" else str(path)], region)
+    assert "\n" not in str(refusal.value)
