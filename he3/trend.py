@@ -25,7 +25,6 @@ from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, IntArray, SiteGrid, as_points
-from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
 
 GAIN_STD = 0.5  # 1, weak: half of all contrast that a map from orbit shows may be wrong, ASSUMED
 OFFSET_STD_PPB = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
@@ -153,10 +152,15 @@ class CovariateTrend:
         return interpolated.T
 
 
-def covariate_trend(grid: SiteGrid, layers: NDArray[np.floating]) -> CovariateTrend:
-    """The trend of layers (k, rows, columns) of which nothing is known but that they may say something of the field."""
+def covariate_trend(
+    grid: SiteGrid, layers: NDArray[np.floating], level_ppb: float, offset_std_ppb: float
+) -> CovariateTrend:
+    """The trend of layers (k, rows, columns) of which nothing is known but that they may say something of the field.
+
+    level_ppb and offset_std_ppb: the field's mean before any sample [ppb], and its uncertainty.
+    """
     none = np.zeros(len(layers))
-    return CovariateTrend(grid, layers, none, np.full(len(layers), math.nan), MEAN_PPB, MEAN_STD_PPB)
+    return CovariateTrend(grid, layers, none, np.full(len(layers), math.nan), level_ppb, offset_std_ppb)
 
 
 def orbital_trend(

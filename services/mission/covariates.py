@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray
+from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
 from he3.reference import Region
 from he3.trend import CovariateTrend, covariate_trend, orbital_trend
 from services.mission.scenario import Scenario
@@ -25,7 +26,7 @@ def trend_of(scenario: Scenario, region: Region) -> CovariateTrend | None:
     layers = covariates(scenario.ground.covariates, region)
     if scenario.ground.prior == "orbital":
         return orbital_trend(region.grid, region.orbital_ppb, covariates=layers)
-    return covariate_trend(region.grid, layers) if len(layers) else None
+    return covariate_trend(region.grid, layers, MEAN_PPB, MEAN_STD_PPB) if len(layers) else None
 
 
 def covariates(names: Sequence[str], region: Region) -> FloatArray:

@@ -130,8 +130,8 @@ def test_the_orbital_map_is_the_case_of_one_layer() -> None:
 def test_unit_sign_and_offset_of_a_layer_do_not_matter() -> None:
     (layer,) = layers(1)
     places = np.random.default_rng(5).uniform(0, 400, (30, 2))
-    basis = covariate_trend(GRID, layer[None]).basis(places, 1.0)
-    other = covariate_trend(GRID, -1e7 * layer[None] + 4e8).basis(places, 1.0)
+    basis = covariate_trend(GRID, layer[None], 7.5, 4.0).basis(places, 1.0)
+    other = covariate_trend(GRID, -1e7 * layer[None] + 4e8, 7.5, 4.0).basis(places, 1.0)
     np.testing.assert_allclose(basis @ basis.T, other @ other.T, rtol=1e-6)
 
 
@@ -143,7 +143,7 @@ def test_a_trend_made_of_another_s_fields_is_the_same_to_the_byte() -> None:
 
 
 def test_a_layer_that_does_not_vary_says_nothing() -> None:
-    flat = covariate_trend(GRID, np.full((1, *GRID.shape), 3.0))
+    flat = covariate_trend(GRID, np.full((1, *GRID.shape), 3.0), 7.5, 4.0)
     assert (flat.basis(GRID.points(), 1.0)[:, 0] == 0.0).all()
     assert flat.spread_ppb == 0.0
 
@@ -153,7 +153,7 @@ def rmse_with(given: np.ndarray, truth: np.ndarray, seed: int) -> float:
     rng = np.random.default_rng(seed)
     cells = rng.choice(truth.size, 80, replace=False)
     values = truth.ravel()[cells] + 0.1 * rng.normal(size=80)
-    fitted = Hyperparameters(Matern12(1.0, 60.0), 0.1, trend=covariate_trend(GRID, given))
+    fitted = Hyperparameters(Matern12(1.0, 60.0), 0.1, trend=covariate_trend(GRID, given, 7.5, 4.0))
     belief = GaussianProcess(fitted).condition(GRID.points()[cells], values)
     return float(np.sqrt(np.mean((belief.predict(GRID.points())[0] - truth.ravel()) ** 2)))
 
@@ -180,8 +180,8 @@ def test_layers_that_tell_help_and_layers_that_do_not_cost_next_to_nothing() -> 
 
 def test_layers_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InvalidInput, match=r"layers of shape \(k, 40, 50\)"):
-        covariate_trend(GRID, np.zeros((2, 50, 40)))
+        covariate_trend(GRID, np.zeros((2, 50, 40)), 7.5, 4.0)
     with pytest.raises(InvalidInput, match="a prior for each of 2 layers"):
         CovariateTrend(GRID, layers(2), np.zeros(1), np.zeros(2))
     with pytest.raises(InvalidInput, match="finite"):
-        covariate_trend(GRID, np.full((1, *GRID.shape), np.inf))
+        covariate_trend(GRID, np.full((1, *GRID.shape), np.inf), 7.5, 4.0)
