@@ -610,8 +610,9 @@ def test_a_field_that_is_empty_or_out_of_range_sends_nothing(browser: Any, missi
         write(browser, "#weight", text)
         click(browser, "#send-interest")
         until(lambda complaint=complaint: complaint in written(browser, "#toast"), complaint)
+    write(browser, "#weight", "3 ")  # a space bar in the field presses no button
+    assert script(browser, "return document.querySelectorAll('button :is(input, select, button)').length") == 0
     assert mission.set_interest() == before
-    write(browser, "#weight", "3")
     click(browser, "#send-interest")
     until(lambda: {area.area_id for area in mission.set_interest()} > {area.area_id for area in before}, "the area")
 
@@ -916,6 +917,62 @@ def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_befor
     assert main(["command", "keep-out", "closed", "480,10", "495,10", "490,20", *where]) == 2
     assert main(["area", "remove", "closed", *where]) == 0
     assert names() == kept
+
+
+def test_what_is_said_of_a_place_and_of_an_area_follows_the_map_or_says_that_it_is_outdated(
+    browser: Any, address: str, mission: MissionClient
+) -> None:
+    browser.get("about:blank")
+    browser.get(f"{address}#at=120,340&draw=50,50,90,50,90,90")
+
+    def shown_revision() -> int:
+        point = script(browser, "return document.getElementById('place').dataset.point")
+        return 0 if point is None else int(json.loads(point)["revision"])
+
+    before = until(shown_revision, "the posterior at the place")
+    click(browser, "#estimate")
+    until(lambda: browser.find_elements("css selector", "#estimate-result td"), "the estimate")
+    corner = ((480.0, 480.0), (490.0, 480.0), (490.0, 490.0))
+    mission.command("set_keep_out", area_id="far-away", polygon_m=corner)  # closed ground is another map
+    until(lambda: shown_revision() > before, "the place on the new map")
+    until(lambda: "Outdated: of revision" in written(browser, "#estimate-result"), "the note on the estimate")
+    write(browser, "#cutoff", "9")
+    assert "for a cut-off of 8 ppb" in written(browser, "#estimate-result .outdated")
+    # What cannot be is not shown: an abundance below zero.
+    script(
+        browser,
+        "const real = window.fetch; window.fetch = async (url, options) => {"
+        "if (!String(url).startsWith('/api/map/point')) return real(url, options);"
+        "const told = await (await real(url, options)).json();"
+        "return new Response(JSON.stringify({...told, mean_ppb: 0.1, std_ppb: 1}));};"
+        "window.giveBack = () => { window.fetch = real; }",
+    )
+    script(browser, "document.getElementById('threshold').dispatchEvent(new Event('change'))")
+    until(lambda: "0.00 to 2.06 ppb" in written(browser, "#place"), "an interval that begins at zero")
+    script(browser, "window.giveBack()")
+
+
+def test_newer_facts_win_and_numbers_are_as_people_write_them(browser: Any) -> None:
+    """The reply to a command may come after reports of later stages."""
+    stages = [{"stage": stage, "at": at, "why": ""} for at, stage in enumerate(("queued", "released", "rejected"))]
+    told = {"command": {"command_id": "overtaken", "kind": "pause"}, "by": "", "end": "rejected", "stages": stages}
+    early = told | {"end": None, "stages": stages[:1]}
+    kept = in_module(
+        browser,
+        "commands.js",
+        f"(it.takeCommand({json.dumps(told)}), it.takeCommand({json.dumps(early)}), "
+        "document.querySelector('#commands > li[data-id=overtaken]').dataset.stages)",
+    )
+    assert json.loads(kept) == stages
+    in_module(browser, "state.js", "it.state.commands.delete('overtaken')")
+    in_module(browser, "commands.js", "it.showCommands() ?? null")
+    assert in_module(browser, "words.js", "[it.grouped(12345.678, 1), it.grouped(1234567)]") == [
+        "12,345.7",
+        "1,234,567",
+    ]
+    # A browser reads the pattern of a field in its strictest way, and ignores one that it cannot read.
+    patterns = "return [...document.querySelectorAll('[pattern]')].map((each) => new RegExp(each.pattern, 'v').source)"
+    assert len(script(browser, patterns)) >= 1
 
 
 def test_the_page_says_who_is_silent_and_greys_what_is_no_longer_known(browser: Any, launcher: Launcher) -> None:

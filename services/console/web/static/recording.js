@@ -18,7 +18,7 @@ export function takeRecording(recording) {
   document.body.classList.toggle("replaying", isShown());
   $("replay").hidden = !isShown();
   if (!isShown()) return;
-  $("replay-time").max = Math.floor(recording.length_s);
+  $("replay-time").max = Math.ceil(recording.length_s); // its last second is a whole one
   if (recording.pace > 0) $("replay-pace").value = nearest(recording.pace);
   rewrite($("replay-note"), recording.notes.join("; "));
   showRecording();
@@ -49,9 +49,9 @@ async function jump(seconds) {
   if (sending) return;
   sending = true;
   while (wanted !== null) {
-    const at_s = wanted;
-    await change({ at_s });
-    if (wanted === at_s) wanted = null;
+    const asked = wanted;
+    await change({ at_s: Math.min(asked, state.recording.length_s) });
+    if (wanted === asked) wanted = null;
   }
   sending = false;
 }
