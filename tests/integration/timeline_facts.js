@@ -13,7 +13,10 @@ import("/static/timelinemodel.js").then((model) => {
   const flown = [event("round_started", 1, 5), event("round_completed", 1, 70), event("round_started", 2, 70)];
   const during = facts(100, 95, flown), over = facts(150, 140, flown), lanes = model.lanes(during);
   const spans = (lane) => lanes[lane].items.map(({ from, to, look, row }) => [look, from / 60, to / 60, row ?? 0]);
+  const waits = { ...during, proposal: { plan: { round: 3 }, lasts_s: 1800 }, preview: { command: { kind: "go_to" }, received_at: at(102), word_back_at: at(104) } };
+  const proposed = model.lanes(waits).flatMap(({ items }) => items.filter(({ look }) => look === "proposed"));
   done({
+    proposed: proposed.map(({ from, to, label }) => [label, from / 60, to / 60]),
     rounds: spans(0), rover: spans(1), rows: spans(2).map(([, , , row]) => row), contact: spans(3),
     deviations: [facts(8, 7, flown.slice(0, 1)), facts(75, 72, flown.slice(0, 2)), during, over].map((each) => model.deviation(each)?.behind_s / 60),
     text: model.deviationText(over), next: model.contactText(during), said: model.described(lanes, 55 * 60), edges: model.edges(lanes).slice(0, 4).map((each) => each / 60),

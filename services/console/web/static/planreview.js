@@ -4,6 +4,7 @@ import { map } from "./layers.js";
 import { askJson, send } from "./net.js";
 import { fact } from "./rover.js";
 import { $, attempt, state, toast } from "./state.js";
+import { showTimeline } from "./timeline.js";
 import { duration, element, fixed, grouped } from "./words.js";
 
 let shown = null;   // the number of the proposal that is shown
@@ -20,6 +21,8 @@ export function showPlan() {
 
 function draw(proposal) {
   shown = proposal?.proposal ?? null;
+  state.proposal = proposal;
+  showTimeline();
   $("plan-card").hidden = proposal === null;
   map.proposal = proposal === null ? null : { path: proposal.plan.path_m, samples: proposal.plan.samples, dropped: new Set() };
   map.draw();

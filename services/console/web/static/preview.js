@@ -3,7 +3,8 @@
 
 import { map } from "./layers.js";
 import { send } from "./net.js";
-import { $ } from "./state.js";
+import { $, state } from "./state.js";
+import { showTimeline } from "./timeline.js";
 import { element, words } from "./words.js";
 
 const READ_MS = 600; // how long the preview stands before it can be sent: no second click or key sends it unread
@@ -25,16 +26,20 @@ export async function isSent(wanted) {
     return await answer;
   } finally {
     dialog.close(dialog.returnValue);
-    map.preview = null;
+    map.preview = state.preview = null;
     map.draw();
+    showTimeline();
   }
 }
 
-function show({ lines, path_m, objection }) {
+function show(outlook) {
+  const { lines, path_m, objection } = outlook;
   const rows = lines.map(([name, text]) => element("tr", { class: ALERTS.has(name) ? "alert" : "" }, element("th", { scope: "row" }, name.toLowerCase()), element("td", {}, text)));
   $("preview-said").replaceChildren(element("table", { class: "result num" }, element("tbody", {}, ...rows)));
   map.preview = path_m;
   map.draw();
+  state.preview = outlook;
+  showTimeline();
   if (objection) { $("preview-close").focus(); return; }
   const shown = rows[0];
   setTimeout(() => {

@@ -6,7 +6,7 @@ export const $ = (id) => document.getElementById(id);
 
 export const state = {
   clock: null, received: 0, status: null, rover: null, link: null, commands: new Map(), revisions: [],
-  alarms: { current: [], history: [] }, events: [], entries: [], modes: [], contacts: null,
+  alarms: { current: [], history: [] }, events: [], entries: [], modes: [], contacts: null, proposal: null, preview: null,
   past: null, interests: [], connected: false, liveness: null, heard: 0, pace: "–", recording: null,
 };
 

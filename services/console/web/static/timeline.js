@@ -28,6 +28,7 @@ function look() {
   facts = moments({
     start_ns: state.clock.start_ns, now_ns: time, heard_ns: state.rover?.made_at, events: state.events, entries: state.entries,
     modes: state.modes, commands: [...state.commands.values()], contacts: state.contacts, alarms: state.alarms, samples: map.track?.samples ?? [],
+    proposal: state.proposal, preview: state.preview,
   });
   facts.time = time;
   rewrite($("timeline-contact"), contactText(facts));
@@ -110,10 +111,10 @@ function drawItem({ from, to, look, label, open, stages, row = 0 }, y, width, la
     pen.globalAlpha = .3;
     pen.fillRect(x, y, wide, high);
     pen.globalAlpha = 1;
-  } else if (look === "planned" || look === "ahead") {
+  } else if (look === "planned" || look === "ahead" || look === "proposed") {
     pen.globalAlpha = look === "ahead" ? .35 : 1;
-    pen.strokeStyle = colour(look === "ahead" ? "--good" : "--planned-line");
-    pen.setLineDash(look === "ahead" ? [3, 3] : []);
+    pen.strokeStyle = colour({ ahead: "--good", proposed: "--preview", planned: "--planned-line" }[look]);
+    pen.setLineDash(look === "planned" ? [] : [3, 3]);
     pen.lineWidth = 1.2;
     pen.strokeRect(x + .5, y + .5, Math.max(wide - 1, 1), high - 1);
     pen.setLineDash([]);
@@ -136,7 +137,7 @@ function drawLabel(label, x, y, wide, look, width, taken) {
   const needs = pen.measureText(label).width + 8, within = needs <= wide, left = within ? Math.max(x, names()) + 4 : x + wide + 4;
   if (left < taken || (!within && (/^\d+$/.test(label) || left + needs > width))) return taken;
   pen.textAlign = "left";
-  pen.fillStyle = colour(within && look !== "planned" && look !== "dim" ? "--card" : "--text");
+  pen.fillStyle = colour(within && !["planned", "proposed", "dim"].includes(look) ? "--card" : "--text");
   pen.fillText(label, left, y + .5);
   return left + needs;
 }

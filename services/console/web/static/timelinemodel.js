@@ -36,7 +36,14 @@ export function plans({ entries, at }) {
   return found;
 }
 
-const planned = (facts) => [...plans(facts).values()].map(({ round, from, to }) => ({ from, to, row: 0, look: "planned", label: `${round}`, text: `round ${round} as planned, ${duration(to - from)}` }));
+function planned(facts) {
+  const { proposal, now_s } = facts, sent = [...plans(facts).values()].map(planItem);
+  if (!proposal || proposal.lasts_s === null || now_s === null) return sent;
+  const { plan: { round }, lasts_s } = proposal, from = Math.max(now_s, ...sent.map(({ to }) => to));
+  return [...sent, { from, to: from + lasts_s, row: 0, look: "proposed", label: `${round}`, text: `round ${round} waits for approval, ${duration(lasts_s)}` }];
+}
+
+const planItem = ({ round, from, to }) => ({ from, to, row: 0, look: "planned", label: `${round}`, text: `round ${round} as planned, ${duration(to - from)}` });
 
 function flown({ events, at, ...facts }) {
   const found = [];
@@ -67,13 +74,20 @@ function rover({ modes, samples, events, at, heard_s }) {
   return [...spans, ...silent, ...taken, ...marked];
 }
 
-function commands({ commands: known, at, ...facts }) {
-  return known.map(({ command, stages, end: over, by }) => {
+function commands({ commands: known, preview, at, ...facts }) {
+  return [...previewed(preview, at, facts.now_s), ...known.map(({ command, stages, end: over, by }) => {
     const from = at(stages[0]?.at ?? 0), last = stages.at(-1), done = over ?? last?.stage ?? "queued";
     const look = over === "completed" ? "good" : over ? "bad" : "accent";
     const passed = stages.map((stage) => `${stage.stage} +${duration((stage.at - stages[0].at) / 1e9)}`).join(", ");
     return { from, to: over ? at(last.at) : Math.max(end(facts), from), look, open: !over, label: words(command.kind), stages: stages.map((stage) => at(stage.at)), text: `${words(command.kind)}${by ? ` by ${by}` : ""}: ${done}; ${passed}` };
-  });
+  })];
+}
+
+// A command that is looked at before it is sent: when the rover can have it, and when word of it can be back.
+function previewed(preview, at, now_s) {
+  if (!preview?.received_at || now_s === null) return [];
+  const on = at(preview.received_at), back = preview.word_back_at ? at(preview.word_back_at) : on, kind = words(preview.command.kind);
+  return [{ from: now_s, to: back, look: "proposed", label: `${kind}?`, stages: [on], text: `${kind}, if it is sent now: on the rover in ${duration(on - now_s)}, word back in ${duration(back - now_s)} at the earliest` }];
 }
 
 function contacts({ contacts: known, at, now_s }) {
