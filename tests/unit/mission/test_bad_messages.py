@@ -254,7 +254,7 @@ def states(mission: InProcessMission) -> dict[str, bytes]:
         if name in ("rover", "ground"):
             states[name] = host.codec.encode({**host.checkpoint(), "refused": 0})
         else:  # they keep no journal, so they name no state
-            kept = {key: value for key, value in vars(host).items() if key not in ("_trace", "_refused")}
+            kept = {key: value for key, value in vars(host).items() if key not in ("_heard", "_trace", "_refused")}
             states[name] = pickle.dumps(kept)
     return states
 
