@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import nnls
 
 from he3.errors import InvalidInput
 
@@ -29,6 +28,8 @@ def condensed(weights: FloatArray, means: FloatArray, variances: FloatArray, mos
     weights: (N,), not negative and not all 0. means and variances: (N, P) at P places, variances positive. Raises
     InvalidInput for shapes that do not fit.
     """
+    from scipy.optimize import nnls  # a tenth of a second, in processes that never fit
+
     if means.shape != variances.shape or weights.shape != means.shape[:1] or most < 1:
         raise InvalidInput(f"expected N weights and N x P moments, got {weights.shape}, {means.shape}, {most}")
     weights = weights / weights.sum()

@@ -32,7 +32,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from he3.errors import InvalidInput, NumericalFailure
@@ -352,6 +351,8 @@ def best_optimum(
 
     Raises NumericalFailure, with the name of what the cost is of, if none is finite.
     """
+    from scipy.optimize import minimize  # a tenth of a second, in processes that never fit
+
     best, lowest = starts[0], math.inf
     for start in starts:
         found = minimize(
