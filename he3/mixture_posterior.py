@@ -91,17 +91,17 @@ class MixturePosterior:
         return self._map
 
 
-def coarser(grid: SiteGrid) -> SiteGrid:
-    """The grid of at most ``MOST_CELLS`` cells over the same site; the grid itself if it has no more."""
+def coarser(grid: SiteGrid, most_cells: int = MOST_CELLS) -> SiteGrid:
+    """The grid of at most that many cells over the same site; the grid itself if it has no more."""
     step = 1
-    while -(-grid.rows // step) * -(-grid.columns // step) > MOST_CELLS:
+    while -(-grid.rows // step) * -(-grid.columns // step) > most_cells:
         step += 1
     if step == 1:
         return grid
     return SiteGrid(-(-grid.rows // step), -(-grid.columns // step), step * grid.resolution_m)
 
 
-def on_cells(values: FloatArray, grid: SiteGrid, coarse: SiteGrid) -> Float32Array:
+def on_cells(values: FloatArray | Float32Array, grid: SiteGrid, coarse: SiteGrid) -> Float32Array:
     """Values (rows, columns) of the coarse grid at the cells of the grid: bilinear, constant beyond the outermost."""
     across = values.astype(np.float32)
     if coarse == grid:

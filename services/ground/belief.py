@@ -20,7 +20,7 @@ from he3.errors import InvalidInput
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import MEAN_PPB, Hyperprior
 from he3.kernels import AUTO, kernel_from
-from he3.mixture_posterior import MixturePosterior
+from he3.mixture_posterior import MixturePosterior, coarser, on_cells
 from he3.posterior.grid import GridPosterior, PosteriorMap
 from services.ground.fitting import FitRequest, fit
 
@@ -53,16 +53,21 @@ class Belief:
         trend: CovariateTrend | None = None,
         *,
         likeliest: bool = False,
+        most_cells: int | None = None,
     ) -> None:
-        """likeliest: take the hyperparameters of maximum likelihood for certain, as the paper does."""
+        """likeliest: take the hyperparameters of maximum likelihood for certain, as the paper does.
+
+        most_cells: the map is computed on a coarser grid of so many cells at most, and interpolated between them.
+        """
         self.grid = grid
+        self._coarse = grid if most_cells is None else coarser(grid, most_cells)
         self._kernel = kernel
         self._noise_std_ppb = noise_std_ppb
         self._trend = trend
         self._prior = None if likeliest else hyperprior(grid, trend)
         self._observations: dict[str, Observation] = {}
-        self._posterior: MixturePosterior | None = MixturePosterior(grid, self._first(), self._empty)
-        self._map, self._process = self._posterior.snapshot(), self._posterior.process
+        self._posterior: MixturePosterior | None = MixturePosterior(self._coarse, self._first(), self._empty)
+        self._map, self._process = self._shown(self._posterior), self._posterior.process
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
 
@@ -135,7 +140,7 @@ class Belief:
         self.grid.cells_of(np.array([observation.place_m], dtype=np.float64))
         posterior = self._standing()
         posterior.add(observation.place_m, observation.value_ppb)
-        self._map, self._process = posterior.snapshot(), posterior.process
+        self._map, self._process = self._shown(posterior), posterior.process
         self._observations[sample_id] = observation
         return True
 
@@ -162,7 +167,7 @@ class Belief:
         planned = {name: observed.planned for name, observed in self._observations.items()}
         self._built = tuple(sorted(planned, key=planned.__getitem__))
         posterior = self._posterior = self._rebuilt(self._with_trend(fitted))
-        self._map, self._process = posterior.snapshot(), posterior.process
+        self._map, self._process = self._shown(posterior), posterior.process
 
     def begin_with(self, observations: Mapping[str, Observation], fitted: Hyperparameters) -> None:
         """Take in these samples at once, as if they had been added and these hyperparameters then adopted."""
@@ -175,12 +180,20 @@ class Belief:
         places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
         values = np.array([observed.value_ppb for observed in built], dtype=np.float64)
         if not built:
-            return MixturePosterior(self.grid, hyperparameters, self._empty)
+            return MixturePosterior(self._coarse, hyperparameters, self._empty)
 
         def posterior(grid: SiteGrid, of: Hyperparameters) -> GridPosterior:
             return GridPosterior.build(grid, of, places, values, threads=MAP_THREADS)
 
-        return MixturePosterior(self.grid, hyperparameters, posterior)
+        return MixturePosterior(self._coarse, hyperparameters, posterior)
+
+    def _shown(self, posterior: MixturePosterior) -> PosteriorMap:
+        """The map on the site's cells."""
+        known = posterior.snapshot()
+        if self._coarse is self.grid:
+            return known
+        layers = [on_cells(layer, self.grid, self._coarse) for layer in (known.mean_ppb, known.std_ppb)]
+        return PosteriorMap(known.samples, *layers)
 
     @staticmethod
     def _empty(grid: SiteGrid, hyperparameters: Hyperparameters) -> GridPosterior:

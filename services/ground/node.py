@@ -359,8 +359,15 @@ def _nothing_to_do(event: Event) -> LogRecord:
     return LogRecord(Level.WARNING, f"ground: nothing to do upon {type(event).__name__}")
 
 
-def build_node(scenario: Scenario, region: Region | None = None, planner: Planner | None = None) -> GroundNode:
+def build_node(
+    scenario: Scenario,
+    region: Region | None = None,
+    planner: Planner | None = None,
+    most_cells: int | None = None,
+) -> GroundNode:
     """The ground station of that scenario; region and planner are read and chosen from it unless they are given.
+
+    most_cells: see `Belief`.
 
     Belief and director receive only what is known from orbit; the reference field goes to the scorer alone.
     Raises InvalidInput for a scenario that does not fit its region.
@@ -373,7 +380,8 @@ def build_node(scenario: Scenario, region: Region | None = None, planner: Planne
     trend = trend_of(scenario, region)
     expect_map_fits(grid, ground.kernel, scenario.samples)
     likeliest = ground.hyperparameters == "ml"
-    belief = Belief(grid, ground.kernel, scenario.field.noise_std_ppb, trend, likeliest=likeliest)
+    noise = scenario.field.noise_std_ppb
+    belief = Belief(grid, ground.kernel, noise, trend, likeliest=likeliest, most_cells=most_cells)
     interests = InterestAreas(grid, ground.interests)
     round_log = RoundLog()
     samples = SampleIntake(belief, round_log)

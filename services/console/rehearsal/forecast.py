@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 from he3.errors import InvalidInput
 from services.console.client.time_format import duration
 from services.console.rehearsal.flight import Flight, Start, assumptions, fly, scenario_of
-from services.ground.planner_process import PlannerProcess
+from services.ground.pure_tasks import MissionExecutor
 from services.mission.regions import load_region
 from services.runtime.child import child_environment
 from services.runtime.entry import end_with_parent
@@ -174,8 +174,8 @@ def _begin() -> None:
 def _flown(start: Start, draw: int) -> Flight:
     scenario = scenario_of(start.fork)
     region = _region(scenario.region, scenario.field.field_seed)
-    with PlannerProcess() as planners:  # as in the live mission, no plan depends on those before it
-        return fly(start, region, draw, planners)
+    with MissionExecutor() as executor:  # as in the live mission, no plan depends on those before it
+        return fly(start, region, draw, executor)
 
 
 @cache
