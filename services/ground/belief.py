@@ -228,7 +228,7 @@ class Belief:
         self._observations, self._built, self._fits = state["observations"], state["built"], state["fits"]
         self._process, self._posterior = state["process"], None
         known: PosteriorMap | None = state["map"]
-        self._map = self._standing().snapshot() if known is None else known  # None: it follows from the rest
+        self._map = self._shown(self._standing()) if known is None else known  # None: it follows from the rest
 
 
 def hyperprior(grid: SiteGrid, trend: CovariateTrend | None) -> Hyperprior:
