@@ -231,6 +231,27 @@ class Belief:
         self._map = self._shown(self._standing()) if known is None else known  # None: it follows from the rest
 
 
+class DeferredBelief(Belief):
+    """A belief whose map stands still until it is asked for: for missions of which only the last map matters."""
+
+    def add(self, sample_id: str, observation: Observation) -> bool:
+        """Keep a measurement; False, and nothing changes, if it was there already."""
+        if sample_id in self._observations:
+            return False
+        self._observations[sample_id] = observation
+        return True
+
+    def adopt(self, fitted: Hyperparameters) -> None:
+        """Keep new hyperparameters."""
+        self._fits += 1
+        self._process = GaussianProcess(self._with_trend(fitted))
+
+    def last_map(self) -> PosteriorMap:
+        """The map from all samples under the present hyperparameters."""
+        super().adopt(self.hyperparameters)
+        return self.map
+
+
 def hyperprior(grid: SiteGrid, trend: CovariateTrend | None) -> Hyperprior:
     """What is known of the site's hyperparameters before landing."""
     extent_m = max(grid.width_m, grid.height_m)

@@ -363,11 +363,11 @@ def build_node(
     scenario: Scenario,
     region: Region | None = None,
     planner: Planner | None = None,
-    most_cells: int | None = None,
+    make_belief: Callable[..., Belief] = Belief,
 ) -> GroundNode:
     """The ground station of that scenario; region and planner are read and chosen from it unless they are given.
 
-    most_cells: see `Belief`.
+    make_belief: makes the belief, from the arguments of `Belief`.
 
     Belief and director receive only what is known from orbit; the reference field goes to the scorer alone.
     Raises InvalidInput for a scenario that does not fit its region.
@@ -381,7 +381,7 @@ def build_node(
     expect_map_fits(grid, ground.kernel, scenario.samples)
     likeliest = ground.hyperparameters == "ml"
     noise = scenario.field.noise_std_ppb
-    belief = Belief(grid, ground.kernel, noise, trend, likeliest=likeliest, most_cells=most_cells)
+    belief = make_belief(grid, ground.kernel, noise, trend, likeliest=likeliest)
     interests = InterestAreas(grid, ground.interests)
     round_log = RoundLog()
     samples = SampleIntake(belief, round_log)

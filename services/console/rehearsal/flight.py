@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,9 +19,11 @@ from schemas.topics import COMMAND, EVENT, LINK_SET, PLAN, STATE, Side, Topic
 from schemas.wire import Header
 from services.console.rehearsal.drawn_field import DrawnField
 from services.field.node import FieldNode
+from services.ground.belief import Belief, DeferredBelief
 from services.ground.fitting import fit
 from services.ground.node import NAME as GROUND
 from services.ground.node import build_node as build_ground
+from services.ground.planning import IGNORE_STD, run_planner
 from services.link.node import build_node as build_link
 from services.mission.mission_time import SECOND, MissionTime
 from services.mission.scenario import Scenario
@@ -55,6 +57,8 @@ FIT_EVERY: Final = 3
 """Rounds from one fit of the hyperparameters to the next; the last round is fitted in any case."""
 STATE_PERIOD_S: Final = 300.0
 """Mission time between two reports of rover and ground, where messages take no time on the link."""
+OUTLOOK_SETTINGS: Final = {"steps": 4, "kicks": 4}
+"""Settings of the planner `tour`, whose later plans are the first one adapted to new hyperparameters."""
 _SEED: Final = 0x7265  # separates the draws of rehearsals from all other uses of the mission's seed
 _HOLDS: Final = frozenset({CommandKind.PAUSE, CommandKind.SAFE, CommandKind.RESUME})
 """Commands that hold the rover or release it: the rover of a rehearsal is not held."""
@@ -119,7 +123,14 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
     live = scenario_of(fork)
     seed = live.seed + 1_000_003 * (draw + 1)
     scenario = _simplified(live, conditions)
-    ground = build_ground(scenario, region, most_cells=MAP_CELLS)
+    beliefs: list[Belief] = []
+
+    def make_belief(*arguments: Any, **options: Any) -> Belief:
+        kind = DeferredBelief if scenario.ground.planner in IGNORE_STD else Belief
+        beliefs.append(kind(*arguments, **options, most_cells=MAP_CELLS))
+        return beliefs[-1]
+
+    ground = build_ground(scenario, region, make_belief=make_belief)
     state: dict[str, Any] = StateCodec(ground.state_types).decode(base64.b64decode(fork.state_base64))
     ground.restore({**ground.checkpoint(), **state})
     place_m = scenario.start_m if fork.rover is None else (fork.rover.x_m, fork.rover.y_m)
@@ -132,12 +143,12 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
         build_link(scenario.model_copy(update={"seed": seed})),
         ground,
     )
-    computing = FewerFits(executor or InlineExecutor(), scenario.rounds)
+    computing = Hastened(executor or InlineExecutor(), scenario.rounds)
     simulation = Simulation(nodes, scenario.name, fork.at, computing, link=conditions)
     simulation.step()  # the nodes start
     if start.link.contact_forced:
         simulation.ask(LINK_SET, LinkChange(contact=True))
-    return _Watch(simulation, ground, start, draw).run()
+    return _Watch(simulation, ground, beliefs[0], start, draw).run()
 
 
 def _simplified(live: Scenario, conditions: LinkConditions) -> Scenario:
@@ -156,22 +167,29 @@ def _simplified(live: Scenario, conditions: LinkConditions) -> Scenario:
     )
 
 
-class FewerFits:
-    """An executor that computes every `FIT_EVERY`th fit and those from the last round on; the others change nothing."""
+class Hastened:
+    """An executor that saves on what hardly changes a mission's course: fits, and the improvement of later plans.
+
+    It computes every `FIT_EVERY`th fit and those from the last round on. The others change no hyperparameter.
+    """
 
     def __init__(self, executor: Executor, rounds: int) -> None:
         self._executor = executor
         self._rounds = rounds
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """The future result of the executor's; of a fit that is left out, the hyperparameters as they were."""
+        """The future result."""
         if function is fit:
-            request: FitRequest = arguments[0]
-            number = request.seed[-1]
-            if number % FIT_EVERY and number < self._rounds and request.previous is not None:
+            asked: FitRequest = arguments[0]
+            number = asked.seed[-1]
+            if number % FIT_EVERY and number < self._rounds and asked.previous is not None:
                 unchanged: Future[Any] = Future()
-                unchanged.set_result(request.previous)
+                unchanged.set_result(asked.previous)
                 return unchanged
+        elif function is run_planner and arguments[0] == "tour":
+            planner, request, *others = arguments
+            options = replace(request.options, extra={**OUTLOOK_SETTINGS, **request.options.extra})
+            arguments = (planner, replace(request, options=options), *others)
         return self._executor.submit(function, *arguments)
 
 
@@ -210,9 +228,10 @@ def _rover(scenario: Scenario, region: Region, fork: MissionFork, place_m: Place
 class _Watch:
     """A simulation that is flown to its end, and what is seen of it."""
 
-    def __init__(self, simulation: Simulation, ground: GroundNode, start: Start, draw: int) -> None:
+    def __init__(self, simulation: Simulation, ground: GroundNode, belief: Belief, start: Start, draw: int) -> None:
         self._simulation = simulation
         self._ground = ground
+        self._belief = belief
         self._commands, self._fork = start.commands, start.fork
         fork = start.fork
         driven_m = 0.0 if fork.rover is None else fork.rover.driven_m
@@ -235,7 +254,8 @@ class _Watch:
         flight.why = f"not over after {LONGEST_S / 86_400:.0f} days" if end is None else end.why
         flight.lasts_s = (simulation.now - fork.at) / SECOND
         flight.driven_m = max(0.0, flight.driven_m - self._driven_before_m)
-        flight.samples, flight.mean_std_ppb = status.samples, status.mean_std_ppb or 0.0
+        known = self._belief.last_map() if isinstance(self._belief, DeferredBelief) else self._belief.map
+        flight.samples, flight.mean_std_ppb = status.samples, float(known.std_ppb.mean(dtype="f8"))
         return flight
 
     def _bring(self, topic: Topic, body: MissionPlan | Telecommand, sequence: int) -> None:

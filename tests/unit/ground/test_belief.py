@@ -10,10 +10,11 @@ import pytest
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
-from he3.kernels import AUTO, KERNELS
+from he3.hyperparameters import Hyperparameters
+from he3.kernels import AUTO, KERNELS, Matern52
 from he3.mixture import ProcessMixture
 from he3.trend import CovariateTrend, orbital_trend
-from services.ground.belief import Belief
+from services.ground.belief import Belief, DeferredBelief
 from services.ground.fitting import fit
 from services.ground.observation import Observation
 
@@ -176,3 +177,27 @@ def test_an_orbital_prior_is_the_map_before_the_first_sample_and_survives_a_refi
     belief.adopt(fitted)
     assert belief.hyperparameters.trend is not None
     assert len(belief) == 10
+
+
+def test_a_deferred_map_is_the_one_of_a_belief_that_was_always_kept_up() -> None:
+    samples = observations(10)
+    kept_up, deferred = belief_of(samples), DeferredBelief(GRID, "matern52", NOISE)
+    before = deferred.map
+    for name, observation in samples.items():
+        assert deferred.add(name, observation)
+        assert not deferred.add(name, observation)
+    for belief in (kept_up, deferred):
+        belief.adopt(Hyperparameters(Matern52(0.9, 12.0), NOISE, 8.0, 0.8))
+    assert deferred.map is before
+    np.testing.assert_array_equal(deferred.last_map().mean_ppb, kept_up.map.mean_ppb)
+    np.testing.assert_array_equal(deferred.map.std_ppb, kept_up.map.std_ppb)
+
+
+def test_a_map_on_coarser_cells_has_the_mean_standard_deviation_of_the_whole_but_for_a_hundredth() -> None:
+    samples = observations(10)
+    whole, coarse = belief_of(samples), Belief(GRID, "matern52", NOISE, most_cells=300)
+    for name, observation in samples.items():
+        coarse.add(name, observation)
+    assert coarse.map.std_ppb.shape == GRID.shape
+    assert coarse.map.std_ppb.mean() == pytest.approx(whole.map.std_ppb.mean(), rel=0.01)
+    assert np.abs(coarse.map.mean_ppb - whole.map.mean_ppb).max() < 0.5
