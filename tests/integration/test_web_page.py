@@ -722,6 +722,7 @@ def test_the_timeline_tells_plan_from_flight_and_what_is_known_from_what_is_not(
     assert found["next"] == "next contact in 1 h 40 min, at T+ 0 d 03:20:00"
     assert "no report of what the rover did for 40 min 00 s" in found["said"]
     assert found["edges"] == [0, 1, 5, 10]
+    assert found["places"] == [None, 5, 70, 70]
     # What is not decided yet: a plan that waits comes after those that were sent, a previewed command now.
     assert found["proposed"] == [["3", 125, 155], ["go to?", 100, 104]]
 

@@ -2,7 +2,7 @@
 const done = arguments[0];
 import("/static/timelinemodel.js").then((model) => {
   const at = (minutes) => minutes * 6e10, plan = (round, from, to) => ({ kind: "plan", round, begins_at: at(from), ends_at: at(to), at: 0 });
-  const event = (kind, round, minutes) => ({ kind, round, at: at(minutes), received_at: at(minutes), detail: "" });
+  const event = (kind, round, minutes) => ({ kind, round, at: at(minutes), received_at: at(minutes), detail: "", x_m: minutes, y_m: 1 });
   const facts = (now, heard, events) => model.moments({
     start_ns: 0, now_ns: at(now), heard_ns: at(heard), entries: [plan(1, 0, 60), plan(2, 60, 120), plan(2, 65, 125)], events, samples: [],
     modes: [{ mode: "driving", made_at: at(1) }, { mode: "drilling", made_at: at(90), before_at: at(50) }],
@@ -16,6 +16,7 @@ import("/static/timelinemodel.js").then((model) => {
   const waits = { ...during, proposal: { plan: { round: 3 }, lasts_s: 1800 }, preview: { command: { kind: "go_to" }, received_at: at(102), word_back_at: at(104) } };
   const proposed = model.lanes(waits).flatMap(({ items }) => items.filter(({ look }) => look === "proposed"));
   done({
+    places: [4, 69, 70, 99].map((minutes) => model.placeAt(during, minutes * 60)?.[0] ?? null),
     proposed: proposed.map(({ from, to, label }) => [label, from / 60, to / 60]),
     rounds: spans(0), rover: spans(1), rows: spans(2).map(([, , , row]) => row), contact: spans(3),
     deviations: [facts(8, 7, flown.slice(0, 1)), facts(75, 72, flown.slice(0, 2)), during, over].map((each) => model.deviation(each)?.behind_s / 60),

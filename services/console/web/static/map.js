@@ -30,6 +30,7 @@ export class SiteMap {
     this.draft = [];            // corners of the area that is drawn
     this.legs = [];             // corners of the line that is measured
     this.preview = null;        // the way of a command that is not sent yet
+    this.pointed = null;        // where the rover was at the moment that is pointed at on the timeline
     this.proposal = null;       // { path, samples, dropped } of the plan that waits for approval
     this.drawing = false;
     this.measuring = false;
@@ -220,6 +221,7 @@ export class SiteMap {
     }
     if (this.chosen && !this.sample) marks.target(context, projection, this.chosen, "#fff");
     if (this.cross) marks.target(context, projection, this.cross, colour("--planned"), true);
+    if (this.pointed) marks.target(context, projection, this.pointed, colour("--accent")); // by the timeline's cursor
     if (this.rover) marks.vehicle(context, projection, colour, this.rover);
     if (this.panes.length > 1) this.titles(context);
     if (this.panes.length) marks.scaleBar(context, projection);

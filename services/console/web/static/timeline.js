@@ -5,7 +5,7 @@ import { map, showMoment, whenTimeChanges } from "./layers.js";
 import { isTimeKnown } from "./liveness.js";
 import { send } from "./net.js";
 import { $, attempt, now, rewrite, sinceStart, state } from "./state.js";
-import { contactText, described, deviationText, edges, lanes, moments } from "./timelinemodel.js";
+import { contactText, described, deviationText, edges, lanes, moments, placeAt } from "./timelinemodel.js";
 import { inAddress, keepView, numbers } from "./view.js";
 import { duration, elapsed, element } from "./words.js";
 
@@ -222,7 +222,16 @@ whenSpanSeen((wanted) => {
   say();
   keepView();
 });
-whenPointedAt((at_s) => { cursor = at_s; if (facts) { draw(); say(); } });
+whenPointedAt((at_s) => {
+  cursor = at_s;
+  if (!facts) return;
+  draw();
+  say();
+  const place = at_s === null ? null : placeAt(facts, at_s);
+  if (String(place) === String(map.pointed)) return;
+  map.pointed = place;
+  map.draw();
+});
 whenTimeChanges(() => draw());
 whenThemeChanges(() => draw());
 new ResizeObserver(() => draw()).observe(canvas);

@@ -167,3 +167,10 @@ export function edges(shown) {
   const found = shown.flatMap(({ items }) => items.flatMap(({ from, to }) => [from, to]));
   return [...new Set(found.filter(Number.isFinite))].sort((a, b) => a - b);
 }
+
+// Where the rover was at that moment, by the last report of a place before it: [x, y] in metres; null if there is none.
+export function placeAt({ events, samples, at }, at_s) {
+  const known = [...events.map((event) => ({ at_s: at(event.at), ...event })), ...samples.map((sample) => ({ at_s: at(sample.measured_at), ...sample }))];
+  const last = known.reduce((best, each) => (each.at_s <= at_s && each.at_s >= (best?.at_s ?? -Infinity) ? each : best), null);
+  return last && [last.x_m, last.y_m];
+}
