@@ -140,6 +140,8 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
         changed = he3_here("link", "set", "--direction", "down", "--light-time", "2.5", "--json", env=environment)
         conditions = json.loads(changed.stdout)["conditions"]
         assert (conditions["down"]["one_way_light_time_s"], conditions["up"]["one_way_light_time_s"]) == (2.5, 1.282)
+        said = he3_here("link", "set", "--loss", "0", env=environment).stdout
+        assert said.startswith("mission 'short'\n"), "whoever changes something is told of which mission"
 
         picture = tmp_path / "std.png"
         assert he3_here("map", "show", "std", "--png", str(picture), env=environment).returncode == 0
@@ -176,6 +178,7 @@ def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dic
             environment=environment,
         )
         assert paused.returncode == 0, paused.stderr
+        assert paused.stdout.startswith("mission 'short'\n")
         listed = json.loads(he3("commands", "--json", environment=environment).stdout)["commands"]
         assert [entry["command"]["command_id"] for entry in listed] == ["r1", "p1"]
         assert {"queued", "released", "received", "accepted"} <= {stage["stage"] for stage in listed[1]["stages"]}

@@ -232,7 +232,8 @@ def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) ->
             raise typer.Exit(1)
         issued = client.command(kind, expires_in_s=how.expires_in, command_id=how.command_id, **what)
         status = issued.status if stage is None else issued.wait(stage, how.timeout_s)
-    typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(command_lines([status])))
+    sent = f"mission '{client.mission}'", *command_lines([status])
+    typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(sent))
     fail_if_it_failed(status, stage)
 
 

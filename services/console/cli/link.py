@@ -150,6 +150,8 @@ def change(
     request = link_change(given)
     with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
         status = client.change_link(request)
+    if not json:
+        typer.echo(f"mission '{client.mission}'")
     _print(status, json)
 
 
