@@ -41,7 +41,7 @@ listen({
   clock: takeClock,
   beat: (beat) => { takeClock(beat); heard(beat.liveness); showPhase(); refreshHistory().then(showView); },
   // Of these only the fields come that are others than before.
-  status: (status) => { state.status = { ...state.status, ...status }; showStatus(); wantMap(); mapIsAt(state.status.map_revision); },
+  status: (status) => { state.status = { ...state.status, ...status }; showStatus(); showMap(); },
   rover: (rover) => { state.rover = { ...state.rover, ...rover }; showRover(); },
   link: (link) => { state.link = { ...state.link, ...link }; showLink(); },
   contacts: (contacts) => { state.contacts = { ...state.contacts, ...contacts }; showLog(); showTimeline(); },
@@ -53,6 +53,14 @@ listen({
   interests: takeInterests,
   alarms: (alarms) => { state.alarms = alarms; showAlarms(); showLog(); showTimeline(); },
 }, () => { state.connected = false; showLiveness(); });
+
+// A page that nobody sees fetches no map; it does when it is seen again.
+function showMap() {
+  if (document.hidden || !state.status) return;
+  wantMap();
+  mapIsAt(state.status.map_revision);
+}
+document.addEventListener("visibilitychange", showMap);
 
 let newestMap = null;
 function mapIsAt(revision) {
