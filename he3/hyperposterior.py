@@ -1,4 +1,4 @@
-"""What the samples tell of the hyperparameters: the most probable ones, and a few weighted kernels for all of them.
+"""What the samples tell of the hyperparameters: one kernel to plan with, and a few weighted ones for all of them.
 
 With log-normal priors (``he3.hyperprior``) the posterior of the logarithms theta of the kernel's parameters is
 
@@ -41,6 +41,8 @@ from he3.hyperparameters import (
     Hyperparameters,
     LikelihoodProblem,
     best_optimum,
+    parameter_bounds,
+    typical_spacing_m,
 )
 from he3.hyperprior import REACH, Hyperprior
 from he3.kernels import AUTO, Kernel, kernel_from, squared_distances, with_log_parameters
@@ -74,11 +76,12 @@ def infer_hyperparameters(
     trend: CovariateTrend | None = None,
     previous: Hyperparameters | None = None,
 ) -> Hyperparameters:
-    """The hyperparameters given observations (n,) [ppb] at places (n, 2) [m]: the most probable, and the alternatives.
+    """The hyperparameters given observations (n,) [ppb] at places (n, 2) [m]: one kernel, and the alternatives.
 
-    kernel_name: one of ``KERNELS``, or "auto", the most cautious kernel that the evidence allows. previous: a start of
-    the search. Without samples, they are those of the prior. It draws nothing at random. Raises
-    InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
+    The one is the most probable with length scales no shorter than those of a fit of maximum likelihood. Without
+    samples, they are those of the prior. kernel_name: one of ``KERNELS``, or "auto", the most cautious kernel that the
+    evidence allows. previous: a start of the search. It draws nothing at random. Raises InvalidInput for shapes that do
+    not fit, values that are not finite, or an unknown kernel.
     """
     xy = as_points(np.asarray(xy_m, dtype=np.float64).reshape(-1, 2))
     values = np.asarray(values_ppb, dtype=np.float64)
@@ -113,9 +116,12 @@ class _Posterior:
         value, gradient = self.likelihood.cost(self.medians + self.factors * u)
         return value + 0.5 * float(u @ u), gradient * self.factors + u
 
-    def mode(self, starts: Sequence[FloatArray]) -> FloatArray:
-        """The best of the optima (p,) that the starts lead to. Raises NumericalFailure if none is finite."""
-        bounds = np.column_stack((-REACH / self.factors, REACH / self.factors))
+    def mode(self, starts: Sequence[FloatArray], least: FloatArray | None = None) -> FloatArray:
+        """The best of the optima (p,) that the starts lead to. Raises NumericalFailure if none is finite.
+
+        least: lower bounds of u (p,); None for those of the search alone.
+        """
+        bounds = np.column_stack((-REACH / self.factors if least is None else least, REACH / self.factors))
         return best_optimum(self.cost, starts, bounds, f"a posterior for {self.likelihood.default.name!r}")
 
     def normal_at(self, mode: FloatArray) -> FloatArray:
@@ -192,7 +198,7 @@ class _Inference:
     fitted: Hyperparameters
 
     def with_alternatives(self, xy: FloatArray, extent_m: float) -> Hyperparameters:
-        """The hyperparameters at the mode, with the kernels that stand for the posterior."""
+        """The hyperparameters for planners, with the kernels that stand for the posterior."""
         axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
         probes = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
         trend, scale = self.fitted.trend, self.fitted.scale_ppb
@@ -247,10 +253,27 @@ def _inferred(
     posterior = _Posterior(problem, medians, factors)
     mode = posterior.mode(_starts(posterior, kernel_name, previous, scale))
     spread = posterior.normal_at(mode)
-    log_posterior = -posterior.cost(mode)[0] - len(values) * math.log(scale)  # of the samples in ppb
-    likelihood = 0.5 * float(mode @ mode) + log_posterior if len(values) else math.nan
-    fitted = Hyperparameters(posterior.kernel(mode), noise_std_ppb, mean, scale, likelihood, unknown)
-    return _Inference(posterior, mode, spread, log_posterior + float(np.linalg.slogdet(spread)[1]), fitted)
+    of_scale = len(values) * math.log(scale)  # the samples are in ppb
+    log_evidence = float(np.linalg.slogdet(spread)[1]) - posterior.cost(mode)[0] - of_scale
+    guide = _guide(posterior, mode, xy, prior.extent_m)
+    likelihood = 0.5 * float(guide @ guide) - posterior.cost(guide)[0] - of_scale if len(values) else math.nan
+    fitted = Hyperparameters(posterior.kernel(guide), noise_std_ppb, mean, scale, likelihood, unknown)
+    return _Inference(posterior, mode, spread, log_evidence, fitted)
+
+
+def _guide(posterior: _Posterior, mode: FloatArray, xy: FloatArray, extent_m: float) -> FloatArray:
+    """The most probable parameters (p,) with the least length scales of ``fit_hyperparameters``.
+
+    Planners are guided by one kernel. If its length scale is shorter than the samples' spacing, a sample informs about
+    its own place only, and all designs are as good as each other.
+    """
+    kernel = posterior.likelihood.default
+    allowed = parameter_bounds(kernel, typical_spacing_m(xy), extent_m)
+    least = -REACH / posterior.factors
+    for number, (name, (shortest, _)) in enumerate(zip(kernel.parameters(), allowed, strict=True)):
+        if name.endswith("length_scale_m"):
+            least[number] = (math.log(shortest) - posterior.medians[number]) / posterior.factors[number]
+    return mode if (mode >= least).all() else posterior.mode([np.maximum(mode, least)], least)
 
 
 def _starts(

@@ -79,3 +79,12 @@ def test_a_field_in_another_unit_is_given_room_in_that_unit() -> None:
     mean, std = ProcessMixture.of(GaussianProcess(found).condition(places, 40.0 * values)).predict(POINTS)
     truth = 40.0 * (7.0 + np.sin(POINTS[:, 0] / 70.0))
     assert (np.abs(mean - truth) < 2.0 * std).mean() > 0.9
+
+
+def test_the_kernel_that_guides_planners_is_no_shorter_than_the_spacing_and_the_alternatives_may_be() -> None:
+    axis = 25.0 + 50.0 * np.arange(10)
+    places = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
+    independent = np.random.default_rng(3).normal(7.0, 1.0, 100)
+    found = infer_hyperparameters(places, independent, "matern12", PRIOR, noise_std_ppb=NOISE_PPB)
+    assert found.kernel.parameters()["length_scale_m"] >= 40.0 - 1e-6
+    assert min(kernel.parameters()["length_scale_m"] for _, kernel in found.alternatives) < 30.0
