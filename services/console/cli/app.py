@@ -58,6 +58,7 @@ def build() -> typer.Typer:
     app.command("rehearse", epilog=rehearse.EXAMPLES, short_help="Fly the rest of the mission ahead.")(
         rehearse.rehearse
     )
+    app.add_typer(campaign.app, name="campaign", help="Thousands of missions from one study: fly them, report on them.")
     app.command("log", short_help="Show what happened and what was changed.", epilog=log.EXAMPLES)(log.log)
     app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
     app.command("web", short_help="Serve the operator's page for a browser.", epilog=web.EXAMPLES)(web.web)
@@ -80,7 +81,6 @@ def build() -> typer.Typer:
     app.add_typer(audit.app, name="audit", help="The audit log: who did what.", epilog=audit.EXAMPLES)
     app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")
     app.add_typer(region.app, name="reference", hidden=True)  # the former name: scripts use it, an error stays one line
-    app.add_typer(campaign.app, name="campaign", help="Thousands of missions from one study: fly them, report on them.")
     app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
     app.add_typer(recording.app, name="recording", help="The file of a recording: repair it.")
     app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
