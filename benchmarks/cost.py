@@ -28,6 +28,7 @@ def run(
     rounds: int = 30,
     seed: int = 1,
     noise: float = DEFAULT_NOISE_STD_PPB,
+    hyperparameters: str = "ml",
     jobs: int = 1,
     out: Path | None = None,
     json: Path | None = None,
@@ -50,7 +51,7 @@ def run(
     with TemporaryDirectory() as scratch:
         root = Path(scratch) if out is None else out
         flights = [
-            (data, root, place, size, planner, rounds, seed, shared, cost)
+            (data, root, place, size, planner, rounds, seed, shared, cost, hyperparameters)
             for place in places
             for planner in planners
             for cost in costs
@@ -71,7 +72,7 @@ def run(
     return rows
 
 
-def _flown(flight: tuple[Path, Path, str, str, str, int, int, Conditions, str]) -> Row:
+def _flown(flight: tuple[Path, Path, str, str, str, int, int, Conditions, str, str]) -> Row:
     return fly(*flight)
 
 

@@ -177,9 +177,12 @@ def _outcome(flight: tuple[Path, Path, str, str, str, int, int, Conditions]) -> 
 
 def fly(
     data: Path, root: Path, name: str, size: str, planner: str, rounds: int, seed: int, shared: Conditions,
-    cost: str = "distance",
+    cost: str = "distance", hyperparameters: str = "",
 ) -> Row:  # fmt: skip
-    """Build the region, fly one mission over it, and return its row. cost: `ground.cost`."""
+    """Build the region, fly one mission over it, and return its row.
+
+    cost, hyperparameters: of the ground; empty for its default.
+    """
     from services.console.launch.in_process import run_in_process
     from services.console.report.outputs import outputs
     from services.console.report.progress import SilentProgress
@@ -196,6 +199,7 @@ def fly(
         "start_m": shared.start_m or start_of(region),
         "field": {"noise_std_ppb": shared.noise_std_ppb},
         "ground": {"planner": planner, "kernel": kernel, "status_period_s": period_s, "cost": cost,
+                   **({"hyperparameters": hyperparameters} if hyperparameters else {}),
                    **({"budget_m": shared.budget_m} if isfinite(shared.budget_m) else {})},
         "rover": {"state_period_s": period_s},
     }, "places")  # fmt: skip
