@@ -53,12 +53,12 @@ def build() -> typer.Typer:
     app.callback()(_common)
     app.command("demo", short_help="Run a demonstration mission.", epilog=run.DEMO_EXAMPLES)(run.demo)
     app.command("run", short_help="Run a whole mission and report on it.", epilog=run.EXAMPLES)(run.run)
+    app.add_typer(campaign.app, name="campaign", help="Thousands of missions from one study: fly them, report on them.")
     app.command("up", short_help="Start the services and keep them running.", epilog=up.EXAMPLES)(up.up)
     app.command("status", short_help="Show processes, rover, map and link.", epilog=status.EXAMPLES)(status.status)
     app.command("rehearse", epilog=rehearse.EXAMPLES, short_help="Fly the rest of the mission ahead.")(
         rehearse.rehearse
     )
-    app.add_typer(campaign.app, name="campaign", help="Thousands of missions from one study: fly them, report on them.")
     app.command("log", short_help="Show what happened and what was changed.", epilog=log.EXAMPLES)(log.log)
     app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
     app.command("web", short_help="Serve the operator's page for a browser.", epilog=web.EXAMPLES)(web.web)
