@@ -59,7 +59,7 @@ def build() -> typer.Typer:
     app.command("rehearse", epilog=rehearse.EXAMPLES, short_help="Fly the rest of the mission ahead.")(
         rehearse.rehearse
     )
-    app.command("log", short_help="Show what happened and what was changed.", epilog=log.EXAMPLES)(log.log)
+    app.command("log", epilog=log.EXAMPLES, short_help="Show what happened and what was changed.")(log.log)
     app.command("watch", short_help="Follow a running mission.", epilog=watch.EXAMPLES)(watch.watch)
     app.command("web", short_help="Serve the operator's page for a browser.", epilog=web.EXAMPLES)(web.web)
     app.add_typer(map.app, name="map", help="The live map: a place, a picture, files, tables, an area.")
@@ -83,7 +83,7 @@ def build() -> typer.Typer:
     app.add_typer(region.app, name="reference", hidden=True)  # the former name: scripts use it, an error stays one line
     app.command("replay", short_help="Summarise a recording.", epilog=replay.EXAMPLES)(replay.replay)
     app.add_typer(recording.app, name="recording", help="The file of a recording: repair it.")
-    app.command("schemas", short_help="Print the JSON Schema of every message.", epilog=schemas.EXAMPLES)(
+    app.command("schemas", epilog=schemas.EXAMPLES, short_help="Print the JSON Schema of every message.")(
         schemas.schemas
     )
     app.add_typer(bench.app, name="bench", help="Benchmarks against the paper, other software, the machine.")
