@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -95,15 +96,14 @@ def test_a_benchmark_that_is_killed_leaves_no_process(killed: str, marked: Marke
     # Planners on OMPL plan in processes of their own, below the workers.
     command = he3("bench", "paper", "--planners", "rrtstar", "--regions", "t1", "--seeds", "9", "--no-floor")
     with start(command, env=marked.environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as benchmark:
-        until(lambda: "planner_server" in " ".join(marked.pids().values()), "a planner process")
-        if killed == "worker":
-            (worker, *_) = {parent_of(pid) for pid, line in marked.pids().items() if "planner_server" in line} - {
-                benchmark.pid
-            }
+        until(lambda: planners_of(marked), "a planner process")
+        if killed == "worker":  # another one takes its place, and flies its mission
+            planner, worker = next(iter(planners_of(marked).items()))
             os.kill(worker, signal.SIGKILL)
-            assert benchmark.wait() == 1
-        else:
-            benchmark.kill()
+            until(lambda: planner not in marked.pids(), lambda: f"the end of {planner} among {marked.pids()}")
+            until(lambda: worker_processes(marked) >= 2, lambda: f"another worker among {marked.pids()}")
+            assert benchmark.poll() is None
+        benchmark.kill()
         marked.wait_until_gone()
 
 
@@ -129,6 +129,21 @@ def test_a_benchmark_that_a_signal_ends_keeps_the_rows_that_it_has(
     assert f"stopped by {number.name}: 1 rows so far" in said
     assert "Traceback" not in errors
     marked.wait_until_gone()
+
+
+def planners_of(marked: Marked) -> dict[int, int]:
+    """The planner processes, each with its parent, a worker process."""
+    found = {}
+    for pid, line in marked.pids().items():
+        if "planner_server" in line:
+            with suppress(OSError):  # it has ended since
+                found[pid] = parent_of(pid)
+    return found
+
+
+def worker_processes(marked: Marked) -> int:
+    """How many worker processes there are."""
+    return sum("services.console.campaign.worker" in line for line in marked.pids().values())
 
 
 def parent_of(pid: int) -> int:
