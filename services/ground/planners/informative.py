@@ -51,6 +51,7 @@ from services.ground.planners.rounds import (
     affordable,
     belief_given,
     budget_share_m,
+    lead_cost,
     places_along,
     planned_round,
 )
@@ -82,7 +83,7 @@ def informative(request: PlanningRequest) -> PlannedRound:
     share_m = budget_share_m(request)
     ground = OpenGround(request.grid, request.traversable)
     start = ground.footing(request.start_m)
-    lead_m = path_length(np.array([request.start_m, start]))
+    lead_m = lead_cost(request, start)
     growth = GrowthSettings(rewire_scale_m=settings["rewire_scale_m"]).coarser(options.step_m)
     iterations = min(int(settings["iterations"]), options.max_iterations)
     cost = request.cost

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from he3.errors import NoRoute
+from he3.frames import path_length
 from he3.gp import GaussianProcess
 from he3.information import information_gain
 from services.ground.planners.interface import PlannedRound, PlanningRequest
 
 if TYPE_CHECKING:
     from he3.driving_cost import TerrainCost
-    from he3.frames import FloatArray
+    from he3.frames import FloatArray, Place
 
 MAX_SHARE_RATIO = 1.5
 """Largest part of the remaining budget that a round takes, in even shares: so the last rounds keep some of it."""
@@ -48,6 +49,12 @@ def path_prefix(path_m: FloatArray, length_m: float) -> FloatArray:
 def affordable(path_m: FloatArray, budget_m: float, cost: TerrainCost | None) -> FloatArray:
     """The part of the polyline (K, 2) [m] that a budget admits: in metres, or with a cost in level metres."""
     return path_prefix(path_m, budget_m if cost is None else cost.metres_for(path_m, budget_m))
+
+
+def lead_cost(request: PlanningRequest, footing: Place) -> float:
+    """Length [m], or with a cost that cost [level m], of the way from the rover to where its legs begin."""
+    lead = np.array([request.start_m, footing], dtype=np.float64)
+    return path_length(lead) if request.cost is None else request.cost.of_path(lead)
 
 
 def budget_share_m(request: PlanningRequest) -> float:

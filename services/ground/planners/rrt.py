@@ -28,7 +28,14 @@ from scipy import ndimage
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, Place, SiteGrid, path_length
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
-from services.ground.planners.rounds import MAX_SHARE_RATIO, affordable, budget_share_m, places_along, planned_round
+from services.ground.planners.rounds import (
+    MAX_SHARE_RATIO,
+    affordable,
+    budget_share_m,
+    lead_cost,
+    places_along,
+    planned_round,
+)
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import GrowthSettings, tree_path
 
@@ -55,7 +62,7 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
     share_m = budget_share_m(request)
     ground = OpenGround(request.grid, request.traversable)
     start = ground.footing(request.start_m)
-    limit_m = min(request.budget_m, MAX_SHARE_RATIO * share_m) - path_length(np.array([request.start_m, start]))
+    limit_m = min(request.budget_m, MAX_SHARE_RATIO * share_m) - lead_cost(request, start)
     growth = GrowthSettings(goal_tolerance_m=options.goal_tolerance_m).coarser(options.step_m)
     rng = np.random.default_rng(request.seed)
     candidates = _candidates(request, ground.connected_to(start), start, share_m)

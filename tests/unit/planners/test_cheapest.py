@@ -132,6 +132,19 @@ def test_a_round_keeps_to_its_budget_in_level_metres(planner, extra, kind) -> No
     assert answer.length_m < asked.cost.of_path(answer.path_m)
 
 
+def test_the_way_from_the_edge_of_a_cell_is_paid_for_too() -> None:
+    """A rover on the edge of a closed cell first drives to the centre of its own."""
+    asked = request(1, "energy", 60.0)
+    rows, columns = np.nonzero(asked.traversable[:, 1:] & ~asked.traversable[:, :-1])
+    x, y = (float(columns[0]) + 1.0) * 5.0, (float(rows[0]) + 0.5) * 5.0
+    for planner in ("rrtstar", "informative"):
+        extra = {"iterations": 300.0} if planner == "informative" else {}
+        edge = replace(asked, start_m=(x, y), options=PlannerOptions(extra=extra))
+        answer = plan(planner, edge)  # an answer beyond its budget is refused
+        assert edge.cost is not None
+        assert answer.length_m < edge.cost.of_path(answer.path_m) <= 60.0 * (1.0 + 1e-9)
+
+
 def test_an_answer_beyond_its_budget_in_level_metres_is_refused() -> None:
     asked = request(1, "energy", inf)
     answer = plan("rrtstar", asked)

@@ -19,13 +19,13 @@ from math import isfinite, sqrt
 import numpy as np
 
 from he3.errors import InvalidInput, NoRoute
-from he3.frames import FloatArray, path_length
+from he3.frames import FloatArray
 from he3.i_optimal_design import AverageVariance, field_nodes
 from he3.kernels import Kernel, kernel_from
 from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
-from services.ground.planners.rounds import path_prefix, planned_round
+from services.ground.planners.rounds import lead_cost, path_prefix, planned_round
 from services.ground.planners.tour.design import (
     design_from_outlook,
     initial_design,
@@ -78,7 +78,7 @@ def tour(request: PlanningRequest) -> PlannedRound:
     request = on_gentle_ground(request)
     nodes = field_nodes(request.grid, request.interest)
     site = reachable_site(request.grid, request.traversable, request.start_m, nodes, request.cost)
-    budget_m = request.budget_m - path_length(np.array([request.start_m, site.start_m]))
+    budget_m = request.budget_m - lead_cost(request, (float(site.start_m[0]), float(site.start_m[1])))
     if not budget_m > 0:
         raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")
     places = site.snap_to_cell_centres(_design(request, site, budget_m, extra))
