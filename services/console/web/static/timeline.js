@@ -94,7 +94,9 @@ function drawLane({ name, rows, items }, top, width) {
   pen.clip();
   const labelled = []; // of each row, where its last label ends
   for (const item of items) if (!item.tick) drawItem(item, top + GAP / 2 + (item.row ?? 0) * ROW, width, labelled);
-  for (const item of items) if (item.tick) drawTick(item, top + GAP / 2, rows * ROW);
+  const ticks = items.filter(({ tick, from: at }) => tick && toX(at) >= left && toX(at) <= width);
+  const radius = Math.min(2.6, Math.max(1.1, (width - left) / (5 * Math.max(1, ticks.length)))); // many samples leave the lane to be seen
+  for (const item of ticks) drawTick(item, top + GAP / 2, rows * ROW, radius);
   pen.restore();
   pen.textAlign = "left";
   pen.fillStyle = colour("--dim");
@@ -142,10 +144,10 @@ function drawLabel(label, x, y, wide, look, width, taken) {
   return left + needs;
 }
 
-function drawTick({ from, tick }, y, high) {
+function drawTick({ from, tick }, y, high, radius) {
   const x = toX(from);
   pen.fillStyle = colour(LOOKS[tick]);
-  if (tick === "sample") { pen.beginPath(); pen.arc(x, y + high / 2 - 1, 2.6, 0, 7); pen.fill(); return; }
+  if (tick === "sample") { pen.beginPath(); pen.arc(x, y + high / 2 - 1, radius, 0, 7); pen.fill(); return; }
   pen.fillRect(x - 1, y - 2, 2, high + 2);
 }
 
