@@ -1023,6 +1023,12 @@ def test_the_page_fits_a_phone_in_light_and_dark(browser: Any) -> None:
         )
         assert script(browser, "return getComputedStyle(document.documentElement).colorScheme") == scheme
         assert script(browser, "return document.documentElement.scrollWidth") <= 390
+    # The answer to a tap is where the eyes are: on the map, which is above its panel.
+    script(browser, "document.getElementById('map').scrollIntoView({block: 'center'})")
+    browser.find_element("id", "map").click()
+    until(lambda: " ppb" in written(browser, "#answer"), "the answer to the tap")
+    seen = "const {top, bottom} = document.getElementById('answer').getBoundingClientRect();"
+    assert script(browser, f"{seen} return bottom > top && top >= 0 && bottom <= innerHeight")
 
 
 def barriers(driver: Any) -> list[tuple[str, str]]:
