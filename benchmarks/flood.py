@@ -40,6 +40,7 @@ from services.console.launch.keys import DEMO_NAME, PROCESS_NAME, temporary_keys
 from services.console.launch.launcher import Launcher
 from services.console.launch.scenarios import Chosen, choose
 from services.console.launch.separate import services_of
+from services.console.launch.terrain_facts import terrain_facts
 from services.console.report.mission_report import Run, gather
 from services.console.report.outputs import Outputs
 from services.console.report.progress import progress_for
@@ -213,7 +214,8 @@ class _Site:
             self._state.changed.clear()
         scenario = self.chosen.scenario
         region = load_region(scenario.region, scenario.field.field_seed)
-        facts = Run("lockstep", None, region.provenance, self._state.status_time_s, 0.0, region.layers)
+        ended_s, terrain = self._state.status_time_s, terrain_facts(scenario, region)
+        facts = Run("lockstep", None, region.provenance, ended_s, 0.0, region.layers, *terrain)
         report = gather(self.owner, scenario, status, facts).report
         self.launcher.check()
         return report

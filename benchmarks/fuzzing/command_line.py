@@ -190,7 +190,7 @@ def _listing(folder: Path) -> dict[str, tuple[int, int]]:
 
 def _wrong(code: int, err: str, before: dict[str, Any], after: dict[str, Any], out: str) -> str | None:
     lines = [line for line in err.splitlines() if line.strip()]
-    if "Traceback" in err or "defect" in err:
+    if "Traceback" in err or "he3: defect:" in err:
         return f"exit {code}: {err[:400]!r}"
     if code not in (0, 1, 2):
         return f"exit {code}: {err[:300]!r}"

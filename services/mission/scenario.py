@@ -313,23 +313,23 @@ def load_scenario(path: Path) -> Scenario:
     A region file that does not exist in the working directory is taken from the scenario's folder. Raises InvalidInput,
     in one line with file, key and expectation.
     """
-    document = toml_document(path, "a scenario", MAX_SCENARIO_BYTES)
+    document = toml_document(path, "scenario", MAX_SCENARIO_BYTES)
     if isinstance(region := document.get("region"), str):
         document["region"] = _found_region(region, path.parent)
     return checked_scenario(document, str(path))
 
 
 def toml_document(path: Path, what: str, most_bytes: int) -> dict[str, Any]:
-    """The content of a TOML file; raises InvalidInput. what: such as "a scenario", for the error's line."""
+    """The content of a TOML file; raises InvalidInput. what: such as "scenario", for the error's line."""
     try:
         with path.open("rb") as stream:
             content = stream.read(most_bytes + 1)  # a device may have neither size nor end
         if len(content) > most_bytes:
-            raise InvalidInput(f"{path}: expected {what} of at most {most_bytes} bytes, got more")
+            raise InvalidInput(f"{path}: expected a {what} of at most {most_bytes} bytes, got more")
         # Some editors write a byte order mark before UTF-8 text, where it has no meaning.
         return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
-        raise InvalidInput(f"{path}: cannot read {what}: {error.strerror}") from None
+        raise InvalidInput(f"{path}: cannot read the {what}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InvalidInput(f"{path}: expected UTF-8 text, got other bytes") from None
     except tomllib.TOMLDecodeError as error:

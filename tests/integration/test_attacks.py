@@ -59,6 +59,7 @@ from services.console.launch.in_process import run_in_process
 from services.console.launch.keys import temporary_keys
 from services.console.launch.scenarios import choose
 from services.console.launch.separate import services_of
+from services.console.launch.terrain_facts import terrain_facts
 from services.console.report.mission_report import Run, gather
 from services.console.report.outputs import Outputs
 from services.console.report.progress import progress_for
@@ -181,7 +182,15 @@ class Victim:
         scenario, status = self.chosen.scenario, state.status
         assert status is not None
         region = load_region(scenario.region, scenario.field.field_seed)
-        run = Run("in-process", None, region.provenance, state.status_time_s, 0.0, region.layers)
+        run = Run(
+            "in-process",
+            None,
+            region.provenance,
+            state.status_time_s,
+            0.0,
+            region.layers,
+            *terrain_facts(scenario, region),
+        )
         report = gather(self.owner, scenario, status, run).report
         self.launcher.check()
         assert report.completed

@@ -239,7 +239,7 @@ def load_study(path: Path, allow_plugin: bool = False) -> Study:
     allow_plugin: run the code of plug-in planners that it or its scenarios name. Raises InvalidInput, in one line with
     file, key and expectation.
     """
-    table = toml_document(path, "a study", MAX_BYTES)
+    table = toml_document(path, "study", MAX_BYTES)
     try:
         document = _Document.model_validate(table)
     except ValidationError as error:
