@@ -35,7 +35,7 @@ from services.mission.region_folder import (
 )
 
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
-MAX_LATITUDE_DEG: Final = 89.0  # deg, beyond it a region is no plane of east and north
+MAX_LATITUDE_DEG: Final = 90.0  # deg; beyond 65 deg a site lies in a polar projection, and may hold the pole
 MAX_PROVENANCE: Final = 500  # characters
 _LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable")
 _FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_deg")

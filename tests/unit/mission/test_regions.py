@@ -249,7 +249,7 @@ HOLE[7, 9] = np.nan
         ({"provenance": 7.0}, "provenance", "got dtype float64"),
         ({"provenance": ["a", "b"]}, "provenance", "of shape (2,)"),
         ({"origin_lat_deg": 20.0}, "origin_lon_deg", "both of"),
-        ({"origin_lat_deg": 91.0, "origin_lon_deg": 3.0}, "origin_lat_deg", "expected -89 to 89 deg, got 91"),
+        ({"origin_lat_deg": 91.0, "origin_lon_deg": 3.0}, "origin_lat_deg", "expected -90 to 90 deg, got 91"),
         ({"origin_lat_deg": 9.0, "origin_lon_deg": np.nan}, "origin_lon_deg", "expected -360 to 360 deg, got nan"),
         ({"he3_ppb": np.ones(30)}, "he3_ppb", "(rows, columns)"),
         ({"he3_ppb": np.ones((2, 40))}, "he3_ppb", "at least 4 x 4"),
