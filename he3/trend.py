@@ -21,6 +21,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
@@ -30,6 +31,7 @@ GAIN_STD = 0.5  # 1, weak: half of all contrast that a map from orbit shows may 
 OFFSET_STD_PPB = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
 # 1, standard deviation of the weight of a layer of which nothing is known, in units of the field's scale, ASSUMED
 WEIGHT_SHARE = 0.3
+CUT_OFF = 0.44  # 1, standard deviation of the smoothing that splits a layer, in mean spacings of the samples [measured]
 MAX_TREND_STD = 30.0  # 1, prior standard deviation of the trend anywhere, in units of the field's scale
 
 
@@ -161,6 +163,19 @@ def covariate_trend(
     """
     none = np.zeros(len(layers))
     return CovariateTrend(grid, layers, none, np.full(len(layers), math.nan), level_ppb, offset_std_ppb)
+
+
+def split_by_scale(layers: NDArray[np.floating], grid: SiteGrid, samples: int) -> FloatArray:
+    """Each layer (k, rows, columns) as two (2 k, ...): what is wider than the samples' spacing, and the rest.
+
+    Samples far apart show whether a layer's large features are those of the field. They show little of its detail,
+    which may be its instrument's noise. With one weight for both, the detail is taken for true. samples: of the whole
+    mission.
+    """
+    spacing_m = math.sqrt(grid.width_m * grid.height_m / max(samples, 1))
+    wide = [ndimage.gaussian_filter(layer, CUT_OFF * spacing_m / grid.resolution_m, mode="nearest") for layer in layers]
+    parts = [part for layer, low in zip(layers, wide, strict=True) for part in (low, layer - low)]
+    return np.array(parts, dtype=np.float64).reshape(-1, *grid.shape)
 
 
 def orbital_trend(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
@@ -9,7 +10,7 @@ from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
 from he3.kernels import Matern12, SquaredExponential
 from he3.posterior.grid import GridPosterior
 from he3.randomfield import unit_fields
-from he3.trend import WEIGHT_SHARE, CovariateTrend, covariate_trend, orbital_trend
+from he3.trend import WEIGHT_SHARE, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
 
 GRID = SiteGrid(40, 50, 10.0)
 
@@ -176,6 +177,31 @@ def test_layers_that_tell_help_and_layers_that_do_not_cost_next_to_nothing() -> 
     assert mean["one among others"] < 0.8
     assert mean["irrelevant"] < 1.01
     assert mean["moved"] < 1.01
+
+
+def test_a_layer_is_the_sum_of_its_two_scales_and_the_wide_one_has_none_of_the_detail() -> None:
+    given = layers(2)
+    parts = split_by_scale(given, GRID, 50)
+    assert parts.shape == (4, *GRID.shape)
+    np.testing.assert_allclose(parts[0::2] + parts[1::2], given, rtol=1e-12)
+    apart = 2  # cells, less than the samples' spacing of 6
+    for wide, detail in zip(parts[0::2], parts[1::2], strict=True):
+        changes = [np.abs(part[:, apart:] - part[:, :-apart]).mean() / part.std() for part in (wide, detail)]
+        assert changes[0] < 0.5 * changes[1]
+
+
+def test_a_layer_whose_detail_is_noise_costs_nothing_where_its_wide_features_tell() -> None:
+    once, twice = [], []
+    for seed in range(8):
+        wide, rough, rest = standardised(layers(4, seed))[:3]
+        wide = standardised(ndimage.gaussian_filter(wide, 4.0, mode="nearest")[None])[0]
+        truth = 8.0 + 1.5 * wide + 0.5 * rest
+        noisy = (wide + 1.0 * rough)[None]
+        without = rmse_with(np.empty((0, *GRID.shape)), truth, seed)
+        once.append(rmse_with(noisy, truth, seed) / without)
+        twice.append(rmse_with(split_by_scale(noisy, GRID, 80), truth, seed) / without)
+    assert np.mean(twice) < 1.01
+    assert np.mean(twice) < np.mean(once)
 
 
 def test_layers_that_do_not_fit_are_refused() -> None:

@@ -26,9 +26,9 @@ def test_layers_of_the_region_and_rasters_become_one_trend(region, quarter_of_t1
     assert (layers[0] == region.elevation_m).all()
     assert (layers[1] == raster).all()
     trend = trend_of(scenario(quarter_of_t1, covariates=names), region)
-    assert trend.layers.shape == (2, *region.grid.shape)
+    assert trend.layers.shape == (4, *region.grid.shape)
     with_map = trend_of(scenario(quarter_of_t1, covariates=names, prior="orbital"), region)
-    assert with_map.layers.shape == (3, *region.grid.shape)
+    assert with_map.layers.shape == (5, *region.grid.shape)
     assert with_map.spread_ppb == pytest.approx(region.orbital_ppb.std())
     assert trend_of(scenario(quarter_of_t1), region) is None
 
