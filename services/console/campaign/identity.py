@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _FLIES: Final = ("he3", "schemas", "services")
 _NOT_FLOWN: Final = ("services/console", "services/recorder")
 """Parts of the system that no result depends on: an edit of the page is no reason to fly again."""
+_FLOWN_TOO: Final = ("services/console/campaign/mission_task.py", "services/console/report/mission_report.py")
+"""Files in those parts that make a mission's row."""
 _LIBRARIES: Final = ("numpy", "scipy", "ompl")
 _LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "slope_deg", "traversable")
 
@@ -36,7 +38,7 @@ def software_identity(package: str = "services") -> str:
     for folder in dict.fromkeys((*_FLIES, package)):
         for path in sorted((root / folder).rglob("*.py")):
             name = path.relative_to(root).as_posix()
-            if not name.startswith(_NOT_FLOWN) or name == "services/console/campaign/mission_task.py":
+            if not name.startswith(_NOT_FLOWN) or name in _FLOWN_TOO:
                 digest.update(f"{name}\n".encode())
                 digest.update(hashlib.sha256(path.read_bytes()).digest())
     python = ".".join(platform.python_version_tuple()[:2])
