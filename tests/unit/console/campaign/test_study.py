@@ -10,6 +10,7 @@ import pytest
 from he3.errors import InvalidInput
 from services.console.campaign.study import Study, load_study
 from services.console.campaign.task import Task
+from services.mission.deployment import deployment
 
 WHOLE = """
 name = "whole"
@@ -68,6 +69,17 @@ def test_the_same_study_has_the_same_keys_and_any_change_of_content_has_others(t
     assert Task(task.work, task.arguments, "another version").key != task.key
     assert Task(task.work, {**task.arguments, "region_sha256": "0"}, task.software).key != task.key
     assert Task(task.work, {**task.arguments, "planner_sha256": "0"}, task.software).key != task.key
+
+
+def test_the_study_that_ships_has_two_thousand_missions_in_pairs() -> None:
+    study = load_study(deployment("studies", "hardship.toml"))
+    assert study.size == 2000
+    tasks = study.tasks()
+    first, second = next(tasks), next(tasks)
+    one, other = first.labels["parameters"], second.labels["parameters"]
+    differing = {name for name in one if one[name] != other[name]}
+    assert differing == {"planner"}
+    assert first.labels["seed"] == second.labels["seed"]
 
 
 def test_points_of_a_list_are_flown_as_they_stand_with_every_seed(tmp_path: Path) -> None:
