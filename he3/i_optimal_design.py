@@ -231,6 +231,8 @@ class AverageVariance:
         values = self._covariance(dx.astype(np.float64)) / self._prior_variance if self._direct else None
         np.sqrt(dx, out=dx)
         dx *= self._dtype.type(1.0 / self._step_m)
-        at = dx.astype(np.int32)
+        at = dx.astype(np.intp)  # what `take` needs; it would convert any other integers
         np.minimum(at, len(self._values) - 2, out=at)
-        return self._middles.take(at) if values is None else values, self._slopes.take(at)
+        if values is None:
+            values = self._middles.take(at, mode="clip")
+        return values, self._slopes.take(at, mode="clip")
