@@ -7,6 +7,7 @@ rover may have begun one of them before it received the replacement.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from services.ground.budget import Committed
@@ -113,8 +114,8 @@ class RoundLog:
         if key != self._paths_of:
             self._paths_of = key
             self._paths = (
-                tuple(vertex for record in self.chain if record.begun for vertex in record.driven()),
-                tuple(vertex for record in self.chain if not record.ended for vertex in record.ahead()),
+                tuple(chain.from_iterable(record.driven() for record in self.chain if record.begun)),
+                tuple(chain.from_iterable(record.ahead() for record in self.chain if not record.ended)),
             )
         return self._paths
 

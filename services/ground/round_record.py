@@ -37,6 +37,7 @@ class RoundRecord:
     """Farthest place reached along the path [m]."""
     changes: int = field(default=0, init=False)
     """Counts what has changed in it since it was made here, apart from its samples."""
+    _all_settled: bool = field(init=False)
     _arc_m: FloatArray = field(init=False)
     _path_m: FloatArray = field(init=False)
     _begin_x: FloatArray = field(init=False)
@@ -47,6 +48,7 @@ class RoundRecord:
     _root: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
+        self._all_settled = len(self.settled) == len(self.plan.samples)
         self._path_m = np.array(self.plan.path_m, dtype=np.float64)
         steps = np.hypot(*np.diff(self._path_m, axis=0).T)
         self._arc_m = np.concatenate(([0.0], np.cumsum(steps)))
@@ -77,7 +79,7 @@ class RoundRecord:
     @property
     def pending(self) -> list[PlannedSample]:
         """Samples that are still to come, in the order of the path."""
-        if len(self.settled) == len(self.plan.samples):
+        if self._all_settled:
             return []
         return [
             planned
@@ -88,7 +90,7 @@ class RoundRecord:
     @property
     def closed(self) -> bool:
         """Whether no sample of it is still to come."""
-        return len(self.settled) == len(self.plan.samples) or not self.pending
+        return self._all_settled or not self.pending
 
     def begin(self) -> None:
         """Note that the rover has begun it."""
@@ -125,6 +127,7 @@ class RoundRecord:
         if sample_id in self.settled:
             return False
         self.settled.add(sample_id)
+        self._all_settled = len(self.settled) == len(self.plan.samples)
         self.arrived += arrived
         return True
 
