@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -113,6 +113,20 @@ class Hyperparameters:
     def noise_variance_ppb2(self) -> float:
         """Noise variance [ppb^2], as ``information_gain`` takes it beside a covariance in ppb^2."""
         return self.noise_variance * self.scale_ppb**2
+
+    @property
+    def field_std_ppb(self) -> float:
+        """Standard deviation of the field under the kernel [ppb], a trend's uncertainty excepted."""
+        return self.scale_ppb * math.sqrt(self.kernel.prior_variance)
+
+    def with_kernel_of(self, other: Hyperparameters) -> Hyperparameters:
+        """These with the kernel of others, in the units of these."""
+        ratio = (other.scale_ppb / self.scale_ppb) ** 2
+        parameters = {
+            key: value * ratio if key.endswith("variance") else value
+            for key, value in other.kernel.parameters().items()
+        }
+        return replace(self, kernel=kernel_from(other.kernel.name, parameters), log_likelihood=other.log_likelihood)
 
     def standardise(self, xy_m: FloatArray, values_ppb: FloatArray) -> FloatArray:
         """Observations (n,) [ppb] at places (n, 2) [m] in standardised units: less trend and mean, over the scale."""

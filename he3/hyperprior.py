@@ -66,6 +66,11 @@ class Hyperprior:
             if not (math.isfinite(value) and value > 0):
                 raise InvalidInput(f"expected a positive {name}, got {value!r}")
 
+    @property
+    def least_field_std_ppb(self) -> float:
+        """Standard deviation of the field [ppb] that one in forty fields does not reach."""
+        return self.field_std_ppb / FIELD_STD_FACTOR**2
+
     def log_normal(self, kernel_name: str) -> tuple[FloatArray, FloatArray]:
         """Medians (p,) and factors (p,) of the kernel's parameters, both as logarithms.
 

@@ -74,15 +74,17 @@ class Belief:
     def _first(self) -> Hyperparameters:
         """The hyperparameters before the first sample."""
         kernel = PRIOR_KERNEL if self._kernel == AUTO else self._kernel
+        if self._trend is not None:
+            likeliest = Hyperparameters(kernel_from(kernel), self._noise_std_ppb, trend=self._trend)
+        else:
+            likeliest = Hyperparameters(kernel_from(kernel), self._noise_std_ppb, MEAN_PPB, PRIOR_SCALE_PPB)
         if self._prior is not None:
             request = FitRequest(
                 xy_m=np.empty((0, 2)), values_ppb=np.empty(0), kernel=kernel, noise_std_ppb=self._noise_std_ppb,
                 previous=None, trend=self._trend, seed=(), extent_m=self._extent_m, prior=self._prior,
             )  # fmt: skip
-            return self._with_trend(fit(request))
-        if self._trend is not None:
-            return Hyperparameters(kernel_from(kernel), self._noise_std_ppb, trend=self._trend)
-        return Hyperparameters(kernel_from(kernel), self._noise_std_ppb, MEAN_PPB, PRIOR_SCALE_PPB)
+            return self._with_trend(fit(request).with_kernel_of(likeliest))
+        return likeliest
 
     def _with_trend(self, fitted: Hyperparameters) -> Hyperparameters:
         return fitted if self._trend is None else replace(fitted, trend=self._trend)

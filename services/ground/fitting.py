@@ -35,27 +35,39 @@ class FitRequest:
 
 
 def fit(request: FitRequest) -> Hyperparameters:
-    """The hyperparameters, without the request's trend, which the caller has. Pure and picklable."""
-    if request.prior is not None:
-        inferred = infer_hyperparameters(
-            request.xy_m,
-            request.values_ppb,
-            request.kernel,
-            request.prior,
-            noise_std_ppb=request.noise_std_ppb,
-            trend=request.trend,
-            previous=request.previous,
-        )
-        return inferred if request.trend is None else replace(inferred, trend=None)
-    rng = np.random.default_rng(np.random.SeedSequence(request.seed))
-    fitted = fit_hyperparameters(
+    """The hyperparameters, without the request's trend, which the caller has. Pure and picklable.
+
+    With a prior, their alternatives stand for all that the samples leave possible. Planners are guided by one kernel:
+    that of maximum likelihood, with which their designs are best, unless the field would vary by less than the prior
+    allows, as it would after a few equal samples; then by the most probable one.
+    """
+    if request.prior is None:
+        return replace(_likeliest(request, request.kernel), trend=None)
+    inferred = infer_hyperparameters(
         request.xy_m,
         request.values_ppb,
         request.kernel,
-        rng=rng,
+        request.prior,
+        noise_std_ppb=request.noise_std_ppb,
+        trend=request.trend,
+        previous=request.previous,
+    )
+    if len(request.xy_m):
+        likeliest = _likeliest(request, inferred.kernel.name)
+        if likeliest.field_std_ppb >= request.prior.least_field_std_ppb:
+            inferred = inferred.with_kernel_of(likeliest)
+    return inferred if request.trend is None else replace(inferred, trend=None)
+
+
+def _likeliest(request: FitRequest, kernel: str) -> Hyperparameters:
+    """The hyperparameters of maximum likelihood."""
+    return fit_hyperparameters(
+        request.xy_m,
+        request.values_ppb,
+        kernel,
+        rng=np.random.default_rng(np.random.SeedSequence(request.seed)),
         noise_std_ppb=request.noise_std_ppb,
         previous=request.previous,
         trend=request.trend,
         extent_m=request.extent_m,
     )
-    return replace(fitted, trend=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -201,3 +202,14 @@ def test_a_map_on_coarser_cells_has_the_mean_standard_deviation_of_the_whole_but
     assert coarse.map.std_ppb.shape == GRID.shape
     assert coarse.map.std_ppb.mean() == pytest.approx(whole.map.std_ppb.mean(), rel=0.01)
     assert np.abs(coarse.map.mean_ppb - whole.map.mean_ppb).max() < 0.5
+
+
+def test_planners_are_guided_by_the_likeliest_kernel_unless_the_samples_are_too_equal_for_it() -> None:
+    varied = belief_of(observations(20))
+    request = varied.fit_request(4, (1,))
+    assert request is not None
+    likeliest, fitted = fit(replace(request, prior=None)), fit(request)
+    assert fitted.field_std_ppb == pytest.approx(likeliest.field_std_ppb)
+    assert fitted.alternatives
+    equal = fit(replace(request, values_ppb=np.full(20, 8.0)))
+    assert fit(replace(request, values_ppb=np.full(20, 8.0), prior=None)).field_std_ppb < 0.1 < equal.field_std_ppb
