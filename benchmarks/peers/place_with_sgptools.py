@@ -76,10 +76,13 @@ def explore(request: dict) -> dict:
         values = np.append(values, field[rows, columns] + noise[done - 1 : upto - 1])
         done = upto
         spread = values.std() or 1.0
+        # In units of the first length, so that the optimiser's first steps suit a site of any size.
         _, learned, kernel = get_model_params(
-            places[1:done], ((values - values.mean()) / spread)[:, None], verbose=False, lengthscales=length,
+            places[1:done] / length, ((values - values.mean()) / spread)[:, None], verbose=False, lengthscales=1.0,
             variance=1.0, noise_variance=0.1, max_steps=300,
         )  # fmt: skip
+        found = length * float(kernel.lengthscales.numpy())
+        kernel = gpflow.kernels.SquaredExponential(lengthscales=found, variance=kernel.variance.numpy())
         method.update(kernel, learned)
         method.transform.update_Xu_fixed(places[None, :done])
         places = method.optimize(max_steps=request["steps"], optimizer="scipy.L-BFGS-B")[0]
@@ -122,14 +125,15 @@ def map_of(request: dict) -> dict:
     places = np.array(request["places_m"], dtype=np.float64)
     values = np.array(request["values_ppb"], dtype=np.float64)[:, None]
     mean, scale = values.mean(), values.std() or 1.0
+    unit = request["length_scale_m"]  # in metres the optimiser's first steps do not suit a site of kilometres
     *_, model = get_model_params(
-        places, (values - mean) / scale, verbose=False, lengthscales=request["length_scale_m"], variance=1.0,
+        places / unit, (values - mean) / scale, verbose=False, lengthscales=1.0, variance=1.0,
         noise_variance=0.05, return_model=True, force_gp=True,
     )  # fmt: skip
     x = (np.arange(request["columns"]) + 0.5) * request["resolution_m"]
     y = (np.arange(request["rows"]) + 0.5) * request["resolution_m"]
     cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    parts = [model.predict_f(part) for part in np.array_split(cells, 50)]
+    parts = [model.predict_f(part / unit) for part in np.array_split(cells, 50)]
     means, variances = (np.concatenate([np.asarray(part[k])[:, 0] for part in parts]) for k in (0, 1))
     field, std = means * scale + mean, np.sqrt(np.maximum(variances, 1e-12)) * scale
     return {key: base64.b64encode(array.astype("<f4").tobytes()).decode()
