@@ -115,6 +115,9 @@ class Topic:
     max_bytes: int = 16_384
     max_reply_bytes: int = 1_048_576
 
+    def __hash__(self) -> int:
+        return hash(self.name)  # the names differ, and topics are looked up with every message
+
     def key(self, mission: str) -> str:
         """The Zenoh key expression of this topic in that mission."""
         return f"{KEY_ROOT}/{mission}/{self.name}"

@@ -114,6 +114,13 @@ class NodeScheduler:
         """Inputs that wait for the next `run`."""
         return len(self._inbox)
 
+    def is_due(self, now: MissionTime) -> bool:
+        """Whether `run` has anything to handle at that time."""
+        if self._inbox:
+            return True
+        wake = self.next_wake()
+        return wake is not None and wake <= now
+
     def next_wake(self, wait: bool = True) -> MissionTime | None:
         """When the next timer elapses or the next computation ends; None if there is neither.
 

@@ -213,7 +213,7 @@ class Simulation:
         self._outside[token] = answers
         self._route_query(topic, topic.sides[0], payload, token, OUTSIDE)
         while not answers:
-            ready = [each for each in self._schedulers.values() if each.waiting or self._is_due(each)]
+            ready = [each for each in self._schedulers.values() if each.is_due(self.now)]
             if not ready:
                 raise He3Error(f"{topic.name}: no reply")
             self._round(ready)
@@ -248,7 +248,7 @@ class Simulation:
     def _handle(self, instant: MissionTime) -> None:
         """Move time to that instant, and let the nodes handle all that happens then."""
         self.now = instant
-        while ready := [each for each in self._schedulers.values() if each.waiting or self._is_due(each)]:
+        while ready := [each for each in self._schedulers.values() if each.is_due(self.now)]:
             self._round(ready)
 
     def _round(self, ready: Iterable[NodeScheduler]) -> None:
@@ -259,10 +259,6 @@ class Simulation:
                 continue
             for action in actions:
                 self._perform(scheduler, action)
-
-    def _is_due(self, scheduler: NodeScheduler) -> bool:
-        wake = scheduler.next_wake()
-        return wake is not None and wake <= self.now
 
     def _perform(self, scheduler: NodeScheduler, action: Action) -> None:
         match action:
