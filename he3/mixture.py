@@ -32,6 +32,11 @@ def alternatives_of(hyperparameters: Hyperparameters) -> list[tuple[float, Hyper
     ]
 
 
+def heaviest_of(hyperparameters: Hyperparameters) -> Hyperparameters:
+    """The process of the greatest weight alone; the hyperparameters themselves if there are no others."""
+    return max(alternatives_of(hyperparameters), key=lambda one: one[0])[1]
+
+
 def mixture_moments(
     weights: FloatArray, means: NDArray[np.floating], stds: NDArray[np.floating]
 ) -> tuple[FloatArray, FloatArray]:

@@ -37,9 +37,9 @@ class FitRequest:
 def fit(request: FitRequest) -> Hyperparameters:
     """The hyperparameters, without the request's trend, which the caller has. Pure and picklable.
 
-    With a prior, their alternatives stand for all that the samples leave possible. Planners are guided by one kernel:
-    that of maximum likelihood, with which their designs are best, unless the field would vary by less than the prior
-    allows, as it would after a few equal samples; then by the most probable one.
+    With a prior, their alternatives stand for all that the samples leave possible. The one kernel is that of maximum
+    likelihood, with which the designs of `tour` are best, unless the field would vary by less than the prior allows,
+    as it would after a few equal samples; then it is the most probable one.
     """
     if request.prior is None:
         return replace(_likeliest(request, request.kernel), trend=None)

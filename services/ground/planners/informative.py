@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.information import information_gains
+from he3.mixture import heaviest_of
 from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
@@ -100,7 +101,7 @@ def informative(request: PlanningRequest) -> PlannedRound:
     nodes = nodes[cost_m[nodes] <= limit_m]
     area_m2 = float(ground.connected_to(start).sum()) * request.grid.resolution_m**2
     spacing_m = sqrt(area_m2 / (len(request.observed_m) + request.samples_left))
-    hyperparameters = with_least_length_scale(request.hyperparameters, settings["least_scale"] * spacing_m)
+    hyperparameters = with_least_length_scale(heaviest_of(request.hyperparameters), settings["least_scale"] * spacing_m)
     places = places_on_paths(tree, nodes, request.samples)
     nats = path_information(replace(request, hyperparameters=hyperparameters), places)
     utility = nats**options.information_exponent / (cost_m[nodes] + settings["sample_cost_m"] * request.samples)
