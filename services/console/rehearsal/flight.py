@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,7 +23,7 @@ from services.ground.belief import Belief, DeferredBelief
 from services.ground.fitting import fit
 from services.ground.node import NAME as GROUND
 from services.ground.node import build_node as build_ground
-from services.ground.planning import IGNORE_STD, run_planner
+from services.ground.planning import IGNORE_STD
 from services.link.node import build_node as build_link
 from services.mission.mission_time import SECOND, MissionTime
 from services.mission.scenario import Scenario
@@ -57,8 +57,6 @@ FIT_EVERY: Final = 3
 """Rounds from one fit of the hyperparameters to the next; the last round is fitted in any case."""
 STATE_PERIOD_S: Final = 300.0
 """Mission time between two reports of rover and ground, where messages take no time on the link."""
-OUTLOOK_SETTINGS: Final = {"steps": 4, "kicks": 4}
-"""Settings of the planner `tour`, whose later plans are the first one adapted to new hyperparameters."""
 _SEED: Final = 0x7265  # separates the draws of rehearsals from all other uses of the mission's seed
 _HOLDS: Final = frozenset({CommandKind.PAUSE, CommandKind.SAFE, CommandKind.RESUME})
 """Commands that hold the rover or release it: the rover of a rehearsal is not held."""
@@ -143,7 +141,7 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
         build_link(scenario.model_copy(update={"seed": seed})),
         ground,
     )
-    computing = Hastened(executor or InlineExecutor(), scenario.rounds)
+    computing = FewerFits(executor or InlineExecutor(), scenario.rounds)
     simulation = Simulation(nodes, scenario.name, fork.at, computing, link=conditions)
     simulation.step()  # the nodes start
     if start.link.contact_forced:
@@ -167,8 +165,8 @@ def _simplified(live: Scenario, conditions: LinkConditions) -> Scenario:
     )
 
 
-class Hastened:
-    """An executor that saves on what hardly changes a mission's course: fits, and the improvement of later plans.
+class FewerFits:
+    """An executor that saves on what hardly changes a mission's course: fits of the hyperparameters.
 
     It computes every `FIT_EVERY`th fit and those from the last round on. The others change no hyperparameter.
     """
@@ -186,10 +184,6 @@ class Hastened:
                 unchanged: Future[Any] = Future()
                 unchanged.set_result(asked.previous)
                 return unchanged
-        elif function is run_planner and arguments[0] == "tour":
-            planner, request, *others = arguments
-            options = replace(request.options, extra={**OUTLOOK_SETTINGS, **request.options.extra})
-            arguments = (planner, replace(request, options=options), *others)
         return self._executor.submit(function, *arguments)
 
 

@@ -19,7 +19,7 @@ from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, RoverMode
 from schemas.topics import EVENT, FORK, ISSUE_COMMAND, LINK_SHOW, LIST_COMMANDS, MEASURE, Side
 from services.console.rehearsal.drawn_field import DrawnField
-from services.console.rehearsal.flight import Flight, Hastened, Start, assumptions, fly, scenario_of
+from services.console.rehearsal.flight import FewerFits, Flight, Start, assumptions, fly, scenario_of
 from services.console.rehearsal.forecast import Band, Forecast
 from services.field.node import FieldNode
 from services.ground.fitting import FitRequest, fit
@@ -224,7 +224,7 @@ def test_a_rehearsal_computes_every_third_fit_and_the_last_and_leaves_the_hyperp
             return super().submit(lambda _: None, *arguments)
 
     before = Hyperparameters(kernel_from("matern52"))
-    executor = Hastened(Counted(), rounds=8)
+    executor = FewerFits(Counted(), rounds=8)
     for number in range(1, 10):
         request = FitRequest(
             np.zeros((1, 2)), np.zeros(1), "matern52", 0.1, before, None, seed=(7, 1, number), extent_m=WIDE
