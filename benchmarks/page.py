@@ -180,8 +180,14 @@ class _Gate:
                 browser, _ = self._listener.accept()
                 with suppress(OSError):
                     server = create_connection(self._target)
-                    threading.Thread(target=self._pass, args=(browser, server, False), daemon=True).start()
-                    threading.Thread(target=self._pass, args=(server, browser, True), daemon=True).start()
+                    threading.Thread(target=self._join, args=(browser, server), daemon=True).start()
+
+    def _join(self, browser: socket, server: socket) -> None:
+        with browser, server:
+            back = threading.Thread(target=self._pass, args=(server, browser, True), daemon=True)
+            back.start()
+            self._pass(browser, server, False)
+            back.join()
 
     def _pass(self, source: socket, target: socket, counts: bool) -> None:
         with suppress(OSError):

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from services.console.client.previews import CommandOutlook
     from services.console.client.stacks import StackLine, StackRun
 
+MAX_BYTES = 1_000_000
+"""Most bytes of a stack."""
+
 EXAMPLES = """\b
 Examples:
   he3 stack run survey.stack --dry-run     check it; nothing is sent
@@ -93,7 +96,13 @@ def _text(file: Path | None, do: list[str] | None) -> str:
     if file is None:
         return "\n".join(do or ())
     try:
-        return sys.stdin.read() if str(file) == "-" else file.read_text()
+        if str(file) == "-":
+            return sys.stdin.read()
+        with file.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)  # a device may have no end
+        if len(content) > MAX_BYTES:
+            raise InvalidInput(f"stack: {file}: expected at most {MAX_BYTES:,} bytes, got more")
+        return content.decode()
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
         raise InvalidInput(f"stack: {file}: cannot read: {why}") from None

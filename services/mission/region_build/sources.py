@@ -257,7 +257,8 @@ def _label_text(name: str) -> str:
     path = Path(name)
     if path.suffix.lower() != ".lbl":
         return ""
-    return path.read_bytes()[:65536].decode("latin-1")
+    with path.open("rb") as file:
+        return file.read(65536).decode("latin-1")
 
 
 def _label_word(label: str, key: str) -> str:

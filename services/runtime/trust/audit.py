@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import stat
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -211,9 +212,14 @@ def _unsigned(row: dict[str, Any], key_of: Callable[[str], Ed25519PublicKey | No
 
 
 def file_lines(path: Path) -> Iterator[bytes]:
-    """The lines of that file; a longer one than this system writes comes in pieces. Raises InvalidInput."""
+    """The lines of that file; a longer one than this system writes comes in pieces.
+
+    Raises InvalidInput for a file that cannot be read, and for a device, which may never end.
+    """
     try:
         with path.open("rb") as file:
+            if stat.S_ISCHR(os.fstat(file.fileno()).st_mode):
+                raise InvalidInput(f"{path}: expected an audit log, got a device")
             while line := file.readline(MAX_LINE_BYTES):
                 yield line
     except OSError as error:

@@ -72,3 +72,9 @@ def test_a_log_that_was_emptied_is_not_called_whole(content, tmp_path, capsys):
     log.write_bytes(content)
     assert main(["audit", "verify", str(log)]) == 2
     assert "whole" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [("audit", "show"), ("stack", "run")])
+def test_a_device_without_end_is_refused_in_one_line(arguments, capsys):
+    assert main([*arguments, "/dev/zero"]) == 2
+    assert capsys.readouterr().err.startswith("he3: ")
