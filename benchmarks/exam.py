@@ -1,4 +1,4 @@
-"""Planners and maps, ours and others', on fields that nobody here made: error, density, coverage and metres.
+"""Planners and maps, ours and others', on third-party fields: error, density, coverage and metres.
 
 Every method surveys the same fields with the same number of samples, noise and start, and is scored on all cells of the
 true field: RMSE in units of the field's standard deviation, negative log predictive density, CRPS, coverage of the

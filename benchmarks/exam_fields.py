@@ -1,4 +1,4 @@
-"""The fields of the exam: real rasters that nobody here made, our embedded regions, and rasters that a user brings.
+"""The fields of the exam: third-party rasters, our embedded regions, and rasters that a user brings.
 
 A field's values are mapped linearly to 0..20 ppb, because the belief's priors are in ppb; all scores are in units of
 the field's standard deviation and do not depend on that. A raster with more cells than ``MOST_CELLS`` on a side is
@@ -75,7 +75,7 @@ SOURCES = {
     "gld100-taurus": _Source("Taurus-Littrow, heights", "derived/gld100_taurus_littrow_256ppd.tif", "", None),
     "gld100-hadley": _Source("Hadley, heights", "derived/gld100_hadley_256ppd.tif", "", None),
 }
-"""The fields that nobody here made, by name; files are relative to the folder of data or its subfolder ``real``."""
+"""The third-party fields, by name; files are relative to the folder of data or its subfolder ``real``."""
 
 
 def names_in(data: Path | None) -> list[str]:

@@ -78,7 +78,7 @@ def web(
     On this machine it can be read without a login. With --authority it commands; where the mission has keys, or other
     machines can reach the page, that takes the address with a login that it prints, or a certificate.
     For other machines the page is served over TLS: with --identity, or with --certificate and --key.
-    With --recording it shows a mission that was recorded, at any time and pace; nobody commands that.
+    With --recording it shows a mission that was recorded, at any time and pace; a recording cannot be commanded.
     """
     from services.console.client.mission_client import MissionClient
     from services.console.web.identity import Tls

@@ -173,7 +173,7 @@ class Hub:
         Returns the time and the pace. Raises InvalidInput for what the recording does not have.
         """
         if self.recording is None:
-            raise InvalidInput("expected a recording, got a running mission, whose time nobody sets")
+            raise InvalidInput("expected a recording, got a running mission, whose time cannot be set")
         with self.recording.held(), self._lock:
             if pace is not None:
                 self.recording.set_pace(pace)

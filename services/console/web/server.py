@@ -61,7 +61,7 @@ MAX_AT_WORK = 64
 FRESH = {"cache-control": "no-store"}
 LOG_IN = "expected a login: open the address with a token that he3 web has printed, or present a certificate"
 AUTHORITY = "he3 web --authority prints an address that may command"
-RECORDED = "this is a recording, which nobody commands"
+RECORDED = "this is a recording, which cannot be commanded"
 BODY_WITHIN_S = 10.0
 """Longest time for a request's body to arrive."""
 

@@ -1,7 +1,7 @@
 """The rasters of the region under the map: terrain and, of a simulated Moon, the reference field.
 
 They are read when they are first asked for, in the query process: no sample changes them, so snapshots do not carry
-them, and a mission that nobody looks at keeps none.
+them, and a mission without viewers keeps none.
 """
 
 from __future__ import annotations

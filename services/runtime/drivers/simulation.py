@@ -48,7 +48,7 @@ class Simulation:
         """link: the conditions that the nodes' custody expects of the link; None: the default ones.
 
         passes_objects: whether a message that was not changed on its way reaches its readers as the objects that it was
-        made of, and one that nobody receives is not made. False: all are made and parsed, as between processes.
+        made of, and one without a receiver is not made. False: all are made and parsed, as between processes.
         """
         self._passes_objects = passes_objects
         self._link = link or LinkConditions()

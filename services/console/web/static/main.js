@@ -54,7 +54,7 @@ listen({
   alarms: (alarms) => { state.alarms = alarms; showAlarms(); showLog(); showTimeline(); },
 }, () => { state.connected = false; showLiveness(); });
 
-// A page that nobody sees fetches no map; it does when it is seen again.
+// A hidden page fetches no map; it does when it is visible again.
 function showMap() {
   if (document.hidden || !state.status) return;
   wantMap();

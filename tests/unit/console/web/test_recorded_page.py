@@ -75,7 +75,7 @@ def test_the_time_is_set_for_everyone_and_the_map_is_of_that_time(app: Any, reco
 )  # fmt: skip
 def test_whoever_would_command_is_told_that_it_is_a_recording(app: Any, path: str, document: object) -> None:
     status, said = ask(app, path, document)
-    assert (status, said["error"].endswith("this is a recording, which nobody commands")) == (403, True)
+    assert (status, said["error"].endswith("this is a recording, which cannot be commanded")) == (403, True)
 
 
 def test_a_preview_is_refused_since_nothing_can_be_sent(app: Any) -> None:
