@@ -166,3 +166,8 @@ def test_a_peer_that_is_not_there_says_how_it_is_installed(monkeypatch, tmp_path
     with pytest.raises(InvalidInput, match=r"pip install -r benchmarks/peers/requirements-pypolo.txt"):
         PYPOLO.python()
     assert not replace(PYPOLO, folder="nowhere", variable="HE3_NO_SUCH_VARIABLE").installed
+
+
+def test_a_folder_without_rasters_is_refused(tmp_path):
+    with pytest.raises(InvalidInput, match="which has none"):
+        exam.run(data=tmp_path)

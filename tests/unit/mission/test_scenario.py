@@ -8,7 +8,7 @@ import pytest
 
 from he3.errors import InvalidInput
 from services.mission.deployment import find_scenario, shipped_scenarios
-from services.mission.scenario import MAX_SCENARIO_BYTES, GroundConfig, InterestRegion, load_scenario
+from services.mission.scenario import MAX_SCENARIO_BYTES, GroundConfig, InterestRegion, checked_scenario, load_scenario
 
 GOOD = 'name = "mine"\nregion = "t1"\n'
 
@@ -161,3 +161,9 @@ def test_areas_of_a_scenario_have_ids_that_count_from_one():
     ground = GroundConfig(keep_outs_m=(one, two), interest=(InterestRegion(polygon_m=two, weight=2.0),))
     assert ground.keep_outs == {"scenario-1": one, "scenario-2": two}
     assert ground.interests == {"scenario-1": ground.interest[0]}
+
+
+def test_a_rule_over_several_values_says_once_what_came():
+    with pytest.raises(InvalidInput) as refused:
+        checked_scenario({"name": "s", "region": "t1", "ground": {"cost": "energy", "budget_m": 100.0}}, "s.toml")
+    assert str(refused.value).count("got") == 1
