@@ -8,16 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import (
-    AsJson,
-    AsName,
-    Earth,
-    IdentityFolder,
-    Insecure,
-    Mission,
-    checked,
-    one_of,
-)
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson, checked, one_of
+from services.console.cli.session import NamedSession, Session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,16 +59,14 @@ Why = Annotated[str, typer.Option("--why", metavar="TEXT", help="A note for the 
 
 
 @app.callback()
+@with_flags
 def alarms(
+    session: Session,
     context: typer.Context,
     history: Annotated[bool, typer.Option("--history", help="Also show those that are over.")] = False,
     recording: Annotated[
         Path | None, typer.Option("--recording", metavar="FILE", help="Of a recorded mission instead of a running one.")
     ] = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """Show the alarms, the most urgent first: severity, since when, and who has seen or shelved them."""
@@ -90,7 +81,7 @@ def alarms(
 
         name, found = str(recording), recorded_alarms(recording)
     else:
-        name, found = _of_mission(mission, earth, identity, insecure)
+        name, found = _of_mission(session)
     if json:
         document: dict[str, Any] = {"mission": name, "alarms": documents(found.current)}
         typer.echo(json_format.dumps({**document, "history": documents(found.history)}, indent=2))
@@ -101,10 +92,9 @@ def alarms(
     typer.echo("\n".join(lines or [f"mission '{name}': no alarms"]))
 
 
-def _of_mission(mission: str | None, earth: str | None, identity: Path | None, insecure: bool) -> tuple[str, Alarms]:
-    from services.console.client.mission_client import MissionClient
+def _of_mission(session: Session) -> tuple[str, Alarms]:
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         return client.mission, alarms_of(client, client.state())
 
 
@@ -144,61 +134,49 @@ def alarm_lines(found: Sequence[Alarm]) -> list[str]:
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def acknowledge(
+    session: NamedSession,
     kind: Kind,
     why: Why = "",
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
 ) -> None:
     """Note that you have seen the alarm; it stays until its cause is gone."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         _require(client, kind)
         typer.echo(f"mission '{client.mission}': {client.acknowledge_alarm(kind, why).text}")
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def shelve(
+    session: NamedSession,
     kind: Kind,
     how_long: Annotated[
         str,
         typer.Option("--for", metavar="TIME", help="Mission time, such as 30min or 2h.", callback=checked(_duration)),
     ],
     why: Why = "",
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
 ) -> None:
     """Let alarms of that kind need no attention for a time."""
-    from services.console.client.mission_client import MissionClient
     from services.console.client.time_format import parse_duration_s
     from services.mission.mission_time import seconds
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         entry = client.shelve_alarm(kind, client.now() + seconds(parse_duration_s(how_long)), why)
         typer.echo(f"mission '{client.mission}': {entry.text}")
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def unshelve(
+    session: NamedSession,
     kind: Kind,
     why: Why = "",
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
 ) -> None:
     """Let a shelved alarm count again."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         typer.echo(f"mission '{client.mission}': {client.unshelve_alarm(kind, why).text}")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_format
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,12 +10,11 @@ import typer
 from services.console.cli.command import Area as AreaName
 from services.console.cli.command import Replace, Yes, asks, confirmed, expect_new_name
 from services.console.cli.coordinates import NEGATIVE_NUMBERS, polygon
-from services.console.cli.options import AsJson, AsName, Earth, IdentityFolder, Insecure, Mission, one_of, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson, one_of, within
+from services.console.cli.session import NamedSession, Session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
     from services.console.client.areas import Area
     from services.console.client.mission_client import MissionClient
 
@@ -53,26 +51,14 @@ Weight = Annotated[
 ]  # fmt: skip
 
 
-@contextmanager
-def _joined(
-    mission: str | None, earth: str | None, identity: Path | None, insecure: bool, as_name: str | None = None
-) -> Iterator[MissionClient]:
-    from services.console.client.mission_client import MissionClient
-
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
-        yield client
-
-
 @app.command("list", epilog=EXAMPLES)
+@with_flags
 def list_areas(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """List the areas."""
-    with _joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         areas = client.areas()
     if json:
         typer.echo(json_format.dumps({"areas": [area.document() for area in areas]}, indent=2))
@@ -81,7 +67,9 @@ def list_areas(
 
 
 @app.command(epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
+@with_flags
 def add(
+    session: NamedSession,
     name: AreaName,
     corners: Annotated[
         list[str], typer.Argument(metavar="X,Y", help="Corners of the area [m], three or more.")
@@ -91,11 +79,6 @@ def add(
     ] = False,
     weight: Weight = 2.0,
     replace: Replace = False,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
     yes: Yes = False,
 ) -> None:  # fmt: skip
     """Add an area. Its name is new, unless --replace is given."""
@@ -103,7 +86,7 @@ def add(
 
     kind = AreaKind.INTEREST if interest else AreaKind.KEEP_OUT
     area = Area(kind, name, polygon(corners), weight if interest else None)
-    with _joined(mission, earth, identity, insecure, as_name) as client:
+    with session.join() as client:
         if not replace:
             expect_new_name(client, kind, name)
         _set(client, area, yes=yes)
@@ -111,15 +94,12 @@ def add(
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def rename(
+    session: NamedSession,
     name: AreaName,
     new_name: AreaName,
     kind: Kind = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
     yes: Yes = False,
 ) -> None:
     """Give an area a new name; a keep-out is closed all the time."""
@@ -127,7 +107,7 @@ def rename(
 
     from he3.errors import InvalidInput
 
-    with _joined(mission, earth, identity, insecure, as_name) as client:
+    with session.join() as client:
         area = _found(client.areas(), name, kind)
         objection = client.name_objection(area.kind, new_name)
         if objection is not None:
@@ -138,18 +118,15 @@ def rename(
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def remove(
+    session: NamedSession,
     name: AreaName,
     kind: Kind = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
     yes: Yes = False,
 ) -> None:
     """Remove an area: the rover may enter it again, or it is worth no more than others."""
-    with _joined(mission, earth, identity, insecure, as_name) as client:
+    with session.join() as client:
         area = _found(client.areas(), name, kind)
         _remove(client, area, yes=yes)
     typer.echo(f"mission '{client.mission}': {area.kind.value} {name} removed")

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.console.cli.options import AsJson, AsName, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson
+from services.console.cli.session import NamedSession, Session
 
 if TYPE_CHECKING:
     from schemas.authority import AuthorityState
@@ -23,53 +25,42 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def show(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Show who holds command authority."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         _show(client.authority(), json)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def take(
+    session: NamedSession,
     force: Annotated[
         str | None,
         typer.Option("--force", metavar="HOLDER", help="Take it over from this present holder, named in full."),
     ] = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
     json: AsJson = False,
 ) -> None:
     """Take command authority."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         _show(client.take_authority(force), json)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def release(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
+    session: NamedSession,
     json: AsJson = False,
 ) -> None:
     """Release command authority; the sender of the next command becomes its holder."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         _show(client.release_authority(), json)
 
 

@@ -5,24 +5,14 @@ from __future__ import annotations
 import re
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from services.console.cli.coordinates import NEGATIVE_NUMBERS, Corners, X, Y, polygon
-from services.console.cli.options import (
-    MAX_WAIT_S,
-    AsJson,
-    AsName,
-    Earth,
-    IdentityFolder,
-    Insecure,
-    Mission,
-    checked,
-    one_of,
-    within,
-)
+from services.console.cli.flag_groups import FlagGroup, with_flags
+from services.console.cli.options import MAX_WAIT_S, AsJson, checked, one_of, within
+from services.console.cli.session import NamedSession, Session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,6 +85,20 @@ Yes = Annotated[
 Replace = Annotated[bool, typer.Option("--replace", help="Replace the area of that name.")]
 Area = Annotated[str, typer.Argument(metavar="AREA", help="Name of the area.", callback=checked(_identifier))]
 
+
+@dataclass(frozen=True, slots=True)
+class Sending(FlagGroup):
+    """How a command is sent, and what is shown of it."""
+
+    command_id: CommandId = None
+    expires_in: ExpiresIn = None
+    wait: Wait = None
+    timeout: Timeout = 60.0
+    preview: Preview = False
+    yes: Yes = False
+    json: AsJson = False
+
+
 _PLAIN = {
     "pause": "Stop the rover where it is, until 'resume'.",
     "resume": "Continue after 'pause', or leave safe mode.",
@@ -105,24 +109,10 @@ _PLAIN = {
 
 
 def _plain(word: str, about: str) -> None:
-    def issue(
-        mission: Mission = None,
-        earth: Earth = None,
-        identity: IdentityFolder = None,
-        insecure: Insecure = False,
-        as_name: AsName = None,
-        command_id: CommandId = None,
-        expires_in: ExpiresIn = None,
-        wait: Wait = None,
-        timeout: Timeout = 60.0,
-        preview: Preview = False,
-        yes: Yes = False,
-        json: AsJson = False,
-    ) -> None:
-        session = _Session(mission, earth, identity, insecure, as_name)
-        _issue(session, word, {}, _Sending(command_id, expires_in, wait, timeout, preview, yes, json))
-
-    app.command(word, help=about, epilog=EXAMPLES)(issue)
+    @app.command(word, help=about, epilog=EXAMPLES)
+    @with_flags
+    def issue(sending: Sending, session: NamedSession) -> None:
+        _issue(session, word, {}, sending)
 
 
 for _word, _about in _PLAIN.items():
@@ -130,99 +120,34 @@ for _word, _about in _PLAIN.items():
 
 
 @app.command("go-to", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
-def go_to(
-    x: X,
-    y: Y,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
-    command_id: CommandId = None,
-    expires_in: ExpiresIn = None,
-    wait: Wait = None,
-    timeout: Timeout = 60.0,
-    preview: Preview = False,
-    yes: Yes = False,
-    json: AsJson = False,
-) -> None:
+@with_flags
+def go_to(sending: Sending, session: NamedSession, x: X, y: Y) -> None:
     """Drive to a place, and wait there for the next plan."""
-    session = _Session(mission, earth, identity, insecure, as_name)
-    sending = _Sending(command_id, expires_in, wait, timeout, preview, yes, json)
     _issue(session, "go-to", {"target_m": (x, y)}, sending)
 
 
 @app.command(
     "keep-out", short_help="Close an area, or open it again.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS
 )
+@with_flags
 def keep_out(
-    area: Area,
-    corners: Corners = None,
-    replace: Replace = False,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
-    command_id: CommandId = None,
-    expires_in: ExpiresIn = None,
-    wait: Wait = None,
-    timeout: Timeout = 60.0,
-    preview: Preview = False,
-    yes: Yes = False,
-    json: AsJson = False,
+    sending: Sending, session: NamedSession, area: Area, corners: Corners = None, replace: Replace = False
 ) -> None:
     """Close an area to the rover; without corners, open it again. The name is new, unless --replace is given."""
     what: dict[str, Any] = {"area_id": area}
     if corners:
         what["polygon_m"] = polygon(corners)
-    session = _Session(mission, earth, identity, insecure, as_name)
-    sending = _Sending(
-        command_id, expires_in, wait, timeout, preview, yes, json, new_area=bool(corners) and not replace
-    )
-    _issue(session, "set-keep-out", what, sending)
+    _issue(session, "set-keep-out", what, sending, new_area=bool(corners) and not replace)
 
 
-@dataclass(frozen=True, slots=True)
-class _Session:
-    """The mission that is commanded, and who commands it."""
-
-    mission: str | None
-    earth: str | None
-    identity: Path | None
-    insecure: bool
-    as_name: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Sending:
-    """How a command is sent, and what is shown of it."""
-
-    command_id: str | None
-    expires_in: float | None
-    wait: str | None
-    timeout_s: float
-    preview: bool
-    yes: bool
-    json: bool
-    new_area: bool = False
-    """Whether the command sets an area whose name must be new."""
-
-
-def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) -> None:
+def _issue(session: NamedSession, kind: str, what: dict[str, Any], how: Sending, *, new_area: bool = False) -> None:
+    """Send the command; `new_area`: it sets an area whose name must be new."""
     from schemas.commands import CommandStage
     from services.console.client.areas import AreaKind
-    from services.console.client.mission_client import MissionClient
 
     stage = None if how.wait is None else CommandStage(how.wait)
-    with MissionClient(
-        session.earth,
-        session.mission,
-        identity=session.identity,
-        insecure=session.insecure,
-        as_name=session.as_name,
-    ) as client:
-        if how.new_area:
+    with session.join() as client:
+        if new_area:
             expect_new_name(client, AreaKind.KEEP_OUT, what["area_id"], how.command_id)
         if how.preview:
             _show(client, client.preview(kind, **what), json=how.json)
@@ -231,7 +156,7 @@ def _issue(session: _Session, kind: str, what: dict[str, Any], how: _Sending) ->
             typer.echo("he3: nothing was sent", err=True)
             raise typer.Exit(1)
         issued = client.command(kind, expires_in_s=how.expires_in, command_id=how.command_id, **what)
-        status = issued.status if stage is None else issued.wait(stage, how.timeout_s)
+        status = issued.status if stage is None else issued.wait(stage, how.timeout)
     sent = f"mission '{client.mission}'", *command_lines([status])
     typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(sent))
     fail_if_it_failed(status, stage)
@@ -301,18 +226,15 @@ def fail_if_it_failed(status: CommandStatus, stage: CommandStage | None) -> None
         raise He3Error(f"command {status.command.command_id}: {end.stage.value}{': ' + end.why if end.why else ''}")
 
 
+@with_flags
 def commands(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """List every telecommand with the stages that it has passed and their times."""
     from schemas.commands import CommandList
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         listed = client.commands()
     if json:
         typer.echo(CommandList(commands=listed).model_dump_json(indent=2))

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from services.console.cli.options import Earth, IdentityFolder, Insecure, Mission, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import within
+from services.console.cli.session import Session
 
 EXAMPLES = """\b
 Examples:
@@ -17,28 +19,25 @@ Examples:
 MAX_PORT = 65_535
 
 
+@with_flags
 def foxglove(
+    session: Session,
     port: Annotated[
         int,
         typer.Option("--port", metavar="N", help="Port to listen on (0 to 65535); 0 takes a free one.",
                      callback=within(0, MAX_PORT)),
     ] = 8765,
     bind: Annotated[str, typer.Option("--bind", metavar="ADDRESS", help="IP address to listen on.")] = "127.0.0.1",
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
 ) -> None:  # fmt: skip
     """Stream a running mission to Foxglove: map, samples, paths, rover and log, to be seen and not to be commanded.
 
     The topics are those of a recording (docs/recordings.md), and so is the layout. The protocol has no login: every
     program of this machine, also a page in its browser, can read the stream. Off loopback it takes --insecure.
     """
-    from services.console.client.mission_client import MissionClient
     from services.console.foxglove_stream import check_loopback, stream
 
-    warning = check_loopback(bind, insecure)
-    with MissionClient(earth, mission, name="foxglove", identity=identity, insecure=insecure) as client:
+    warning = check_loopback(bind, session.insecure)
+    with session.join(name="foxglove") as client:
         if warning is not None:
             typer.echo(f"he3 foxglove: {warning}", err=True)
         stream(client, bind, port, lambda line: typer.echo(line, err=True))

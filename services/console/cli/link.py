@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission, checked, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson, checked, within
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from schemas.link import LinkStatus
@@ -67,27 +69,22 @@ _seconds = within(0, MAX_DELAY_S)
 
 
 @app.command(short_help="Show conditions, counts and messages in flight.", epilog=EXAMPLES)
+@with_flags
 def show(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Conditions, counts, and every message in flight with its arrival time."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         status = client.link()
     _print(status, json)
 
 
 @app.command("set", short_help="Change conditions.", epilog=EXAMPLES)
+@with_flags
 def change(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     preset: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="Replace all conditions: nominal, zero, csa-10s, lossy, mars, ...",
@@ -125,7 +122,6 @@ def change(
     """Change the given conditions for messages sent from now on; the others keep their values."""
     from he3.errors import InvalidInput
     from services.console.client.link import link_change
-    from services.console.client.mission_client import MissionClient
 
     values: dict[str, Any] = {
         "direction": direction,
@@ -148,7 +144,7 @@ def change(
     if not given.keys() - {"direction"}:
         raise InvalidInput("link set: expected something to change, such as --loss 0.1 or --preset lossy")
     request = link_change(given)
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         status = client.change_link(request)
     if not json:
         typer.echo(f"mission '{client.mission}'")

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission, checked, one_of
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson, checked, one_of
+from services.console.cli.session import Session
 
 EXAMPLES = """\b
 Examples:
@@ -34,7 +36,9 @@ def _since(text: str) -> str:
     return text
 
 
+@with_flags
 def log(
+    session: Session,
     kind: Annotated[
         list[str] | None,
         typer.Option("--kind", metavar="KIND", help=f"Only {', '.join(KINDS)}; repeatable.", callback=_kind,
@@ -47,10 +51,6 @@ def log(
     ] = None,
     text: Annotated[str, typer.Option("--text", metavar="TEXT", help="Only lines that contain it, in any case.")] = "",
     csv: Annotated[bool, typer.Option("--csv", help="Print comma-separated values.")] = False,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """Show the log: events, commands with their stages, plans, the link, interests, authority, alarms."""
@@ -59,10 +59,9 @@ def log(
     from schemas.mission_log import MissionLog
     from services.console.cli.alarms import alarms_of
     from services.console.client.log_lines import as_csv, chosen, documents, log_lines
-    from services.console.client.mission_client import MissionClient
     from services.console.client.time_format import parse_moment, utc
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         start_ns = client.clock().start_ns
         kept: MissionLog = client.log()
         found = alarms_of(client, client.state())

@@ -62,13 +62,6 @@ def _scenarios(incomplete: str) -> list[str]:
     return [name for name in shipped_scenarios() if name.startswith(incomplete)]
 
 
-def _missions(incomplete: str) -> list[str]:
-    """Names of the missions of this machine that begin so, for tab completion."""
-    from services.console.client.run_file import running_missions
-
-    return [each.mission for each in running_missions() if each.mission.startswith(incomplete)]
-
-
 def one_of(*words: str) -> Callable[[str], list[str]]:
     """The completion of a word out of these."""
 
@@ -126,30 +119,6 @@ OutFolder = Annotated[
 ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="File for the report (JSON).")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on standard error.")]
-Mission = Annotated[
-    str | None,
-    typer.Option("--mission", metavar="NAME", help="Name of the running mission.", autocompletion=_missions),
-]
-Earth = Annotated[
-    str | None,
-    typer.Option("--earth", metavar="ENDPOINT", help="Endpoint of its Earth router, such as tcp/10.0.0.2:7448."),
-]
-IdentityFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--identity", metavar="DIR", help="Folder of your identity, for a mission with keys (or HE3_IDENTITY)."
-    ),
-]
-Insecure = Annotated[
-    bool,
-    typer.Option("--insecure", help="Allow an endpoint off loopback without TLS: anyone who reaches it may command."),
-]
-AsName = Annotated[
-    str | None,
-    typer.Option(
-        "--as", metavar="NAME", help="Your name, in a mission without keys; else user@host. It is not proven."
-    ),
-]
 Keys = Annotated[
     Path | None,
     typer.Option(

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.console.cli.options import AsJson, AsName, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson
+from services.console.cli.session import NamedSession, Session
 
 if TYPE_CHECKING:
     from schemas.plans import PlanProposal
@@ -31,18 +33,15 @@ Number = Annotated[
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def show(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Show the plan that waits for approval."""
     from schemas.plans import PlanReview
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         proposal = client.proposed_plan()
     if json:
         typer.echo(PlanReview(proposal=proposal).model_dump_json(indent=2))
@@ -51,22 +50,18 @@ def show(
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def approve(
+    session: NamedSession,
     drop: Annotated[
         list[str] | None, typer.Option("--drop", metavar="SAMPLE", help="A sample that is not taken; repeatable.")
     ] = None,
     proposal: Number = None,
     why: Why = "",
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
 ) -> None:
     """Send the plan that waits to the rover."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         number, about = _waiting(client, proposal)
         client.approve_plan(number, drop or (), why)
     dropped = f" without {', '.join(drop)}" if drop else ""
@@ -74,19 +69,15 @@ def approve(
 
 
 @app.command("send-back", epilog=EXAMPLES)
+@with_flags
 def send_back(
+    session: NamedSession,
     proposal: Number = None,
     why: Why = "",
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
 ) -> None:
     """Let the ground plan the round again."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         number, about = _waiting(client, proposal)
         client.send_plan_back(number, why)
     typer.echo(f"mission '{client.mission}': {about} sent back")

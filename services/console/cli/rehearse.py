@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission, Quiet, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson, Quiet, within
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from services.console.rehearsal.flight import Flight
@@ -25,12 +27,10 @@ Draws = Annotated[
 ]  # fmt: skip
 
 
+@with_flags
 def rehearse(
+    session: Session,
     draws: Draws = 10,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -41,11 +41,10 @@ def rehearse(
     """
     import json as json_format
 
-    from services.console.client.mission_client import MissionClient
     from services.console.rehearsal.flight import Start
     from services.console.rehearsal.forecast import rehearse as flown
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         name = f"{client.mission} at {client.earth}"
         under_way = tuple(status.command for status in client.commands() if status.end is None)
         start = Start(client.fork(), client.link(), under_way)

@@ -14,7 +14,6 @@ from services.console.cli.options import (
     MAX_RATE,
     AllowPlugin,
     AsJson,
-    Insecure,
     Keys,
     Lockstep,
     OutFolder,
@@ -27,6 +26,7 @@ from services.console.cli.options import (
     Settings,
     within,
 )
+from services.console.cli.session import Insecure
 
 if TYPE_CHECKING:
     from schemas.report import MissionReport

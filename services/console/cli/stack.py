@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson, AsName, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson
+from services.console.cli.session import NamedSession
 
 if TYPE_CHECKING:
     from schemas.commands import CommandStatus
@@ -45,7 +47,9 @@ def _group() -> None:
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def run(
+    session: NamedSession,
     file: Annotated[Path | None, typer.Argument(metavar="FILE", help="The stack; - reads standard input.")] = None,
     do: Annotated[
         list[str] | None, typer.Option("--do", metavar="LINE", help="A line of the stack, instead of FILE; repeatable.")
@@ -55,22 +59,16 @@ def run(
     yes: Annotated[
         bool, typer.Option("--yes", "-y", help="Send it without a question. Without a terminal there is none.")
     ] = False,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
-    as_name: AsName = None,
     json: AsJson = False,
 ) -> None:
     """Check a stack of commands against the rover's rules, then send it; stops at the first failure."""
     from he3.errors import InvalidInput
-    from services.console.client.mission_client import MissionClient
     from services.console.client.stacks import MissionDesk, StackRun, parse_stack
 
     if step and not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InvalidInput("stack: --step asks before every command: expected a terminal, got none")
     text = _text(file, do)
-    with MissionClient(earth, mission, identity=identity, insecure=insecure, as_name=as_name) as client:
+    with session.join() as client:
         stack = StackRun(parse_stack(text, client.clock().start_ns), MissionDesk(client))
         quiet = json and not dry_run
         checked = [_checked(line, outlook, quiet) for line, outlook in stack.check()]

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from he3.errors import PeerUnreachable
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from services.console.client.mission_state import MissionState
@@ -20,19 +22,15 @@ Examples:
 """
 
 
+@with_flags
 def status(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Show the processes that are alive, the rover, the map and the link."""
     import json as json_format
 
-    from services.console.client.mission_client import MissionClient
-
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         alive = client.alive_on_earth()
         state = client.state()
     if state.knows_nothing:

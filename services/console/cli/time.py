@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission, checked, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson, checked, within
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from schemas.link import ClockState
@@ -41,116 +42,98 @@ def _moment(text: str) -> str:
 
 
 @app.command(short_help="Show mission time.", epilog=EXAMPLES)
+@with_flags
 def show(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Show the mission time, its speed limit or pause, and the processes it waits for."""
-    _change(mission, earth, identity, insecure, json)
+    _change(session, json)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def pause(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Stop mission time; queries and commands are still accepted."""
-    _change(mission, earth, identity, insecure, json, clock_rate=0.0, paused=True)
+    _change(session, json, clock_rate=0.0, paused=True)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def resume(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Resume mission time."""
-    _change(mission, earth, identity, insecure, json, clock_rate=1.0, paused=False)
+    _change(session, json, clock_rate=1.0, paused=False)
 
 
 @app.command(short_help="Advance to the next instant, then pause.", epilog=EXAMPLES)
+@with_flags
 def step(
+    session: Session,
     count: Annotated[
         int, typer.Argument(metavar="[N]", help="How many instants (1 to 1000000).", callback=within(1, 1_000_000))
     ] = 1,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """Advance to the next instant, or the next N instants, at which something happens; then pause."""
-    _change(mission, earth, identity, insecure, json, steps=count)
+    _change(session, json, steps=count)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def until(
+    session: Session,
     when: Annotated[
         str,
         typer.Argument(metavar="TIME", help="90, 15min, 2h, 3d after the beginning, or a UTC time.",
                        callback=checked(_moment)),
     ],
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """Run until that mission time, then pause."""
-    _change(mission, earth, identity, insecure, json, until=when)
+    _change(session, json, until=when)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def rate(
+    session: Session,
     factor: Annotated[
         float,
         typer.Argument(metavar="R", help="Mission seconds per wall second.", callback=within(0, MAX_PACE, above=True)),
     ],
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """Limit the simulation speed to R mission seconds per wall second."""
-    _change(mission, earth, identity, insecure, json, clock_rate=factor, rate=factor)
+    _change(session, json, clock_rate=factor, rate=factor)
 
 
 @app.command(epilog=EXAMPLES)
+@with_flags
 def unlimited(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Run as fast as the machine allows."""
-    _change(mission, earth, identity, insecure, json, unlimited=True)
+    _change(session, json, unlimited=True)
 
 
 def _change(
-    mission: str | None,
-    earth: str | None,
-    identity: Path | None,
-    insecure: bool,
+    session: Session,
     json: bool,
     clock_rate: float | None = None,
     **wanted: Any,
 ) -> None:
     from he3.errors import InvalidInput
     from schemas.link import ClockMode
-    from services.console.client.mission_client import MissionClient
     from services.console.client.time_format import parse_moment
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         clock = client.clock()
         if clock.mode is ClockMode.LOCKSTEP:
             if "until" in wanted:

@@ -9,7 +9,6 @@ import typer
 
 from services.console.cli.options import (
     AllowPlugin,
-    Insecure,
     Keys,
     Lockstep,
     OutFolder,
@@ -20,6 +19,7 @@ from services.console.cli.options import (
     Seed,
     Settings,
 )
+from services.console.cli.session import Insecure
 
 if TYPE_CHECKING:
     from services.console.report.outputs import Written

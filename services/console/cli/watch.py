@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from he3.errors import He3Error, PeerUnreachable
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import AsJson
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
@@ -30,17 +32,14 @@ MAP_FROM_COLUMNS = 72
 """Width of a terminal from which on there is room for the map beside the figures."""
 
 
+@with_flags
 def watch(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Follow a running mission until it is over, or until Ctrl-C."""
-    from services.console.client.mission_client import MissionClient
 
-    with MissionClient(earth, mission, identity=identity, insecure=insecure) as client:
+    with session.join() as client:
         if json:
             _as_json(client)
             return

@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from he3.errors import InvalidInput
-from services.console.cli.options import Earth, IdentityFolder, Insecure, Mission, checked, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import checked, within
+from services.console.cli.session import Session
 
 EXAMPLES = """\b
 Examples:
@@ -32,7 +34,9 @@ def _hosts(texts: list[str] | None) -> list[str]:
     return [checked(_host)(text) for text in texts or ()]
 
 
+@with_flags
 def web(
+    session: Session,
     port: Annotated[
         int,
         typer.Option("--port", metavar="N", help="Port to listen on (0 to 65535); 0 takes a free one.",
@@ -68,10 +72,6 @@ def web(
         Path | None,
         typer.Option("--recording", metavar="FILE", help="Show this recording, mission.mcap, in place of a mission."),
     ] = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
 ) -> None:  # fmt: skip
     """Serve the operator's page: the live map, rover, link, commands and alarms.
 
@@ -80,7 +80,6 @@ def web(
     For other machines the page is served over TLS: with --identity, or with --certificate and --key.
     With --recording it shows a mission that was recorded, at any time and pace; a recording cannot be commanded.
     """
-    from services.console.client.mission_client import MissionClient
     from services.console.web.identity import Tls
     from services.console.web.running import PageOptions, serve
     from services.runtime.trust.identity import load_identity
@@ -93,15 +92,15 @@ def web(
     if recording is not None:
         from services.console.replay.mission import RecordedMission
 
-        if authority or mission is not None or earth is not None:
+        if authority or session.mission is not None or session.earth is not None:
             raise InvalidInput("--recording: expected none of --authority, --mission and --earth, got one")
-        options = PageOptions(bind, port, False, hosts, tls, own, insecure=insecure, login_file=login_file)
+        options = PageOptions(bind, port, False, hosts, tls, own, insecure=session.insecure, login_file=login_file)
         with RecordedMission(recording) as recorded:
             for note in recorded.notes:
                 typer.echo(f"he3: {recording}: {note}", err=True)
             serve(recorded, options, lambda line: typer.echo(line, err=True), recorded)
         return
-    with MissionClient(earth, mission, name="web", identity=identity, insecure=insecure) as client:
+    with session.join(name="web") as client:
         who = client.identity if own is None else own
-        options = PageOptions(bind, port, authority, hosts, tls, who, insecure=insecure, login_file=login_file)
+        options = PageOptions(bind, port, authority, hosts, tls, who, insecure=session.insecure, login_file=login_file)
         serve(client, options, lambda line: typer.echo(line, err=True))

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.console.cli.coordinates import Corners, polygon
-from services.console.cli.map.options import AsOf, joined
-from services.console.cli.options import MAX_PPB, AsJson, Earth, IdentityFolder, Insecure, Mission, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.map.options import AsOf
+from services.console.cli.options import MAX_PPB, AsJson, within
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from schemas.maps import Interval, ResourceEstimate
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
 MIN_PROBABILITY, MAX_PROBABILITY = 1e-6, 1 - 1e-6
 
 
+@with_flags
 def resource(
+    session: Session,
     corners: Corners = None,
     cutoff: Annotated[
         float,
@@ -29,14 +33,10 @@ def resource(
                      callback=within(MIN_PROBABILITY, MAX_PROBABILITY)),
     ] = 0.9,
     as_of: AsOf = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """Helium-3 in an area (without corners: the whole site), with intervals from the joint posterior."""
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         found = client.resource(
             polygon(corners) if corners else None, cutoff_ppb=cutoff, probability=probability, as_of=as_of
         )

@@ -10,14 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.console.cli.map.options import AsOf, joined
-from services.console.cli.options import MAX_PPB, AsJson, Earth, IdentityFolder, Insecure, Mission, Quiet, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.map.options import AsOf
+from services.console.cli.options import MAX_PPB, AsJson, Quiet, within
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from services.console.map_export.folder import Exported
 
 
+@with_flags
 def export(
+    session: Session,
     target: Annotated[
         Path,
         typer.Argument(metavar="DIR", help="A folder; or a file .npz (layers and samples) or .csv (x, y, mean, std)."),
@@ -38,29 +42,25 @@ def export(
     ] = None,
     pds4: Annotated[bool, typer.Option("--pds4", help="Rasters with PDS4 labels as well, in DIR/pds4.")] = False,
     quiet: Quiet = False,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """The whole map for geographic tools: GeoTIFF, GeoPackage, GeoJSON, CSV and a STAC item, in a folder."""
     from he3.errors import InvalidInput
     from services.console.report.export import WRITERS
 
-    if recording is not None and (mission is not None or earth is not None):
+    if recording is not None and (session.mission is not None or session.earth is not None):
         raise InvalidInput("--recording and --mission or --earth: expected one of them, got both")
     if recording is not None and target.suffix in WRITERS:
         raise InvalidInput(f"map export {target}: expected a folder with --recording, got '{target.suffix}'")
     if target.suffix in WRITERS:
-        _export_file(target, mission, earth, identity, insecure)
+        _export_file(target, session)
         return
     if target.suffix and not target.is_dir():
         expected = f"a folder (one with a dot in its name has to exist), or a file name with {' or '.join(WRITERS)}"
         raise InvalidInput(f"map export {target}: expected {expected}, got '{target.suffix}'")
     progress = _silent if quiet or json else partial(typer.echo, err=True)
     if recording is None:
-        with joined(mission, earth, identity, insecure) as client:
+        with session.join() as client:
             done = client.export_maps(
                 target, threshold_ppb=threshold, as_of=as_of, region=region, pds4=pds4, progress=progress
             )
@@ -88,12 +88,12 @@ def _report(done: Exported, json: bool) -> None:
         typer.echo(f"note          {note}")
 
 
-def _export_file(file: Path, mission: str | None, earth: str | None, identity: Path | None, insecure: bool) -> None:
+def _export_file(file: Path, session: Session) -> None:
     from schemas.maps import MapLayer
     from services.console.report.export import EXPORTED, WRITERS, Export
     from services.console.report.mission_report import array_of
 
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         rasters = {layer: client.raster(layer) for layer in EXPORTED}
         track = client.track()
     mean = rasters[MapLayer.MEAN]

@@ -8,25 +8,24 @@ from typing import Annotated
 
 import typer
 
-from services.console.cli.map.options import joined
-from services.console.cli.options import MAX_WAIT_S, AsJson, Earth, IdentityFolder, Insecure, Mission, within
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.options import MAX_WAIT_S, AsJson, within
+from services.console.cli.session import Session
 
 
+@with_flags
 def follow(
+    session: Session,
     limit_s: Annotated[
         float | None,
         typer.Option("--seconds", metavar="S", help="End after S seconds of wall time; without it, on Ctrl-C.",
                      callback=within(0, MAX_WAIT_S)),
     ] = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """The map's feed: a line for each change as it comes, the present map first."""
     began = time.monotonic()
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         for current in client.maps(timeout_s=limit_s):
             figures = {
                 "revision": current.revision,

@@ -8,28 +8,28 @@ from typing import Annotated
 
 import typer
 
-from services.console.cli.map.options import AsOf, LayerName, Threshold, check_threshold, joined
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.map.options import AsOf, LayerName, Threshold, check_threshold
+from services.console.cli.options import AsJson
+from services.console.cli.session import Session
 
 FORMS = {".npy": "npy", ".png": "png", ".tif": "tiff", ".tiff": "tiff", ".csv": "csv"}
 """Formats in which the ground writes a layer, by the suffix of the file."""
 
 
+@with_flags
 def save(
+    session: Session,
     layer: LayerName,
     file: Annotated[Path, typer.Argument(metavar="FILE", help=".npy, .png, .tif (GeoTIFF) or .csv.")],
     threshold: Threshold = None,
     as_of: AsOf = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """A whole layer as a file: NumPy, picture, GeoTIFF or table; --json prints its description."""
     check_threshold(layer, threshold)
     form = form_of(file)
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         payload, about = client.picture(layer, form, threshold=threshold, as_of=as_of)
     line = written(file, payload)
     typer.echo(about.model_dump_json(indent=2) if json else line)

@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.console.cli.coordinates import XMax, XMin, YMax, YMin
+from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.files import form_of, indented, written
-from services.console.cli.map.options import AsOf, LayerName, Threshold, Width, check_threshold, joined
-from services.console.cli.options import MAX_POSITION_M, AsJson, Earth, IdentityFolder, Insecure, Mission, within
+from services.console.cli.map.options import AsOf, LayerName, Threshold, Width, check_threshold
+from services.console.cli.options import MAX_POSITION_M, AsJson, within
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from schemas.maps import MapRaster
 
 
+@with_flags
 def show(
+    session: Session,
     layer: LayerName,
     png: Annotated[
         Path | None, typer.Option("--png", metavar="FILE", help="Write a picture with samples and paths instead.")
@@ -24,15 +28,11 @@ def show(
     width: Width = 72,
     threshold: Threshold = None,
     as_of: AsOf = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """A whole layer in the terminal; with --png as a picture, with --json as the reply itself."""
     check_threshold(layer, threshold)
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         raster = client.raster(layer, threshold=threshold, as_of=as_of)
         track = client.track(as_of) if png is not None else None
     if png is not None and track is not None:
@@ -46,7 +46,9 @@ def show(
         _draw(raster, width)
 
 
+@with_flags
 def box(
+    session: Session,
     layer: LayerName,
     x_min: XMin,
     y_min: YMin,
@@ -63,10 +65,6 @@ def box(
     width: Width = 60,
     threshold: Threshold = None,
     as_of: AsOf = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip
     """A part of a layer in the terminal, as a file, or as the reply itself."""
@@ -74,7 +72,7 @@ def box(
 
     check_threshold(layer, threshold)
     form = "json" if out is None else form_of(out)
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         payload, _ = client.box_picture(
             layer, (x_min, x_max), (y_min, y_max), form, resolution_m=resolution, threshold=threshold, as_of=as_of
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -11,7 +10,7 @@ import typer
 from services.console.cli.options import MAX_PPB, checked, one_of, within
 
 if TYPE_CHECKING:
-    from services.console.client.mission_client import MissionClient
+    pass
 
 _AS_OF = re.compile(r"\d{1,19}|\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d(\.\d{1,9})?)?Z?")
 
@@ -65,10 +64,3 @@ def check_threshold(layer: str, threshold: float | None) -> None:
     if (layer == "exceedance") != (threshold is not None):
         got = "none" if threshold is None else f"--threshold {threshold:g}"
         raise InvalidInput(f"--threshold: expected it with the layer exceedance and only there, got {got} for {layer}")
-
-
-def joined(mission: str | None, earth: str | None, identity: Path | None, insecure: bool) -> MissionClient:
-    """A session with the mission that the flags name."""
-    from services.console.client.mission_client import MissionClient
-
-    return MissionClient(earth, mission, identity=identity, insecure=insecure)

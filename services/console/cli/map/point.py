@@ -5,23 +5,23 @@ from __future__ import annotations
 import typer
 
 from services.console.cli.coordinates import X, Y
-from services.console.cli.map.options import AsOf, Threshold, joined
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.map.options import AsOf, Threshold
+from services.console.cli.options import AsJson
+from services.console.cli.session import Session
 
 
+@with_flags
 def at(
+    session: Session,
     x: X,
     y: Y,
     threshold: Threshold = None,
     as_of: AsOf = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """The belief at one place: helium-3 abundance with its uncertainty."""
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         point = client.point(x, y, threshold, as_of)
     if json:
         typer.echo(point.model_dump_json(indent=2))
@@ -39,15 +39,13 @@ def at(
     typer.echo("\n".join(f"{name:<11} {text}" for name, text in rows))
 
 
+@with_flags
 def score(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """Error of the map against the reference field, which only a simulated Moon can tell."""
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         figures = client.score()
     if json:
         typer.echo(figures.model_dump_json(indent=2))

@@ -7,27 +7,27 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.files import indented
-from services.console.cli.map.options import AsCsv, AsOf, joined
-from services.console.cli.options import AsJson, Earth, IdentityFolder, Insecure, Mission
+from services.console.cli.map.options import AsCsv, AsOf
+from services.console.cli.options import AsJson
+from services.console.cli.session import Session
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
 
 
+@with_flags
 def samples(
+    session: Session,
     csv: AsCsv = False,
     as_of: AsOf = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """The samples: where each was taken, and what it holds."""
     from services.console.client.time_format import utc
 
-    document = _table(joined(mission, earth, identity, insecure), "samples", csv, as_of, json)
+    document = _table(session.join(), "samples", csv, as_of, json)
     if document is None:
         return
     typer.echo(f"{'sample':<10} {'round':>5} {'east m':>8} {'north m':>8} {'ppb':>8}  measured")
@@ -38,13 +38,11 @@ def samples(
         )
 
 
+@with_flags
 def plan(
+    session: Session,
     csv: AsCsv = False,
     as_of: AsOf = None,
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
     json: AsJson = False,
 ) -> None:
     """The path that the rover has driven, and the path that is planned."""
@@ -52,7 +50,7 @@ def plan(
 
     from he3.frames import path_length
 
-    paths = _table(joined(mission, earth, identity, insecure), "plan", csv, as_of, json)
+    paths = _table(session.join(), "plan", csv, as_of, json)
     if paths is None:
         return
     for name, key in (("driven", "driven_path_m"), ("planned", "planned_path_m")):
@@ -61,17 +59,15 @@ def plan(
         typer.echo(f"{name:<11} {path_length(corners):,.0f} m over {len(corners)} corners{end}")
 
 
+@with_flags
 def history(
-    mission: Mission = None,
-    earth: Earth = None,
-    identity: IdentityFolder = None,
-    insecure: Insecure = False,
+    session: Session,
     json: AsJson = False,
 ) -> None:
     """The maps that --as-of can name."""
     from services.console.client.time_format import utc
 
-    with joined(mission, earth, identity, insecure) as client:
+    with session.join() as client:
         found = client.history()
     if json:
         typer.echo(found.model_dump_json(indent=2))
