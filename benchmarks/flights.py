@@ -19,15 +19,12 @@ from he3.errors import He3Error, InvalidInput
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
+from services.ground.planners import PLANNERS
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
 from services.ground.planners.traversability import OpenGround
 from services.ground.terrain import GroundTerrain
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.regions import load_region
-
-IN_THIS_PROCESS = ("tour",)
-"""Planners without global state, which plan in the benchmark's process. Every other one, a plug-in too, has a fresh
-process for each plan, as in a mission, so that a plan depends on its request alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +147,8 @@ def fly(flight: Flight) -> Mission:
 
 
 def planner_for(name: str) -> str | Planner:
-    """The planner of that name, in a fresh process for each plan where it has global state."""
-    return name if name in IN_THIS_PROCESS else partial(_planned, name)
+    """The planner of that name; a plug-in has a fresh process for each plan, so that its request alone counts."""
+    return name if name in PLANNERS else partial(_planned, name)
 
 
 @cache

@@ -1,8 +1,8 @@
 """Computes a mission's tasks for a driver in one process: in that process where the result cannot depend on it.
 
-A task in a process of its own costs a fork, two pickles and all that earlier tasks have cached. The fit and the planner
-`tour` use no global state, so they are computed here. OMPL's generator is global, and a plug-in may do anything, so the
-tasks of the other planners go to the planner process, which starts with the first of them.
+A task in a process of its own costs a fork, two pickles and all that earlier tasks have cached. Fits and the built-in
+planners are computed here: `tour` uses no global state, and the others seed OMPL's before each tree. A plug-in may do
+anything, so its tasks go to the planner process, which starts with the first of them.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Future
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Self
 
 from services.ground.fitting import fit
 from services.ground.planner_process import PlannerProcess
+from services.ground.planners import PLANNERS
 from services.ground.planning import run_planner
 from services.runtime.scheduler import InlineExecutor
-
-PURE_PLANNERS: Final = frozenset({"tour"})
 
 
 class MissionExecutor:
@@ -54,4 +53,4 @@ class MissionExecutor:
 
 def is_pure(function: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
     """Whether the task's result is a function of its arguments alone, whatever ran before in the process."""
-    return function is fit or (function is run_planner and arguments[0] in PURE_PLANNERS)
+    return function is fit or (function is run_planner and isinstance(arguments[0], str) and arguments[0] in PLANNERS)

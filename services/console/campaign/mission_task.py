@@ -13,7 +13,7 @@ from schemas.maps import MapLayer, MapLayerQuery
 from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
 from services.console.campaign.identity import planner_checksum, region_checksum
 from services.console.report.mission_report import Run, array_of, build_report
-from services.ground.planner_process import PlannerProcess
+from services.ground.pure_tasks import MissionExecutor
 from services.mission.in_process import InProcessMission, build_nodes
 from services.mission.regions import load_region
 from services.mission.scenario import checked_scenario
@@ -38,7 +38,7 @@ def fly(arguments: Mapping[str, Any]) -> dict[str, Any]:
     planner = scenario.ground.planner
     _expect("planner", planner, arguments["planner_sha256"], planner_checksum(planner))
     region = _region(scenario.region, scenario.field.field_seed)
-    mission = InProcessMission(scenario, _planners(), None, build_nodes(scenario, region=region))
+    mission = InProcessMission(scenario, _executor(), None, build_nodes(scenario, region=region))
     mission.run()
     assert mission.status is not None, "the run ends only after the ground has reported its status"
     track, link = mission.ask(TRACK, NoParameters()), mission.ask(LINK_SHOW, NoParameters())
@@ -69,6 +69,6 @@ def _region(name: str, field_seed: int | None) -> Region:
 
 
 @cache
-def _planners() -> PlannerProcess:
-    """The planners of this process: each plan is computed in a fresh process, so that none depends on another."""
-    return PlannerProcess(parallel=1)
+def _executor() -> MissionExecutor:
+    """What computes the fits and plans of this process's missions, none of which depends on one before it."""
+    return MissionExecutor()

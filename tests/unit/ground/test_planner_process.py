@@ -23,7 +23,7 @@ from he3.gp import Hyperparameters, fit_hyperparameters
 from he3.kernels import Matern52
 from services.ground.bounded_task import BoundedTask
 from services.ground.planner_process import PlannerProcess
-from services.ground.planners import plan
+from services.ground.planners import PLANNERS, plan
 from services.ground.planners.interface import PlannerOptions, PlanningRequest
 from services.ground.planning import IGNORE_STD, run_planner
 from services.ground.pure_tasks import MissionExecutor
@@ -286,22 +286,36 @@ def test_the_owner_answers_others_while_a_plan_is_computed(planners):
 QUICK = PlannerOptions(max_iterations=300, extra={"designs": 1, "first_steps": 3, "final_steps": 0})
 
 
-def test_a_mission_in_one_process_computes_there_what_uses_no_global_state_and_the_rest_elsewhere(monkeypatch):
+def quick_for(name):
+    return replace(request(), options=QUICK if name == "tour" else replace(QUICK, extra={}))
+
+
+def test_a_mission_in_one_process_computes_built_in_plans_there_and_they_are_those_of_a_fresh_process(
+    monkeypatch, planners
+):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
-    quick = replace(request(), options=QUICK)
     with MissionExecutor() as executor:
-        here = executor.submit(run_planner, "tour", quick, 1)
-        assert here.done()
+        for _ in range(2):  # whatever was planned before
+            for name in PLANNERS:
+                here = executor.submit(run_planner, name, quick_for(name), 1)
+                assert here.done()
+                there = planners.submit(run_planner, name, quick_for(name), 1).result(PATIENCE_S)
+                np.testing.assert_array_equal(here.result().path_m, there.path_m)
+                np.testing.assert_array_equal(here.result().samples_m, there.samples_m)
         assert executor._elsewhere is None
-        executor.submit(run_planner, "rrt", request(), 0).result(PATIENCE_S)
+
+
+def test_a_mission_in_one_process_has_its_plug_ins_computed_elsewhere(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+    with MissionExecutor() as executor:
+        limited = BoundedTask(run_planner, PATIENCE_S)
+        planned = executor.submit(limited, "examples.most_uncertain:most_uncertain", request(), 0)
+        assert len(planned.result(PATIENCE_S).samples_m)
         assert executor._elsewhere is not None
-        there = executor._elsewhere.submit(run_planner, "tour", quick, 1).result(PATIENCE_S)
-    np.testing.assert_array_equal(here.result().path_m, there.path_m)
-    np.testing.assert_array_equal(here.result().outlook_m, there.outlook_m)
 
 
 def test_a_planner_that_ignores_the_standard_deviation_plans_the_same_with_another():
     for name in sorted(IGNORE_STD):
-        first = replace(request(), options=QUICK if name == "tour" else replace(QUICK, extra={}))
+        first = quick_for(name)
         other = replace(first, std_ppb=np.ones_like(first.std_ppb))
         np.testing.assert_array_equal(plan(name, first).path_m, plan(name, other).path_m)
