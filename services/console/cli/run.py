@@ -10,23 +10,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from he3.errors import He3Error, InvalidInput
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.mission_flags import MissionFlags
 from services.console.cli.options import (
     MAX_RATE,
-    AllowPlugin,
     AsJson,
-    Keys,
     Lockstep,
     OutFolder,
-    Planner,
     Quiet,
-    Rate,
     ReportFile,
     ScenarioRef,
     Seed,
     Settings,
     within,
 )
-from services.console.cli.session import Insecure
 
 if TYPE_CHECKING:
     from schemas.report import MissionReport
@@ -75,46 +72,29 @@ InProcess = Annotated[
 ]
 
 
+@with_flags
 def run(
+    flags: MissionFlags,
     scenario: ScenarioRef,
     in_process: InProcess = False,
     lockstep: Lockstep = False,
-    rate: Rate = None,
-    seed: Seed = None,
-    planner: Planner = None,
-    settings: Settings = None,
-    allow_plugin: AllowPlugin = False,
     report: ReportFile = None,
     out: OutFolder = None,
     events: EventsFile = None,
-    keys: Keys = None,
-    insecure: Insecure = False,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Run a whole mission and report on it."""
-    from services.console.launch.scenarios import choose
-
-    if sum((in_process, lockstep, rate is not None)) > 1:
+    if sum((in_process, lockstep, flags.rate is not None)) > 1:
         raise InvalidInput("expected one of --in-process, --lockstep and --rate, got more")
     if events is not None and not (in_process or lockstep):
         raise InvalidInput(
             "--events: expected it with --in-process or --lockstep, where every event has its exact time"
         )
-    if in_process and keys is not None:
+    if in_process and flags.keys is not None:
         raise InvalidInput("--keys: expected it with separate processes, got --in-process, which opens no connection")
-    chosen = choose(
-        scenario,
-        seed=seed,
-        planner=planner,
-        rate=rate,
-        settings=settings or (),
-        allow_plugin=allow_plugin,
-        keys=keys,
-        insecure=insecure,
-    )
     driver = "in-process" if in_process else "lockstep" if lockstep else "zenoh"
-    run_and_report(chosen, driver, out, report, json=json, quiet=quiet, events=events)
+    run_and_report(flags.chosen(scenario), driver, out, report, json=json, quiet=quiet, events=events)
 
 
 def run_and_report(

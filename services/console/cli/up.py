@@ -7,19 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.mission_flags import MissionFlags
 from services.console.cli.options import (
-    AllowPlugin,
-    Keys,
     Lockstep,
     OutFolder,
-    Planner,
     Quiet,
-    Rate,
     ScenarioRef,
-    Seed,
-    Settings,
 )
-from services.console.cli.session import Insecure
 
 if TYPE_CHECKING:
     from services.console.report.outputs import Written
@@ -42,18 +37,13 @@ JournalFolder = Annotated[
 ]
 
 
+@with_flags
 def up(
+    flags: MissionFlags,
     scenario: ScenarioRef,
-    rate: Rate = None,
     lockstep: Lockstep = False,
-    seed: Seed = None,
-    planner: Planner = None,
-    settings: Settings = None,
-    allow_plugin: AllowPlugin = False,
     out: OutFolder = None,
     journal: JournalFolder = None,
-    keys: Keys = None,
-    insecure: Insecure = False,
     quiet: Quiet = False,
 ) -> None:
     """Start the services and keep them running; Ctrl-C stops all. Without --out nothing is recorded.
@@ -64,27 +54,17 @@ def up(
 
     from services.console.client.mission_client import MissionClient
     from services.console.launch.endpoints import endpoints_of, require_free
-    from services.console.launch.scenarios import choose
     from services.console.launch.separate import checked_region, outcome_of, services_of
     from services.console.report.outputs import claimed, outputs, write_outcome
 
-    chosen = choose(
-        scenario,
-        seed=seed,
-        planner=planner,
-        rate=rate,
-        settings=settings or (),
-        allow_plugin=allow_plugin,
-        keys=keys,
-        insecure=insecure,
-    )
+    chosen = flags.chosen(scenario)
     mission = chosen.scenario
     endpoints = endpoints_of(chosen)
     viewer = None if chosen.keys is None else chosen.keys.viewer
     where = outputs(out, None)
     region = checked_region(mission)
     services = services_of(
-        chosen, where, endpoints, lockstep=lockstep, pace=rate, journal=journal, log_to_terminal=not quiet
+        chosen, where, endpoints, lockstep=lockstep, pace=flags.rate, journal=journal, log_to_terminal=not quiet
     )
     began = time.monotonic()
     with claimed(where, journal=journal):
@@ -93,7 +73,7 @@ def up(
         with (
             services as (launcher, _),
             MissionClient.when_up(
-                endpoints.earth, mission.name, launcher.check, identity=viewer, insecure=insecure
+                endpoints.earth, mission.name, launcher.check, identity=viewer, insecure=flags.insecure
             ) as client,
         ):
             client.wait_for_ground(launcher.check)
