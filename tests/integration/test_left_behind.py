@@ -93,8 +93,8 @@ def test_a_test_run_that_is_killed_leaves_no_service(killed: str, marked: Marked
 
 @pytest.mark.parametrize("killed", ["benchmark", "worker"])
 def test_a_benchmark_that_is_killed_leaves_no_process(killed: str, marked: Marked, tmp_path: Path) -> None:
-    # Planners on OMPL plan in processes of their own, below the workers.
-    command = he3("bench", "paper", "--planners", "rrtstar", "--regions", "t1", "--seeds", "9", "--no-floor")
+    plugin = "examples.most_uncertain:most_uncertain"  # plug-ins plan in processes of their own, below the workers
+    command = he3("bench", "paper", "--planners", plugin, "--regions", "t1", "--seeds", "9", "--no-floor")
     with start(command, env=marked.environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as benchmark:
         until(lambda: planners_of(marked), "a planner process")
         if killed == "worker":  # another one takes its place, and flies its mission
