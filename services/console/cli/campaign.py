@@ -94,8 +94,7 @@ def run(
                 f"flown        {flown} in {duration(done.elapsed_s)}, {done.computed_s / flown:.2f} s each, "
                 f"{done.workers} at once, {done.busy:.0%} of their time at work"
             )
-        for name, mean in done.means(SHOWN).items():
-            typer.echo(f"{name:<12} {mean:.4f} on average")
+            typer.echo(f"on average   {', '.join(_average(name, mean) for name, mean in done.means(SHOWN).items())}")
         typer.echo(f"store        {path}")
     if failed:
         raise He3Error(
@@ -103,6 +102,14 @@ def run(
             + (f", the last: {done.last_error}" if done.last_error else "")
             + "; --retry-failed flies them again"
         )
+
+
+def _average(name: str, mean: float) -> str:
+    """The mean of a figure in words, with its unit."""
+    from services.console.campaign.table import KINDS
+
+    kind = KINDS[name]
+    return f"{kind.title} {mean / kind.scale:,.4g} {kind.unit}".rstrip()
 
 
 def _document(study: str, path: Path, done: Progress) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -61,6 +62,14 @@ def test_a_study_is_flown_once_and_reported_on(tmp_path: Path, capsys: pytest.Ca
     (worst,) = found["figures"][0]["worst"]
     assert worst["value"] == found["figures"][0]["summaries"]["all"]["mean"]
     assert (found["rows"], found["failed"], found["incomplete"]) == (1, 0, 0)
+
+
+def test_the_summary_says_figures_in_words_with_their_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = tmp_path / "small.toml"
+    study.write_text(STUDY)
+    lines = he3(capsys, "campaign", "run", str(study), "--workers", "1", "--quiet").splitlines()
+    (means,) = [line for line in lines if line.startswith("on average")]
+    assert re.fullmatch(r"on average   map RMSE [\d.]+ ppb, path length [\d.,]+ m, mission time [\d.]+ h", means)
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
