@@ -55,6 +55,43 @@ class CostTally(Wire):
     """What it may cost in all; None: as much as it takes. A budget of hours counts all hours, and is not meant."""
 
 
+class GoalForecast(Wire):
+    """What the planner expects the goal to take from now on."""
+
+    samples: Count | None
+    """Further samples; None if all that are left do not suffice."""
+    metres: Annotated[float, Field(ge=0)] | None
+    worst_ppb: Annotated[float, Field(ge=0)]
+    """Greatest standard deviation over the area after its design [ppb]."""
+    budget_m: Annotated[float, Field(ge=0)] | None
+    """Metres that are left; None: as many as it takes."""
+    reachable: bool
+    """Whether the samples and metres that are left suffice."""
+    text: Text
+
+
+class GoalStatus(Wire):
+    """The mission's goal, and how far the map is from it."""
+
+    std_ppb: Annotated[float, Field(gt=0)]
+    probability: Annotated[float, Field(gt=0, lt=1)]
+    area: Text
+    holds: bool
+    """Whether it is certified; the mission then ends."""
+    worst_ppb: Annotated[float, Field(ge=0)] | None
+    """Greatest standard deviation over the area [ppb]; None before the first refit."""
+    share: Annotated[float, Field(ge=0, le=1)] | None
+    """Share of the area that reaches the goal."""
+    weight: Annotated[float, Field(ge=0, le=1)] | None
+    """Probability of the hyperparameters under which all of the area does; None while the share is below 1."""
+    within_ppb: Annotated[float, Field(gt=0)] | None = None
+    """Distance from the map [ppb] within which a share `probability` of the area is promised to lie, once it holds."""
+    forecast: GoalForecast | None = None
+    """None if it holds, and where the planner foresees nothing."""
+    text: Text
+    """All of it in words."""
+
+
 class GroundStatus(Wire):
     """The state of the mission on the ground."""
 
@@ -81,6 +118,8 @@ class GroundStatus(Wire):
     """Mission time at which the rover reported its last state; None if it has reported none."""
     cost: CostTally | None = Field(default=None, exclude_if=is_none)
     """What driving has cost, where `ground.cost` is not the distance."""
+    goal: GoalStatus | None = Field(default=None, exclude_if=is_none)
+    """The goal and its certificate; None for a mission without a goal."""
     detail: Text = ""
     proposal: Count | None = Field(default=None, exclude_if=is_none)
     """Number of the plan that waits for the operator's approval; None if none does."""

@@ -65,6 +65,8 @@ class LogKind(StrEnum):
     """An area of interest was set or removed."""
     AUTHORITY = "authority"
     """Command authority changed hands."""
+    GOAL = "goal"
+    """The goal holds, or was found to be out of reach."""
     ALARM = "alarm"
     """An alarm was acknowledged, shelved or unshelved."""
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import Field
+
+from schemas.ground import GoalStatus
 from schemas.link import DirectionCounts
 from schemas.maps import MapScore, RegionLayer
-from schemas.wire import Count, Provenance, Text, Wire
+from schemas.wire import Count, Provenance, Text, Wire, is_none
 
 
 class MessageCounts(Wire):
@@ -96,6 +99,8 @@ class MissionReport(Wire):
     path_length_m: float
     driving: DrivingReport | None = None
     closed_ground: ClosedGroundReport | None = None
+    goal: GoalStatus | None = Field(default=None, exclude_if=is_none)
+    """The goal and its certificate at the mission's end; None for a mission without a goal."""
     drilled_m: float
     mission_time_s: float
     wall_time_s: float

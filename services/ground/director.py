@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from services.ground.budget import Budget, RemainingBudget
     from services.ground.driving_costs import DrivingCosts
     from services.ground.execution import ExecutionMonitor, Outcome
+    from services.ground.goal import MissionGoal
     from services.ground.interests import InterestAreas
     from services.ground.planners.interface import PlannedRound
     from services.ground.planning import RoundPlanning
@@ -86,6 +87,7 @@ class Director:
         budget: Budget,
         costs: DrivingCosts,
         interests: InterestAreas,
+        goal: MissionGoal,
     ) -> None:
         self._scenario = scenario
         self._belief = belief
@@ -100,6 +102,7 @@ class Director:
         self._excursions = Excursions()
         self._rejections = PlanRejections()
         self._end = MissionEnd()
+        self._goal = goal
         self._next_start_m: Place | None = scenario.start_m
         """Where the next round begins; None: at the end of the chain."""
         self._stateful: dict[str, Stateful] = {
@@ -111,6 +114,7 @@ class Director:
             "planning": planning,
             "budget": budget,
             "interests": interests,
+            "goal": goal,
             "excursions": self._excursions,
             "rejections": self._rejections,
             "end": self._end,
@@ -299,6 +303,10 @@ class Director:
         fit = self._refits.next()
         if fit is not None:
             return [fit]
+        if self._goal.holds():
+            self._planning.cancel()
+            self._end.goal_reached(self._goal.why)
+            return [LogRecord(Level.INFO, self._goal.why), self._finish()]
         if self._planning.busy:
             return []
         if not self._end.nothing_more_to_plan and self._samples_wanted > 0:
@@ -340,10 +348,11 @@ class Director:
         return remaining.why or f"{fruitless} rounds in a row brought no sample, of {number - 1}"
 
     def _plan_made(self, task: PlanningTask, planned: PlannedRound, now: MissionTime) -> list[Effect]:
+        foreseen = self._goal.planned(planned, len(self._belief))
         proposed = self._planning.propose(task, planned, now)
         if self._scenario.ground.approval == "operator":
-            return self._advance(now)
-        return self.send_plan(proposed, proposed.plan, now)
+            return [*foreseen, *self._advance(now)]
+        return [*foreseen, *self.send_plan(proposed, proposed.plan, now)]
 
     def send_plan(self, proposed: ProposedRound, round_plan: RoundPlan, now: MissionTime) -> list[Effect]:
         """Send the proposed round, as it was or as the operator has edited it."""

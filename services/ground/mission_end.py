@@ -49,6 +49,11 @@ class MissionEnd:
         self._exhausted = ""
         self._failed = False
 
+    def goal_reached(self, why: str) -> None:
+        """Note that the map is good enough, so that no further sample is needed."""
+        self._exhausted = why
+        self._failed = False
+
     def awaits_completion(self, introduced: int) -> bool:
         """Whether the rover's report of completion is still missing for the plan whose last round has that revision."""
         return self._last_sent and not self._exhausted and self._completed < introduced

@@ -45,6 +45,7 @@ from services.ground.director import REPLAN_TIMER, Director
 from services.ground.driving_costs import DrivingCosts
 from services.ground.execution import ExecutionMonitor
 from services.ground.forking import Forking
+from services.ground.goal import MissionGoal
 from services.ground.interests import InterestAreas
 from services.ground.map.publisher import MapPublisher
 from services.ground.map.region_account import region_account
@@ -121,6 +122,7 @@ class GroundNode:
         authority: CommandAuthority,
         operations: OperationsLog,
         publisher: MapPublisher,
+        goal: MissionGoal,
         status: StatusReporter,
         silence: SilenceWatch,
         stall: StallGuard,
@@ -138,6 +140,7 @@ class GroundNode:
         self._authority = authority
         self._operations = operations
         self._publisher = publisher
+        self._goal = goal
         self._status = status
         self._silence = silence
         self._stall = stall
@@ -210,6 +213,7 @@ class GroundNode:
             for effect in effects
             if isinstance(effect, Send) and isinstance(effect.body, MissionPlan)
         ]
+        effects += [self._operations.goal(text, now) for text in self._goal.news()]
         shown = self._publisher.publish(now, self._director.ended, self._director.plan_ends)
         return [*effects, *shown, *self._status.send(anyway=event == TimerFired(STATUS_TIMER))]
 
@@ -388,12 +392,17 @@ def build_node(
     refits = RefitSchedule(belief, round_log, scenario.seed)
     driven_ground = DrivenGround(grid, region.slope_deg, region.elevation_m, scenario.rover.driving)
     costs = DrivingCosts(ground.cost, driven_ground, terrain.traversable)
-    planning = RoundPlanning(scenario, grid, belief, terrain, round_log, interests, planner, costs.terrain)
+    goal = MissionGoal(scenario, grid, belief)
+    planning = RoundPlanning(
+        scenario, grid, belief, terrain, round_log, interests, planner, costs.terrain, goal.for_planners
+    )
     mean_slope = float(region.slope_deg[terrain.traversable].mean())
     open_area = float(terrain.traversable.sum()) * grid.resolution_m**2
     budget = Budget(scenario, open_area, mean_slope, costs.unit, costs.level_metres_a_metre)
     execution = ExecutionMonitor(terrain, round_log, samples, scenario.start_m)
-    director = Director(scenario, belief, terrain, round_log, execution, refits, planning, budget, costs, interests)
+    director = Director(
+        scenario, belief, terrain, round_log, execution, refits, planning, budget, costs, interests, goal
+    )
     scorer = Scorer(region.he3_ppb) if ground.score else None
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
@@ -404,7 +413,7 @@ def build_node(
     round_trip_s = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s
     authority = CommandAuthority()
     history = CommandHistory(grid, round_trip_s)
-    note = enclosure(terrain, scenario.start_m)
+    note = "; ".join(filter(None, (enclosure(terrain, scenario.start_m), goal.note)))
     return GroundNode(
         terrain=terrain,
         director=director,
@@ -416,7 +425,8 @@ def build_node(
         authority=authority,
         operations=OperationsLog(round_log, budget, scenario.link.up.one_way_light_time_s),
         publisher=publisher,
-        status=StatusReporter(scenario, belief, director, publisher, silence, note, costs.unit),
+        goal=goal,
+        status=StatusReporter(scenario, belief, director, publisher, silence, note, costs.unit, goal),
         silence=silence,
         stall=StallGuard(StallWatch(scenario), director, silence),
         status_period_s=ground.status_period_s,

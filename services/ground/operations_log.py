@@ -115,6 +115,10 @@ class OperationsLog:
         over = "" if change.over_from is None else f" over from {change.over_from}"
         return self._note(LogKind.AUTHORITY, f"command authority {done}{over}", now, by=change.by)
 
+    def goal(self, text: str, now: MissionTime) -> Effect:
+        """Log that the goal holds, or that it cannot be reached."""
+        return self._note(LogKind.GOAL, text, now)
+
     def decision(self, decision: PlanDecision, now: MissionTime) -> Effect:
         """Log what an operator decided on a plan."""
         done = "approved" if decision.verdict is PlanVerdict.APPROVE else "sent back"

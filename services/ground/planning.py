@@ -13,7 +13,7 @@ from he3.information import information_gain
 from he3.posterior.grid import GridPosterior
 from services.ground.bounded_task import BoundedTask
 from services.ground.planners import planner_named
-from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningRequest
+from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningGoal, PlanningRequest
 from services.ground.planners.validation import checked_answer
 from services.ground.round_plans import PlanningTask, ProposedRound, round_plan, sample_id
 from services.runtime.node import Compute
@@ -51,6 +51,7 @@ class RoundPlanning:
         interests: InterestAreas,
         planner: str | Planner | None = None,
         cost: TerrainCost | None = None,
+        goal: PlanningGoal | None = None,
     ) -> None:
         """planner: in place of the scenario's. Raises InvalidInput for a plug-in planner that cannot be imported."""
         self._scenario = scenario
@@ -60,6 +61,7 @@ class RoundPlanning:
         self._round_log = round_log
         self._interests = interests
         self._cost = cost
+        self._goal = goal
         self._planner = planner if planner is not None else scenario.ground.planner
         self._run: Callable[..., PlannedRound] = run_planner
         if isinstance(self._planner, str) and ":" in self._planner:
@@ -134,6 +136,7 @@ class RoundPlanning:
             options=options,
             outlook_m=self._outlook_m,
             cost=self._cost,
+            goal=self._goal,
         )
 
     def cancel(self) -> None:

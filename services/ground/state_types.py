@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from he3.certificate import Certificate, Targets
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import Hyperprior
@@ -15,7 +16,7 @@ from he3.posterior.grid import PosteriorMap
 from he3.trend import CovariateTrend, UnknownConstant
 from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
-from schemas.ground import KeepOutArea, MissionPhase
+from schemas.ground import GoalForecast, GoalStatus, KeepOutArea, MissionPhase
 from schemas.link import LinkConditions
 from schemas.maps import MapRegion, MapScore
 from schemas.mission_log import HeardEvent, LogEntry, ModeChange
@@ -24,14 +25,17 @@ from schemas.telemetry import RoverState, SampleReport
 from services.ground.fitting import FitRequest
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.observation import Observation
-from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
+from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningGoal, PlanningRequest
 from services.ground.round_plans import PlanningTask, ProposedRound
 
 STATE_TYPES: Final[tuple[type, ...]] = (
     AuthorityState,
+    Certificate,
     CommandStatus,
     FitRequest,
     GaussianProcess,
+    GoalForecast,
+    GoalStatus,
     HeardEvent,
     Hyperparameters,
     Hyperprior,
@@ -50,6 +54,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     CovariateTrend,
     PlannedRound,
     PlannerOptions,
+    PlanningGoal,
     PlanningRequest,
     PlanningTask,
     PosteriorMap,
@@ -60,6 +65,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     SiteGrid,
     SmoothPlusRough,
     SquaredExponential,
+    Targets,
     Telecommand,
     UnknownConstant,
 )

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from schemas.ground import CostTally, GroundStatus, MissionPhase
+from schemas.ground import CostTally, GoalStatus, GroundStatus, MissionPhase
 from schemas.topics import GROUND_STATUS
 from services.ground.map.overview import kernel_parameters
 from services.runtime.node import SendIfHeard
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from schemas.telemetry import RoverState
     from services.ground.belief import Belief
     from services.ground.director import Director, MissionProgress
+    from services.ground.goal import MissionGoal
     from services.ground.map.publisher import MapPublisher
     from services.ground.silence import SilenceWatch
     from services.mission.mission_time import MissionTime
@@ -42,6 +43,7 @@ class _Facts(NamedTuple):
     proposal: int | None
     rover: RoverState | None
     score: MapScore | None
+    goal: GoalStatus | None
     hyperparameters: Hyperparameters
 
 
@@ -57,6 +59,7 @@ class StatusReporter:
         silence: SilenceWatch,
         note: str = "",
         unit: CostUnit | None = None,
+        goal: MissionGoal | None = None,
     ) -> None:
         """note: what the operator sees during the whole mission, behind what is new. unit: of the mission's cost."""
         self._scenario = scenario
@@ -66,6 +69,7 @@ class StatusReporter:
         self._silence = silence
         self._note = note
         self._unit = unit
+        self._goal = goal
         self._rover: RoverState | None = None
         self._rover_made_at: MissionTime | None = None
         self._sent: _Facts | None = None
@@ -109,6 +113,7 @@ class StatusReporter:
             proposal=None if progress.proposed is None else progress.proposed.number,
             rover=self._rover,
             score=self._publisher.score,
+            goal=None if self._goal is None else self._goal.status(),
             hyperparameters=self._belief.hyperparameters,
         )
 
@@ -131,6 +136,7 @@ class StatusReporter:
             score=facts.score,
             rover=facts.rover,
             rover_made_at=facts.rover_made_at,
+            goal=facts.goal,
             detail=facts.detail,
             proposal=facts.proposal,
         )

@@ -7,13 +7,24 @@ Bad values are refused in one line with file, key, expected and actual value.
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
 from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from he3.constants import MAX_SAMPLES
 from he3.driving import DrivingModel
@@ -132,6 +143,51 @@ class InterestRegion(Section):
     """Factor of the uncertainty there, relative to ground without an area of interest."""
 
 
+class Blocks(Section):
+    """The site divided into square blocks, of each of which the mean is meant."""
+
+    blocks_m: Annotated[float, Field(gt=0, le=100_000)]
+    """Side of a block [m]."""
+
+
+def _kind_of_area(area: object) -> str | None:
+    if isinstance(area, Blocks | dict):
+        return "blocks"
+    if isinstance(area, list | tuple):
+        return "polygon"
+    return "site" if area == "everywhere" else None
+
+
+GoalArea = Annotated[
+    Annotated[Literal["everywhere"], Tag("site")]
+    | Annotated[Polygon, Tag("polygon")]
+    | Annotated[Blocks, Tag("blocks")],
+    Discriminator(
+        _kind_of_area,
+        custom_error_type="area",
+        custom_error_message='expected "everywhere", the corners of a polygon, or a side { blocks_m = B }',
+    ),
+]
+
+
+class GoalConfig(Section):
+    """When the map is good enough: the mission ends as soon as that is certain."""
+
+    std_ppb: Annotated[float, Field(gt=0, le=1000)]
+    """Greatest standard deviation of the map over the area [ppb]."""
+    area: GoalArea = "everywhere"
+    """Every cell of the site, or of a polygon [m]; or the mean over each block of a side."""
+    probability: Annotated[float, Field(ge=0.5, le=0.999)] = 0.95
+    """Probability of the hyperparameters under which it is to hold, and share of the area that is promised."""
+
+    @property
+    def area_text(self) -> str:
+        """The area in words."""
+        if isinstance(self.area, Blocks):
+            return f"for the mean of each block of {self.area.blocks_m:g} m"
+        return "everywhere" if self.area == "everywhere" else f"in the polygon of {len(self.area)} corners"
+
+
 def _kernel_name(name: str) -> str:
     if name not in KERNELS and name != AUTO:
         raise ValueError(f"expected {', '.join(KERNELS)} or {AUTO}")
@@ -190,6 +246,8 @@ class GroundConfig(Section):
     """Least distance of a target from every sample [m]; the paper's."""
     max_slope_deg: Annotated[float, Field(gt=0, le=45)] | None = None
     """Steepest slope that planners use; None: as in the region's traversability."""
+    goal: GoalConfig | None = None
+    """The mission ends when the map is that certain; None: when all samples are taken."""
     keep_outs_m: Annotated[tuple[Polygon, ...], Field(max_length=100)] = ()
     interest: Annotated[tuple[InterestRegion, ...], Field(max_length=100)] = ()
     score: bool = True
@@ -265,6 +323,17 @@ class Scenario(Section):
         if self.ground.cost == "energy" and not self.rover.base_load_w + self.rover.traction_j_per_m > 0:
             raise ValueError(
                 'ground.cost: expected a rover that draws energy on level ground with "energy", got one that draws none'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _goal_is_above_the_instruments_floor(self) -> Scenario:
+        goal, noise_ppb = self.ground.goal, self.field.noise_std_ppb
+        floor_ppb = noise_ppb / math.sqrt(self.samples)
+        if goal is not None and goal.std_ppb <= floor_ppb:
+            raise ValueError(
+                f"ground.goal.std_ppb: expected more than {floor_ppb:.3g} ppb, which {self.samples} samples with a "
+                f"noise of {noise_ppb:g} ppb leave where all of them are taken at one place, got {goal.std_ppb:g}"
             )
         return self
 

@@ -19,7 +19,7 @@ Examples:
   he3 log --json | jq '.[] | select(.by != "")'
 """
 
-KINDS = ("event", "command", "link", "alarm", "plan", "decision", "interest", "authority")
+KINDS = ("event", "command", "link", "alarm", "plan", "decision", "interest", "authority", "goal")
 
 
 def _kind(words: list[str] | None) -> list[str] | None:

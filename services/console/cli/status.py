@@ -83,6 +83,7 @@ def _lines(document: dict[str, Any], state: MissionState) -> list[str]:
                 "progress",
                 f"round {ground.round} of {ground.rounds}, {ground.samples} of {ground.samples_total} samples",
             ),
+            *([] if ground.goal is None else [("goal", ground.goal.text)]),
             ("map", f"revision {ground.map_revision}{std}{score}"),
         ]
     if ground is not None and ground.rover is not None and ground.rover_made_at is not None:

@@ -124,7 +124,9 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
     beliefs: list[Belief] = []
 
     def make_belief(*arguments: Any, **options: Any) -> Belief:
-        kind = DeferredBelief if scenario.ground.planner in IGNORE_STD else Belief
+        # A goal is certified by the map.
+        deferred = scenario.ground.planner in IGNORE_STD and scenario.ground.goal is None
+        kind = DeferredBelief if deferred else Belief
         beliefs.append(kind(*arguments, **options, most_cells=MAP_CELLS))
         return beliefs[-1]
 

@@ -122,6 +122,7 @@ def build_report(
         path_length_m=status.driven_m,
         driving=_driving(scenario, run, track),
         closed_ground=None if run.closed is None else ClosedGroundReport(**asdict(run.closed)),
+        goal=status.goal,
         drilled_m=round(sum(sample.depth_m for sample in track.samples), 9),
         mission_time_s=run.mission_time_s,
         wall_time_s=run.wall_time_s,

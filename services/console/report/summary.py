@@ -20,6 +20,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
                     f"seed {report.seed}, {report.driver}"),
         _end(report),
         ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
+        *_goal(report),
         *_accuracy(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
         *_driving(report),
@@ -39,7 +40,16 @@ def _end(report: MissionReport) -> tuple[str, str]:
     why = report.detail or "the ground gives no reason"
     if not report.completed:
         return "ended", f"NOT COMPLETED: {why}"
+    if report.goal is not None and report.goal.holds:
+        return "ended", "completed: the goal holds"
     return ("ended early:", why) if report.samples < report.samples_wanted else ("ended", "completed")
+
+
+def _goal(report: MissionReport) -> list[tuple[str, str]]:
+    goal = report.goal
+    if goal is None:
+        return []
+    return [("goal", goal.text.removeprefix("the goal ") if goal.holds else f"NOT REACHED: {goal.text}")]
 
 
 def _driving(report: MissionReport) -> list[tuple[str, str]]:

@@ -13,8 +13,10 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid, as_points, path_length
 
 if TYPE_CHECKING:
+    from he3.certificate import Targets
     from he3.driving_cost import TerrainCost
     from he3.gp import Hyperparameters
+    from schemas.ground import GoalForecast
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +35,17 @@ class PlannerOptions:
     """alpha of the utility u = I^alpha / c (`informative`)."""
     extra: dict[str, float] = field(default_factory=dict)
     """Settings of one planner, by name; a planner refuses names that it does not know."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanningGoal:
+    """When the map is good enough (`ground.goal`)."""
+
+    targets: Targets
+    std_ppb: float
+    """Greatest standard deviation at the targets [ppb]."""
+    probability: float
+    """Probability of the hyperparameters under which it is to hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +79,8 @@ class PlanningRequest:
     A planner may start from it, so that consecutive plans agree."""
     cost: TerrainCost | None = None
     """What legs cost (`ground.cost`); None: their length."""
+    goal: PlanningGoal | None = None
+    """When the mission may end before its last sample; None: never."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +95,8 @@ class PlannedRound:
     """Mutual information between the round's measurements and the field, given all samples before [nats]."""
     outlook_m: FloatArray | None = None
     """(k, 2) places [m] where the planner expects to sample after this round, in order; None if it plans one round."""
+    forecast: GoalForecast | None = None
+    """What the goal takes from this round on; None without a goal, and from planners that do not foresee it."""
 
     @property
     def length_m(self) -> float:

@@ -48,7 +48,7 @@ def checked_answer(name: str, answer: object, request: PlanningRequest) -> Plann
     nats = answer.information_nats
     if not (isinstance(nats, (float, int, np.floating)) and isfinite(nats) and nats >= -ROUNDING_NATS):
         raise InvalidInput(f"planner {name}: expected information_nats of 0 or more, got {nats!r}")
-    return PlannedRound(path, samples, max(0.0, float(nats)), outlook)
+    return PlannedRound(path, samples, max(0.0, float(nats)), outlook, answer.forecast)
 
 
 def error_text(error: BaseException) -> str:

@@ -5,7 +5,7 @@ import { fixed, words } from "./words.js";
 
 const ALERTS = new Set(["blocked", "safe_mode_entered", "low_energy", "plan_rejected", "round_aborted", "instrument_silent", "no contact", "rejected", "failed", "expired", "lost"]);
 
-export const KINDS = ["event", "command", "link", "alarm", "plan", "decision", "interest", "authority"];
+export const KINDS = ["event", "command", "link", "alarm", "plan", "decision", "interest", "authority", "goal"];
 
 export function logLines({ events, entries, commands, contacts, alarms }) {
   const lines = [];

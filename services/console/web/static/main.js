@@ -115,6 +115,12 @@ function showStatus() {
   if (!status) return;
   document.body.classList.toggle("simulated", Boolean(status.score));
   $("progress").textContent = `${status.samples} of ${status.samples_total}`;
+  $("goal").hidden = !status.goal;
+  if (status.goal) {
+    rewrite($("goal"), `Goal: ${status.goal.text.replace(/^the goal /, "")}`);
+    $("goal").classList.toggle("ok", status.goal.holds);
+    $("goal").classList.toggle("out", !status.goal.holds && status.goal.forecast?.reachable === false);
+  }
   $("progress-bar").style.width = `${(100 * status.samples) / Math.max(1, status.samples_total)}%`;
 }
 

@@ -1,0 +1,139 @@
+"""A mission with a goal ends when its map is certified to be good enough, and says how far it is until then."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from he3.errors import InvalidInput
+from he3.frames import SiteGrid
+from he3.reference import Region
+from schemas.ground import MissionPhase
+from services.ground.belief import Belief
+from services.ground.fitting import fit
+from services.ground.goal import MissionGoal
+from services.ground.observation import Observation
+from services.mission.in_process import InProcessMission, build_nodes
+from services.mission.scenario import Scenario, checked_scenario
+
+GRID = SiteGrid(30, 40, 5.0)
+
+
+def scenario(goal: dict[str, Any], **ground: Any) -> Scenario:
+    document = {
+        "name": "goal", "region": "unused.npz", "rounds": 8, "samples_per_round": 4, "start_m": [7.5, 7.5],
+        "ground": {"planner": "rrtstar", "kernel": "se", "goal": goal, **ground},
+    }  # fmt: skip
+    return checked_scenario(document, "test")
+
+
+def field() -> np.ndarray:
+    x, y = np.meshgrid(GRID.x_m, GRID.y_m)
+    return 8.0 + 1.5 * np.sin(x / 40.0) * np.cos(y / 50.0)
+
+
+def region() -> Region:
+    level = np.zeros(GRID.shape)
+    return Region(
+        name="test", title="a test", provenance="made for tests", grid=GRID, he3_ppb=field(), orbital_ppb=field(),
+        elevation_m=level, slope_deg=level.copy(), traversable=np.ones(GRID.shape, dtype=np.bool_),
+    )  # fmt: skip
+
+
+def sampled(side: int) -> Belief:
+    """The belief after side x side samples all over the site and a refit."""
+    belief = Belief(GRID, "se", 0.1)
+    steps = (np.arange(side) + 0.5) / side
+    for i, (u, v) in enumerate((u, v) for u in steps for v in steps):
+        row, column = int(v * GRID.rows), int(u * GRID.columns)
+        place = ((column + 0.5) * 5.0, (row + 0.5) * 5.0)
+        belief.add(f"s{i}", Observation((1, 1, i), place, float(field()[row, column])))
+    request = belief.fit_request(1, (1,))
+    assert request is not None
+    belief.adopt(fit(request))
+    return belief
+
+
+def test_the_goal_holds_when_the_greatest_std_of_the_map_is_below_it_and_the_hyperparameters_agree() -> None:
+    belief = sampled(5)
+    worst = float(belief.map.std_ppb.max())
+    lax, tight = (MissionGoal(scenario({"std_ppb": share * worst}), GRID, belief) for share in (1.5, 0.9))
+    assert lax.holds()
+    assert not tight.holds()
+    shown = lax.status()
+    assert shown is not None
+    assert shown.holds
+    assert shown.worst_ppb == pytest.approx(worst)
+    assert shown.weight is not None
+    assert shown.weight >= 0.95
+    assert shown.within_ppb == pytest.approx(1.96 * 1.5 * worst, rel=1e-3)
+    assert lax.news() == [shown.text]
+    assert lax.news() == []
+    assert f"std at most {1.5 * worst:g} ppb everywhere" in shown.text
+    below = tight.status()
+    assert below is not None
+    assert below.weight is None
+    assert 0.0 < (below.share or 0.0) < 1.0
+
+
+def test_before_the_first_refit_nothing_holds() -> None:
+    goal = MissionGoal(scenario({"std_ppb": 900.0}), GRID, Belief(GRID, "se", 0.1))
+    assert not goal.holds()
+    shown = goal.status()
+    assert shown is not None
+    assert shown.worst_ppb is None
+    assert not shown.holds
+
+
+def test_a_polygon_and_blocks_ask_less_than_every_cell() -> None:
+    belief = sampled(4)
+    worst = []
+    for area in ("everywhere", [[60.0, 40.0], [140.0, 40.0], [140.0, 110.0], [60.0, 110.0]], {"blocks_m": 50.0}):
+        goal = MissionGoal(scenario({"std_ppb": 0.05, "area": area}), GRID, belief)
+        goal.holds()
+        shown = goal.status()
+        assert shown is not None
+        assert shown.worst_ppb is not None
+        worst.append(shown.worst_ppb)
+    assert worst[1] < worst[0]
+    assert worst[2] < worst[0]
+
+
+@pytest.mark.parametrize(
+    ("area", "why"),
+    [
+        ([[0.0, 0.0], [900.0, 0.0], [0.0, 90.0]], r"expected corners within 0\.\.200 m east and 0\.\.150 m north"),
+        ([[10.0, 10.0], [90.0, 90.0], [90.0, 10.0], [10.0, 90.0]], "does not cross or touch itself"),
+        ({"blocks_m": 2.0}, r"expected blocks from a cell of 5 m to the site's 200 m, got 2 m"),
+    ],
+)
+def test_an_area_that_is_not_on_the_site_is_refused_in_one_line(area: Any, why: str) -> None:
+    with pytest.raises(InvalidInput, match=rf"^scenario 'goal': ground\.goal\.area: .*{why}") as refusal:
+        MissionGoal(scenario({"std_ppb": 0.5, "area": area}), GRID, Belief(GRID, "se", 0.1))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_goal_that_no_samples_reach_is_refused_and_one_within_the_noise_is_said() -> None:
+    with pytest.raises(InvalidInput, match=r"ground\.goal\.std_ppb: expected more than 0\.0177 ppb, which 32 samples"):
+        scenario({"std_ppb": 0.01})
+    belief = Belief(GRID, "se", 0.1)
+    assert "not above the instrument's noise of 0.1 ppb" in MissionGoal(scenario({"std_ppb": 0.05}), GRID, belief).note
+    assert MissionGoal(scenario({"std_ppb": 0.2}), GRID, belief).note == ""
+
+
+def flown(chosen: Scenario) -> InProcessMission:
+    mission = InProcessMission(chosen, nodes=build_nodes(chosen, region()))
+    assert mission.run(until_s=1e6) is MissionPhase.COMPLETED
+    return mission
+
+
+def test_a_mission_ends_as_soon_as_its_goal_holds() -> None:
+    mission = flown(scenario({"std_ppb": 0.8}, planner="informative"))
+    status = mission.status
+    assert status is not None
+    assert status.goal is not None
+    assert status.goal.holds
+    assert 4 <= status.samples < 32
+    assert status.detail.startswith(f"{status.samples} of 32 samples are in the map; the goal holds: std at most 0.8")
