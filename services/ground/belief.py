@@ -248,6 +248,10 @@ class DeferredBelief(Belief):
         self._fits += 1
         self._process = GaussianProcess(self._with_trend(fitted))
 
+    def restore(self, state: SavedState) -> None:
+        """Restore the belief from this state; a map that it lacks is that before the first sample."""
+        super().restore({**state, "map": self._map if state["map"] is None else state["map"]})
+
     def last_map(self) -> PosteriorMap:
         """The map from all samples under the present hyperparameters."""
         super().adopt(self.hyperparameters)

@@ -9,6 +9,7 @@ import numpy as np
 
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
 from he3.hyperposterior import infer_hyperparameters
+from he3.kernels import AUTO
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -57,6 +58,21 @@ def fit(request: FitRequest) -> Hyperparameters:
         if likeliest.field_std_ppb >= request.prior.least_field_std_ppb:
             inferred = inferred.with_kernel_of(likeliest)
     return inferred if request.trend is None else replace(inferred, trend=None)
+
+
+def fit_kernel(request: FitRequest) -> Hyperparameters:
+    """As `fit`, but with the alternatives of the fit before: for planners that are guided by the one kernel alone.
+
+    It takes a fifth of the time. The kernel is that of `fit` but for rounding.
+    """
+    previous, prior = request.previous, request.prior
+    if prior is None or previous is None or not previous.alternatives or request.kernel == AUTO:
+        return fit(request)
+    likeliest = _likeliest(request, request.kernel)
+    if likeliest.field_std_ppb < prior.least_field_std_ppb:
+        return fit(request)
+    fitted = previous.with_kernel_of(likeliest)
+    return fitted if request.trend is None else replace(fitted, trend=None)
 
 
 def _likeliest(request: FitRequest, kernel: str) -> Hyperparameters:

@@ -13,7 +13,7 @@ from concurrent.futures import Future
 from types import TracebackType
 from typing import Any, Self
 
-from services.ground.fitting import fit
+from services.ground.fitting import fit, fit_kernel
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners import PLANNERS
 from services.ground.planning import run_planner
@@ -53,4 +53,6 @@ class MissionExecutor:
 
 def is_pure(function: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
     """Whether the task's result is a function of its arguments alone, whatever ran before in the process."""
-    return function is fit or (function is run_planner and isinstance(arguments[0], str) and arguments[0] in PLANNERS)
+    if function is run_planner:
+        return isinstance(arguments[0], str) and arguments[0] in PLANNERS
+    return function in (fit, fit_kernel)

@@ -49,8 +49,10 @@ _ARRIVES_ON = {Direction.UP: Side.MOON, Direction.DOWN: Side.EARTH}
 class LinkNode:
     """Carries packets between the sides, and reports its status to operators."""
 
-    def __init__(self, relay: Relay) -> None:
+    def __init__(self, relay: Relay, reports: bool = True) -> None:
+        """reports: whether it reports its status."""
         self._relay = relay
+        self._reports = reports
         self._interface = Interface(
             name="link",
             sides=(Side.MOON, Side.EARTH),
@@ -125,13 +127,14 @@ class LinkNode:
             self._relay.note(now)
             self._report_due = now
             yield LogRecord(Level.INFO, "contact regained" if contact else "contact lost", self._until(now))
-        if self._report_due is not None and self._report_due <= now:
+        if self._reports and self._report_due is not None and self._report_due <= now:
             yield SendIfHeard(LINK_STATUS, lambda: self._relay.status(now, self._incarnation))
             self._reported_at = now
             self._report_due = now + (STATUS_INTERVAL_BUSY if self._relay.busy else STATUS_INTERVAL_IDLE)
         yield from self._set_timer(_TRAFFIC, self._relay.next_event())
         yield from self._set_timer(_CONTACT, self._relay.contact_changes_at(now))
-        yield from self._set_timer(_STATUS, self._report_due)
+        if self._reports:
+            yield from self._set_timer(_STATUS, self._report_due)
 
     def _report_soon(self, now: MissionTime) -> None:
         soon = now if self._reported_at is None else max(now, self._reported_at + STATUS_INTERVAL_MIN)
@@ -164,6 +167,6 @@ def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
     yield LogRecord(level, "packet dropped", fields)
 
 
-def build_node(scenario: Scenario) -> LinkNode:
-    """The link of that scenario, with no packet in flight."""
-    return LinkNode(Relay(scenario.link, scenario.start_ns, scenario.seed))
+def build_node(scenario: Scenario, *, reports: bool = True) -> LinkNode:
+    """The link of that scenario, with no packet in flight. reports: whether it reports its status."""
+    return LinkNode(Relay(scenario.link, scenario.start_ns, scenario.seed), reports)

@@ -20,7 +20,7 @@ from schemas.wire import Header
 from services.console.rehearsal.drawn_field import DrawnField
 from services.field.node import FieldNode
 from services.ground.belief import Belief, DeferredBelief
-from services.ground.fitting import fit
+from services.ground.fitting import fit, fit_kernel
 from services.ground.node import NAME as GROUND
 from services.ground.node import build_node as build_ground
 from services.ground.planning import IGNORE_STD
@@ -53,10 +53,12 @@ LONGEST_S: Final = 200 * 86_400.0
 TRACK_EVERY_S: Final = 300.0
 MAP_CELLS: Final = 4096
 """Cells of a rehearsal's map, on which its mean standard deviation is that of all cells but for some thousandths."""
-FIT_EVERY: Final = 3
-"""Rounds from one fit of the hyperparameters to the next; the last round is fitted in any case."""
-STATE_PERIOD_S: Final = 300.0
-"""Mission time between two reports of rover and ground, where messages take no time on the link."""
+GUIDED_BY_ONE_KERNEL: Final = frozenset({"tour"})
+"""Planners that read no alternatives to the one kernel."""
+STATE_PERIOD_S: Final = 1200.0
+"""Mission time between two reports when nothing changes, of rover and ground, where the link has no data rate."""
+REPORTS_IN_TIMEOUT: Final = 3
+"""Reports at least in the time after which the ground takes the rover for silent."""
 _SEED: Final = 0x7265  # separates the draws of rehearsals from all other uses of the mission's seed
 _HOLDS: Final = frozenset({CommandKind.PAUSE, CommandKind.SAFE, CommandKind.RESUME})
 """Commands that hold the rover or release it: the rover of a rehearsal is not held."""
@@ -122,10 +124,10 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
     seed = live.seed + 1_000_003 * (draw + 1)
     scenario = _simplified(live, conditions)
     beliefs: list[Belief] = []
+    planner, certified = scenario.ground.planner, scenario.ground.goal is not None  # a goal is certified by the map
+    deferred = planner in IGNORE_STD and not certified
 
     def make_belief(*arguments: Any, **options: Any) -> Belief:
-        # A goal is certified by the map.
-        deferred = scenario.ground.planner in IGNORE_STD and scenario.ground.goal is None
         kind = DeferredBelief if deferred else Belief
         beliefs.append(kind(*arguments, **options, most_cells=MAP_CELLS))
         return beliefs[-1]
@@ -140,15 +142,23 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
     nodes = (
         DrawnField(truth, belief, scenario.field.noise_std_ppb, random),
         _rover(scenario, region, fork, place_m),
-        build_link(scenario.model_copy(update={"seed": seed})),
+        build_link(scenario.model_copy(update={"seed": seed}), reports=False),  # nobody hears them
         ground,
     )
-    computing = FewerFits(executor or InlineExecutor(), scenario.rounds)
+    computing = executor or InlineExecutor()
+    quick = QuickFits(computing) if deferred and planner in GUIDED_BY_ONE_KERNEL else None
+    if quick is not None:
+        computing = quick
     simulation = Simulation(nodes, scenario.name, fork.at, computing, link=conditions)
     simulation.step()  # the nodes start
     if start.link.contact_forced:
         simulation.ask(LINK_SET, LinkChange(contact=True))
-    return _Watch(simulation, ground, beliefs[0], start, draw).run()
+    flight = _Watch(simulation, ground, start, draw).run()
+    if quick is not None and quick.last is not None:
+        beliefs[0].adopt(fit(quick.last))
+    known = beliefs[0].last_map() if isinstance(beliefs[0], DeferredBelief) else beliefs[0].map
+    flight.mean_std_ppb = float(known.std_ppb.mean(dtype="f8"))
+    return flight
 
 
 def _simplified(live: Scenario, conditions: LinkConditions) -> Scenario:
@@ -156,8 +166,9 @@ def _simplified(live: Scenario, conditions: LinkConditions) -> Scenario:
     ground: dict[str, Any] = {"approval": "auto", "score": False}
     rover: dict[str, Any] = {}
     if conditions.up.rate_bit_s is None and conditions.down.rate_bit_s is None:
-        ground["status_period_s"] = max(live.ground.status_period_s, STATE_PERIOD_S)
-        rover["state_period_s"] = max(live.rover.state_period_s, STATE_PERIOD_S)
+        often_s = min(STATE_PERIOD_S, live.ground.rover_timeout_s / REPORTS_IN_TIMEOUT)
+        ground["status_period_s"] = max(live.ground.status_period_s, often_s)
+        rover["state_period_s"] = max(live.rover.state_period_s, often_s)
     return live.model_copy(
         update={
             "link": conditions,
@@ -167,26 +178,20 @@ def _simplified(live: Scenario, conditions: LinkConditions) -> Scenario:
     )
 
 
-class FewerFits:
-    """An executor that saves on what hardly changes a mission's course: fits of the hyperparameters.
+class QuickFits:
+    """An executor that fits the one kernel alone: for planners that nothing else guides."""
 
-    It computes every `FIT_EVERY`th fit and those from the last round on. The others change no hyperparameter.
-    """
-
-    def __init__(self, executor: Executor, rounds: int) -> None:
+    def __init__(self, executor: Executor) -> None:
         self._executor = executor
-        self._rounds = rounds
+        self.last: FitRequest | None = None
+        """The newest fit."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         """The future result."""
-        if function is fit:
-            asked: FitRequest = arguments[0]
-            number = asked.seed[-1]
-            if number % FIT_EVERY and number < self._rounds and asked.previous is not None:
-                unchanged: Future[Any] = Future()
-                unchanged.set_result(asked.previous)
-                return unchanged
-        return self._executor.submit(function, *arguments)
+        if function is not fit:
+            return self._executor.submit(function, *arguments)
+        self.last = arguments[0]
+        return self._executor.submit(fit_kernel, *arguments)
 
 
 def scenario_of(fork: MissionFork) -> Scenario:
@@ -224,10 +229,9 @@ def _rover(scenario: Scenario, region: Region, fork: MissionFork, place_m: Place
 class _Watch:
     """A simulation that is flown to its end, and what is seen of it."""
 
-    def __init__(self, simulation: Simulation, ground: GroundNode, belief: Belief, start: Start, draw: int) -> None:
+    def __init__(self, simulation: Simulation, ground: GroundNode, start: Start, draw: int) -> None:
         self._simulation = simulation
         self._ground = ground
-        self._belief = belief
         self._commands, self._fork = start.commands, start.fork
         fork = start.fork
         driven_m = 0.0 if fork.rover is None else fork.rover.driven_m
@@ -250,8 +254,7 @@ class _Watch:
         flight.why = f"not over after {LONGEST_S / 86_400:.0f} days" if end is None else end.why
         flight.lasts_s = (simulation.now - fork.at) / SECOND
         flight.driven_m = max(0.0, flight.driven_m - self._driven_before_m)
-        known = self._belief.last_map() if isinstance(self._belief, DeferredBelief) else self._belief.map
-        flight.samples, flight.mean_std_ppb = status.samples, float(known.std_ppb.mean(dtype="f8"))
+        flight.samples = status.samples
         return flight
 
     def _bring(self, topic: Topic, body: MissionPlan | Telecommand, sequence: int) -> None:

@@ -16,7 +16,7 @@ from he3.kernels import AUTO, KERNELS, Matern52
 from he3.mixture import ProcessMixture
 from he3.trend import CovariateTrend, orbital_trend
 from services.ground.belief import Belief, DeferredBelief
-from services.ground.fitting import fit
+from services.ground.fitting import fit, fit_kernel
 from services.ground.observation import Observation
 
 GRID = SiteGrid(40, 50)
@@ -194,6 +194,16 @@ def test_a_deferred_map_is_the_one_of_a_belief_that_was_always_kept_up() -> None
     np.testing.assert_array_equal(deferred.map.std_ppb, kept_up.map.std_ppb)
 
 
+def test_a_deferred_map_is_not_made_when_its_state_is_restored_without_one() -> None:
+    kept_up, deferred = belief_of(observations(10)), DeferredBelief(GRID, "matern52", NOISE)
+    kept_up.adopt(Hyperparameters(Matern52(0.9, 12.0), NOISE, 8.0, 0.8))
+    before = deferred.map
+    deferred.restore({**kept_up.checkpoint(), "map": None})
+    assert deferred.map is before
+    assert deferred.places_m == pytest.approx(kept_up.places_m)
+    np.testing.assert_array_equal(deferred.last_map().std_ppb, kept_up.map.std_ppb)
+
+
 def test_a_map_on_coarser_cells_has_the_mean_standard_deviation_of_the_whole_but_for_a_hundredth() -> None:
     samples = observations(10)
     whole, coarse = belief_of(samples), Belief(GRID, "matern52", NOISE, most_cells=300)
@@ -213,3 +223,19 @@ def test_planners_are_guided_by_the_likeliest_kernel_unless_the_samples_are_too_
     assert fitted.alternatives
     equal = fit(replace(request, values_ppb=np.full(20, 8.0)))
     assert fit(replace(request, values_ppb=np.full(20, 8.0), prior=None)).field_std_ppb < 0.1 < equal.field_std_ppb
+
+
+def test_a_fit_of_the_one_kernel_has_the_kernel_of_the_whole_fit_and_the_alternatives_of_the_one_before() -> None:
+    belief = belief_of(observations(20))
+    first = belief.fit_request(2, (1,))
+    assert first is not None
+    belief.adopt(fit(first))
+    request = belief.fit_request(4, (1,))
+    assert request is not None
+    whole, kernel_alone = fit(request), fit_kernel(request)
+    assert kernel_alone.alternatives == belief.hyperparameters.alternatives != whole.alternatives
+    places = [(0.0, 0.0), (3.0, 4.0), (20.0, 1.0)]
+    covariances = [each.scale_ppb**2 * each.kernel.covariance(places, places) for each in (whole, kernel_alone)]
+    np.testing.assert_allclose(*covariances, rtol=1e-3)
+    for lacks in (replace(request, prior=None), replace(request, values_ppb=np.full(20, 8.0))):
+        assert fit_kernel(lacks) == fit(lacks)

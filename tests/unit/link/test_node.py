@@ -46,8 +46,8 @@ E = TypeVar("E")
 class Endpoint:
     """Drives a link node in virtual time, as any driver would."""
 
-    def __init__(self, conditions: LinkConditions | None = None, seed: int = 1) -> None:
-        self.node = LinkNode(Relay(conditions or LinkConditions(), START, seed))
+    def __init__(self, conditions: LinkConditions | None = None, seed: int = 1, reports: bool = True) -> None:
+        self.node = LinkNode(Relay(conditions or LinkConditions(), START, seed), reports)
         self.now = START
         self.timers: dict[str, int] = {}
         self.effects: list[tuple[int, Effect]] = []
@@ -215,6 +215,15 @@ def test_status_is_published_rarely_when_idle_and_at_most_once_a_second_when_bus
     times = [at for at, _ in endpoint.statuses()]
     assert all(later - earlier >= S for earlier, later in pairwise(times))
     assert 9 <= len(times) <= 13
+
+
+def test_a_link_without_reports_carries_packets_and_answers_about_its_status_alone() -> None:
+    endpoint = Endpoint(reports=False)
+    endpoint.give(ReceivedRaw(STATE, b"state"))
+    endpoint.until(START + 600 * S)
+    assert len(endpoint.forwards()) == 1
+    assert endpoint.statuses() == []
+    assert endpoint.ask().down.delivered == 1
 
 
 def test_a_topic_that_is_not_served_is_refused() -> None:

@@ -19,15 +19,13 @@ from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, RoverMode
 from schemas.topics import EVENT, FORK, ISSUE_COMMAND, LINK_SHOW, LIST_COMMANDS, MEASURE, Side
 from services.console.rehearsal.drawn_field import DrawnField
-from services.console.rehearsal.flight import FewerFits, Flight, Start, assumptions, fly, scenario_of
+from services.console.rehearsal.flight import Flight, Start, assumptions, fly, scenario_of
 from services.console.rehearsal.forecast import Band, Forecast
 from services.field.node import FieldNode
-from services.ground.fitting import FitRequest, fit
 from services.mission.in_process import InProcessMission, build_nodes
 from services.mission.mission_time import SECOND
 from services.mission.scenario import Scenario, checked_scenario
 from services.runtime.node import QueryReceived, SendReply
-from services.runtime.scheduler import InlineExecutor
 
 WIDE = 60
 NOISE_PPB = 0.3
@@ -213,22 +211,3 @@ def test_a_forecast_has_the_median_and_central_bands_of_its_flights() -> None:
     assert "NOT DONE" not in rows
     failed = Flight(101, False, "no route", 1.0, 1.0, 4, 0.9, 1.0, 1.0)
     assert dict(Forecast(0, (), (*flights, failed), 1.0).rows())["NOT DONE"] == "1 of 102, for example: no route"
-
-
-def test_a_rehearsal_computes_every_third_fit_and_the_last_and_leaves_the_hyperparameters_otherwise() -> None:
-    asked: list[int] = []
-
-    class Counted(InlineExecutor):
-        def submit(self, function: Any, /, *arguments: Any) -> Any:
-            asked.append(arguments[0].seed[-1])
-            return super().submit(lambda _: None, *arguments)
-
-    before = Hyperparameters(kernel_from("matern52"))
-    executor = FewerFits(Counted(), rounds=8)
-    for number in range(1, 10):
-        request = FitRequest(
-            np.zeros((1, 2)), np.zeros(1), "matern52", 0.1, before, None, seed=(7, 1, number), extent_m=WIDE
-        )
-        result = executor.submit(fit, request).result()
-        assert result is (None if number in asked else before)
-    assert asked == [3, 6, 8, 9]
