@@ -104,32 +104,39 @@ def _best_move(d: FloatArray, tolerance: float) -> IntArray | None:
     n = len(d)
     step = d[np.arange(n - 1), np.arange(1, n)]
     # 2-opt: reverse the stretch i + 1 .. j, so that i is followed by j, and i + 1 by j + 1; 0 <= i < j <= n - 2.
-    gain = step[:, None] + step[None, :] - d[:-1, :-1] - d[1:, 1:]
-    np.fill_diagonal(gain, -np.inf)
+    work = step[:, None] + step[None, :]
+    work -= d[:-1, :-1]
+    work -= d[1:, 1:]
+    np.fill_diagonal(work, -np.inf)
+    gain = work
     flat = int(np.argmax(gain))
     best, (i, j) = float(gain.flat[flat]), divmod(flat, n - 1)
     i, j = min(i, j), max(i, j)
     move = np.r_[0 : i + 1, j:i:-1, j + 1 : n]
     for length in range(1, min(MAX_TRANSFER, n - 3) + 1):
-        # Or-opt: move the stretch s .. s + length - 1 between p and p + 1, with p outside it.
-        s = np.arange(1, n - length)
-        e = s + length - 1
-        freed = step[s - 1] + step[e] - d[s - 1, e + 1]
-        p = np.arange(n - 1)
-        outside = (p[None, :] < s[:, None] - 1) | (p[None, :] > e[:, None])
+        # Or-opt: move the stretch s .. s + length - 1 between p and p + 1, with p outside it; 1 <= s < n - length.
+        count = n - length - 1
+        freed = step[:count] + step[length:] - d.diagonal(length + 1)
         for turned in (False, True):
-            head, tail = (e, s) if turned else (s, e)
-            cost = d[p[None, :], head[:, None]] + d[tail[:, None], p[None, :] + 1] - step[None, :]
-            gain = np.where(outside, freed[:, None] - cost, -np.inf)
+            head, tail = d[1 : count + 1], d[length : count + length]
+            if turned:
+                head, tail = tail, head
+            np.add(head[:, :-1], tail[:, 1:], out=work[:count])
+            gain = work[:count]
+            gain -= step
+            np.subtract(freed[:, None], gain, out=gain)
+            for p in range(length + 1):  # s - 1 .. s + length - 1
+                gain.reshape(-1)[p::n][:count] = -np.inf
             flat = int(np.argmax(gain))
             if gain.flat[flat] > best:
                 best = float(gain.flat[flat])
                 a, at = divmod(flat, n - 1)
-                stretch = np.arange(s[a], e[a] + 1)[:: -1 if turned else 1]
-                if at < s[a]:
-                    move = np.r_[0 : at + 1, stretch, at + 1 : s[a], e[a] + 1 : n]
+                s, e = a + 1, a + length
+                stretch = np.arange(s, e + 1)[:: -1 if turned else 1]
+                if at < s:
+                    move = np.r_[0 : at + 1, stretch, at + 1 : s, e + 1 : n]
                 else:
-                    move = np.r_[0 : s[a], e[a] + 1 : at + 1, stretch, at + 1 : n]
+                    move = np.r_[0:s, e + 1 : at + 1, stretch, at + 1 : n]
     return move if best > tolerance else None
 
 

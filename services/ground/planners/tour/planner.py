@@ -2,9 +2,10 @@
 
 All remaining samples and metres are planned together: places that minimise the field's average variance
 (``he3.i_optimal_design``), on a tour that is short and within the budget (``tour.design``). The first plan starts from
-several designs and optimises the best of them longer, which is worth 1 % of RMSE where the budget binds. Later plans
-start from the outlook of the plan before and adapt it to the refitted hyperparameters, so that rounds agree with one
-another and leave no gaps. A request without an outlook is planned from scratch.
+several designs and optimises the best of them longer, which is worth 1 % of RMSE where the budget binds. All of this is
+done on a coarse field, a few cells a sample; only the last steps see a finer one, which is worth 0.3 % of variance.
+Later plans start from the outlook of the plan before and adapt it to the refitted hyperparameters, so that rounds agree
+with one another and leave no gaps. A request without an outlook is planned from scratch.
 
 A mission without a budget is given one: metres beyond those of a tour through an even lattice gain almost nothing.
 Length scales so short that a sample informs about its own place only, or so long that it informs about the whole site,
@@ -20,13 +21,14 @@ import numpy as np
 
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray
-from he3.i_optimal_design import AverageVariance, field_nodes
+from he3.i_optimal_design import AverageVariance, FieldNodes, field_nodes
 from he3.kernels import Kernel, kernel_from
 from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
 from services.ground.planners.rounds import lead_cost, path_prefix, planned_round
 from services.ground.planners.tour.design import (
+    FIRST_STEP_M,
     design_from_outlook,
     initial_design,
     objective,
@@ -43,13 +45,23 @@ LEG_SPACINGS = 1.02
 a square lattice. The shortest tour through random places takes 0.7124 (Beardwood, Halton & Hammersley 1959), one
 through a lattice 1; near it, the variance hardly depends on the metres."""
 INITIAL_DESIGNS = 8
-"""Designs that a plan without an outlook starts from."""
+"""Designs that a plan without an outlook starts from where the budget binds."""
+UNBOUND_DESIGNS = 4
+"""The same without a budget, where they differ little."""
 FINALISTS = 2
-"""Designs that are optimised further; the best of them is taken."""
-INITIAL_STEPS = 40
+"""Designs that are optimised further; the best of them is taken. Without a budget, one is."""
+INITIAL_STEPS = 20
 """Steps of every initial design."""
-FINAL_STEPS = 300
+FINAL_STEPS = 80
 """Further steps of a finalist."""
+COARSE_NODES = 625
+"""Cells of the coarse field, at least."""
+COARSE_NODES_A_SAMPLE = 4.0
+"""The same for each sample of the mission."""
+FINE_STEPS = 15
+"""Last steps of the best design, on the finer field."""
+FINE_STEP_M = 1.0
+"""Root mean square step on the finer field at the beginning [m]."""
 OUTLOOK_STEPS = 10
 """Steps of a design from an outlook."""
 OUTLOOK_STEP_M = 1.5
@@ -98,36 +110,37 @@ def tour(request: PlanningRequest) -> PlannedRound:
 def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[str, float]) -> FloatArray:
     """Places (samples_left, 2) [m] in the order of their tour: from the outlook, or the best of several designs."""
     left, samples = request.samples_left, request.samples_left + len(request.observed_m)
-    variance = _average_variance(request, site)
     leg_m = LEG_SPACINGS * sqrt(site.area_m2 / samples)
     length_price = float(extra.get("length_price", LENGTH_PRICE)) / (samples * leg_m)
-    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MAX_OUTLOOK_MISMATCH * left:
-        places = design_from_outlook(site, request.observed_m, request.outlook_m, left)
-        metres = budget_m if isfinite(budget_m) else _default_budget_m(site, places, leg_m)
-        price = length_price * variance(places)
-        return optimise_places(
-            site, variance, places, price, metres, int(extra.get("steps", OUTLOOK_STEPS)), OUTLOOK_STEP_M
-        )
-    rng = np.random.default_rng(request.seed)
 
-    def optimised(places: FloatArray, steps: int) -> tuple[float, FloatArray]:
+    def optimised(
+        places: FloatArray, variance: AverageVariance, steps: int, first_step_m: float = FIRST_STEP_M
+    ) -> tuple[float, FloatArray]:
         metres = budget_m if isfinite(budget_m) else _default_budget_m(site, places, leg_m)
         price = length_price * variance(places)
-        places = optimise_places(site, variance, places, price, metres, steps)
+        places = optimise_places(site, variance, places, price, metres, steps, first_step_m)
         return objective(site, variance, places, price, metres), places
 
+    fine = _average_variance(request, site.nodes)
+    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MAX_OUTLOOK_MISMATCH * left:
+        places = design_from_outlook(site, request.observed_m, request.outlook_m, left)
+        return optimised(places, fine, int(extra.get("steps", OUTLOOK_STEPS)), OUTLOOK_STEP_M)[1]
+    most = max(COARSE_NODES, round(COARSE_NODES_A_SAMPLE * samples))
+    coarse = _average_variance(request, field_nodes(request.grid, request.interest, most))
+    count, finalists = (INITIAL_DESIGNS, FINALISTS) if isfinite(budget_m) else (UNBOUND_DESIGNS, 1)
+    rng = np.random.default_rng(request.seed)
     designs = []
-    for _ in range(max(1, int(extra.get("designs", INITIAL_DESIGNS)))):
+    for _ in range(max(1, int(extra.get("designs", count)))):
         first_node = int(rng.integers(len(site.nodes.weights)))
         places = initial_design(site, request.observed_m, left, budget_m, first_node)
-        designs.append(optimised(places, int(extra.get("first_steps", INITIAL_STEPS))))
+        designs.append(optimised(places, coarse, int(extra.get("first_steps", INITIAL_STEPS))))
     designs.sort(key=lambda design: design[0])
     if (final_steps := int(extra.get("final_steps", FINAL_STEPS))) > 0:
-        finalists = designs[: max(1, int(extra.get("finalists", FINALISTS)))]
+        best = designs[: max(1, int(extra.get("finalists", finalists)))]
         designs = sorted(
-            [*designs, *(optimised(places, final_steps) for _, places in finalists)], key=lambda one: one[0]
+            [*designs, *(optimised(places, coarse, final_steps) for _, places in best)], key=lambda one: one[0]
         )
-    return designs[0][1]
+    return optimised(designs[0][1], fine, FINE_STEPS, FINE_STEP_M)[1]
 
 
 def _default_budget_m(site: Site, places: FloatArray, leg_m: float) -> float:
@@ -137,13 +150,13 @@ def _default_budget_m(site: Site, places: FloatArray, leg_m: float) -> float:
     return len(places) * leg_m * max(around_obstacles, leg_m) / max(straight, leg_m)
 
 
-def _average_variance(request: PlanningRequest, site: Site) -> AverageVariance:
+def _average_variance(request: PlanningRequest, nodes: FieldNodes) -> AverageVariance:
     hyperparameters, grid = request.hyperparameters, request.grid
     spacing_m = sqrt(grid.width_m * grid.height_m / (request.samples_left + len(request.observed_m)))
     kernel = clamp_length_scales(
         hyperparameters.kernel, MIN_LENGTH_SCALE_SPACINGS * spacing_m, MAX_LENGTH_SCALE_SPACINGS * spacing_m
     )
-    return AverageVariance(kernel.of_squared_distance, hyperparameters.noise_variance, site.nodes, request.observed_m)
+    return AverageVariance(kernel.of_squared_distance, hyperparameters.noise_variance, nodes, request.observed_m)
 
 
 def clamp_length_scales(kernel: Kernel, shortest_m: float, longest_m: float) -> Kernel:
