@@ -955,6 +955,54 @@ def test_what_is_said_of_a_place_and_of_an_area_follows_the_map_or_says_that_it_
     script(browser, "window.giveBack()")
 
 
+def test_a_chosen_place_is_answered_at_once_from_the_pages_own_map_as_the_ground_then_answers_it(
+    browser: Any, address: str
+) -> None:
+    browser.get("about:blank")
+    browser.get(address)
+    until(lambda: in_module(browser, "layers.js", "it.heldAt([201.5, 304.5])"), "mean and deviation on the page")
+    told = browser.execute_async_script(
+        "const done = arguments[0], place = document.getElementById('place'), said = {};"
+        "new MutationObserver((_, watch) => {"
+        "  if (place.dataset.held) Object.assign(said, {held: JSON.parse(place.dataset.held), text: place.textContent,"
+        "    hint: document.getElementById('place-hint').textContent});"
+        "  if (!place.dataset.point) return;"
+        "  watch.disconnect();"
+        "  done({...said, point: JSON.parse(place.dataset.point), after: place.dataset.held ?? null});"
+        "}).observe(place, {attributeFilter: ['data-held', 'data-point']});"
+        "import('/static/layers.js').then(({map}) => map.choose([201.5, 304.5]))"
+    )
+    held, point = told["held"], told["point"]
+    assert "read off this page's map; asking the ground" in told["hint"]
+    assert f"{held['mean_ppb']:.2f} ± {held['std_ppb']:.2f} ppb" in told["text"]
+    assert told["after"] is None
+    assert held["exact"] is True
+    if held["revision"] == point["revision"]:  # the mission goes on
+        step = 40.0 / 65535  # ppb: a map is sent in 65,536 steps from its lowest to its highest value
+        assert held["mean_ppb"] == pytest.approx(point["mean_ppb"], abs=step)
+        assert held["std_ppb"] == pytest.approx(point["std_ppb"], abs=step)
+
+
+def test_a_page_that_is_not_seen_draws_nothing_and_shows_the_present_when_it_is_seen_again(
+    browser: Any, address: str
+) -> None:
+    browser.get(address)
+    until(lambda: shown(browser).get("layer") == "mean", "the map")
+    script(
+        browser,
+        "window.kept = []; window.real = requestAnimationFrame;"
+        "window.requestAnimationFrame = (draw) => window.kept.push(draw)",  # a browser does so with a hidden page
+    )
+    until(lambda: script(browser, "return kept.length") == 1, "the frame that the page waits for")
+    before, heard = written(browser, "#elapsed"), "it.state.clock.now"
+    began = in_module(browser, "state.js", heard)
+    until(lambda: in_module(browser, "state.js", heard) > began + 100e9, "what the server sends")
+    assert written(browser, "#elapsed") == before
+    assert script(browser, "return kept.length") <= 2  # the page's, and that of the map, each asked for once
+    script(browser, "window.requestAnimationFrame = real; for (const draw of kept) real(draw)")
+    until(lambda: written(browser, "#elapsed") != before, "the present")
+
+
 def test_newer_facts_win_and_numbers_are_as_people_write_them(browser: Any) -> None:
     """The reply to a command may come after reports of later stages."""
     stages = [{"stage": stage, "at": at, "why": ""} for at, stage in enumerate(("queued", "released", "rejected"))]

@@ -1,6 +1,7 @@
 // Small plots over mission time, drawn by uPlot.
 
 import { STEPS_S, colour, pointAt, seeSpan, timeLabel, whenPointedAt, whenSpanSeen, whenThemeChanges } from "./cursor.js";
+import { redraw } from "./frames.js";
 import uPlot from "./vendor/uplot/uPlot.esm.js";
 import { elapsed } from "./words.js";
 
@@ -17,6 +18,7 @@ export class Chart {
     this.points = [];
     this.mark = null;
     this.hovered = false;
+    this.draw = () => this.show();
     this.pointed = null; // the moment that is pointed at, here or elsewhere [s]
     this.plot = new uPlot(this.options(fromZero, step), [[], []], this.host);
     this.plot.over.addEventListener("mouseenter", () => { this.hovered = true; });
@@ -68,7 +70,7 @@ export class Chart {
     if (!points.length) return;
     const first = points[0][0];
     this.points = [...this.points.filter(([at]) => at < first), ...points];
-    this.show();
+    redraw(this.draw);
   }
 
   show() {

@@ -82,6 +82,7 @@ async function loadMap() {
       if (late.length) wanted = true;
       for (const [source] of late) sources.delete(source.key);
       show(mode === "difference" ? [pane(new Difference(first, second), "difference")] : [pane(first), ...(second ? [pane(second)] : [])], relief, wished);
+      if (!late.length) keepBeside(wished).catch(() => { beside = null; }); // then the ground alone answers
     } else wanted = true;
   }
   await track;
@@ -103,6 +104,22 @@ async function loadTrack({ revision, past }) {
   for (const callback of onTrack) callback();
   map.draw();
 }
+// The mean or the standard deviation, whichever is not shown: a place that is chosen then has an answer at once.
+let beside = null;
+async function keepBeside({ layer, revision, mode }) {
+  const other = { mean: "std", std: "mean" }[layer];
+  beside = other && !mode && revision !== null && !document.hidden ? await opened(other, null, revision) : null;
+}
+
+// What the page's own map says of a place: { mean_ppb, std_ppb, revision, exact }; null if it does not hold both of one revision.
+export function heldAt(place) {
+  const shown = map.panes.length === 1 ? map.panes[0].source : null;
+  if (!shown || !beside || shown.about.revision !== beside.about.revision) return null;
+  const ofMean = [shown, beside].find(({ layer }) => layer === "mean"), ofStd = [shown, beside].find(({ layer }) => layer === "std");
+  const mean = ofMean?.valueAt(place), std = ofStd?.valueAt(place);
+  return mean && std ? { mean_ppb: mean.value, std_ppb: std.value, revision: shown.about.revision, exact: mean.exact && std.exact } : null;
+}
+
 const newestRevision = () => state.status?.map_revision ?? null;
 const onTrack = []; // called when samples, paths or areas of the map may be others
 export const whenTrackChanges = (callback) => onTrack.push(callback);
@@ -233,9 +250,11 @@ map.onSay = say;
 
 // --- earlier maps ---------------------------------------------------------------------------------------------------
 
+// The list of revisions grows with the map.
 let historyAt = 0;
 export async function refreshHistory(atOnce = false) {
-  if (!atOnce && (performance.now() - historyAt < HISTORY_EVERY_MS || document.hidden)) return;
+  const isKnown = state.revisions.length > 0 && state.revisions.at(-1).revision === newestRevision();
+  if (!atOnce && (isKnown || performance.now() - historyAt < HISTORY_EVERY_MS || document.hidden)) return;
   historyAt = performance.now();
   try {
     const { site, revisions } = await askJson("map/history");

@@ -1,5 +1,6 @@
 // Messages in flight between Earth and Moon, each where it is now.
 
+import { rewrite } from "./state.js";
 import { line, node, text } from "./svg.js";
 import { duration, words } from "./words.js";
 
@@ -21,6 +22,7 @@ export class LinkPicture {
     this.labels = { up: text(210, 26, "", "middle"), down: text(210, 77, "", "middle") };
     svg.append(this.labels.up, this.labels.down);
     this.dots = node("g");
+    this.dotOf = new Map(); // key of a flight -> its dot
     svg.append(this.dots);
   }
 
@@ -40,8 +42,7 @@ export class LinkPicture {
     if (!this.link) return;
     this.flies = this.flights.size > 0;
     const wall = performance.now();
-    const shown = [];
-    const counts = { up: 0, down: 0 };
+    const flying = { up: new Set(), down: new Set() };
     for (const [key, flight] of this.flights) {
       const length = Math.max(flight.arrives_at - flight.departs_at, 1);
       const real = (now - flight.departs_at) / length;
@@ -49,25 +50,32 @@ export class LinkPicture {
       const slow = (wall - flight.seen) / SHOWN_AT_LEAST_MS;
       // As it is, unless that is too quick to see.
       const at = length / 1e6 / Math.max(this.rate || 1, 1e-9) < SHOWN_AT_LEAST_MS ? slow : share;
-      if (at >= 1 && slow >= 1) { this.flights.delete(key); continue; }
-      counts[flight.direction] += 1;
-      shown.push([flight, Math.min(at, 1)]);
+      if (at >= 1 && slow >= 1) {
+        this.flights.delete(key);
+        this.dotOf.get(key)?.remove();
+        this.dotOf.delete(key);
+        continue;
+      }
+      const isUp = flight.direction === "up", [from, to] = isUp ? [EARTH + 22, MOON - 18] : [MOON - 18, EARTH + 22];
+      this.dot(key, flight).setAttribute("cx", (from + (to - from) * Math.min(at, 1)).toFixed(1));
+      flying[flight.direction].add(words(flight.topic.split("/").at(-1)));
     }
-    this.dots.replaceChildren(...shown.map(([flight, share]) => {
-      const from = flight.direction === "up" ? EARTH + 22 : MOON - 18, to = flight.direction === "up" ? MOON - 18 : EARTH + 22;
-      const fill = flight.direction === "up" ? "var(--planned)" : "var(--accent)";
-      const dot = node("circle", { cx: from + (to - from) * share, cy: LANES[flight.direction], r: flight.size_bytes > 1500 ? 6 : 4.5, fill, stroke: "rgb(0 0 0 / 50%)" });
-      dot.append(node("title", {}, `${flight.topic} ${flight.sequence}, ${flight.size_bytes} bytes`));
-      return dot;
-    }));
     const { up, down } = this.link;
     const label = (counts_, arrow, topics) => `${arrow} ${topics}${counts_.waiting ? `, ${counts_.waiting} waiting` : ""}`;
-    const named = (direction) => {
-      const names = [...new Set(shown.filter(([flight]) => flight.direction === direction).map(([flight]) => words(flight.topic.split("/").at(-1))))];
-      return names.length ? names.slice(0, 4).join(", ") : "no messages in flight";
-    };
-    this.labels.up.textContent = label(up, "→", named("up"));
-    this.labels.down.textContent = label(down, "←", named("down"));
+    const named = (names) => (names.size ? [...names].slice(0, 4).join(", ") : "no messages in flight");
+    rewrite(this.labels.up, label(up, "→", named(flying.up)));
+    rewrite(this.labels.down, label(down, "←", named(flying.down)));
+  }
+
+  dot(key, { direction, topic, sequence, size_bytes }) {
+    if (!this.dotOf.has(key)) {
+      const fill = direction === "up" ? "var(--planned)" : "var(--accent)";
+      const dot = node("circle", { cy: LANES[direction], r: size_bytes > 1500 ? 6 : 4.5, fill, stroke: "rgb(0 0 0 / 50%)" });
+      dot.append(node("title", {}, `${topic} ${sequence}, ${size_bytes} bytes`));
+      this.dotOf.set(key, dot);
+      this.dots.append(dot);
+    }
+    return this.dotOf.get(key);
   }
 }
 

@@ -14,11 +14,15 @@ export function showLink() {
   if (!status) return;
   picture.take(status);
   showContact();
-  $("link-summary").textContent = describe(status);
+  rewrite($("link-summary"), describe(status));
   const head = ["messages", "sent", "delivered", "in flight", "waiting", "lost"];
   const row = (name, c) => [name, c.offered, c.delivered, c.in_flight, c.waiting, c.lost + c.dropped_out_of_contact + c.dropped_queue_full];
-  const line = (cells, tag) => element("tr", {}, ...cells.map((cell, index) => element(index ? tag : "th", {}, String(cell))));
-  $("counts").replaceChildren(line(head, "th"), line(row("up", status.up), "td"), line(row("down", status.down), "td"));
+  const lines = [head, row("up", status.up), row("down", status.down)];
+  if (!$("counts").rows.length) {
+    const line = (cells, tag) => element("tr", {}, ...cells.map((_, index) => element(index ? tag : "th", {})));
+    $("counts").append(...lines.map((cells, index) => line(cells, index ? "td" : "th")));
+  }
+  lines.forEach((cells, index) => cells.forEach((cell, column) => rewrite($("counts").rows[index].cells[column], String(cell))));
   fillLinkForm();
 }
 
@@ -54,7 +58,9 @@ export function fillLinkForm() {
     field.classList.toggle("edited", edited.has(name));
   }
   $("link-submit").disabled = $("link-reset").disabled = edited.size === 0;
-  rewrite($("link-note"), changed.length ? `Changed meanwhile by another operator: ${changed.join("; ")}` : "");
+  const note = changed.length ? `Changed meanwhile by another operator: ${changed.join("; ")}` : "";
+  if (note === $("link-note").textContent) return;
+  rewrite($("link-note"), note);
   look(); // the note may have moved the buttons
 }
 

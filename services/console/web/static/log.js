@@ -1,23 +1,26 @@
 // The log: its newest lines, chosen by kind and text, and what is chosen as a file.
 
+import { redraw } from "./frames.js";
 import { KINDS, asCsv, asJson, chosen, logLines } from "./loglines.js";
 import { save } from "./net.js";
 import { $, rewrite, sinceStart, state } from "./state.js";
 import { duration, elapsed, element, grouped, utc, words } from "./words.js";
 
-const MAX_SHOWN = 300, EVERY_MS = 500;
-let due = 0;
+const MAX_SHOWN = 300, EVERY_MS = 450;
+let writtenAt = -Infinity;
 let shown = []; // the keys of the lines that are shown, oldest first
-
-// The log changes with nearly every message; it is written a few times a second at most.
-export function showLog() {
-  if (!due) due = setTimeout(() => { due = 0; write(); }, EVERY_MS);
-}
 
 const kinds = () => new Set([...$("log-kinds").querySelectorAll("input:checked")].map((input) => input.value));
 const seen = () => chosen(logLines({ ...state, commands: state.commands.values() }), kinds(), $("log-text").value);
 
 const keyOf = ({ at, known_at, kind, name, text }) => `${at} ${known_at} ${kind} ${name} ${text}`;
+
+// The log changes with nearly every message; it is written twice a second at most.
+export function showLog() {
+  if (performance.now() - writtenAt < EVERY_MS) { redraw(showLog); return; }
+  writtenAt = performance.now();
+  write();
+}
 
 // A line that has been written stays where it is: mostly there are only new ones.
 function write() {

@@ -6,6 +6,7 @@ import { showCommands, takeCommand, whenCommandsChange } from "./commands.js";
 import { forgetMap, map, refreshHistory, wantMap, whenTimeChanges } from "./layers.js";
 import { picture, showLink } from "./linkpanel.js";
 import "./deliberate.js";
+import { everyFrame, redraw, setFlying } from "./frames.js";
 import { heard, isTimeKnown, showLiveness } from "./liveness.js";
 import { showLog } from "./log.js";
 import { askJson, listen } from "./net.js";
@@ -21,8 +22,6 @@ import { showTimeline } from "./timeline.js";
 import { showView } from "./view.js";
 import { elapsed, grouped, utc } from "./words.js";
 
-const CLOCK_EVERY_MS = 100;
-
 const charts = {
   rmse_ppb: new Chart($("chart-rmse"), 3), mean_std_ppb: new Chart($("chart-std"), 3),
   energy_wh: new Chart($("chart-energy"), 0, true), queue: new Chart($("chart-queue"), 0, true, true),
@@ -32,26 +31,24 @@ whenTimeChanges(placeRover);
 whenTimeChanges(() => {
   for (const chart of Object.values(charts)) chart.setMark(state.past ? sinceStart(state.past.mission_time_ns) : null);
 });
-whenCommandsChange(showAreas);
-whenCommandsChange(showLog);
-whenCommandsChange(showTimeline);
+whenCommandsChange(() => redraw(showAreas, showLog, showTimeline));
 
 listen({
   state: takeAll,
   clock: takeClock,
-  beat: (beat) => { takeClock(beat); heard(beat.liveness); showPhase(); refreshHistory().then(showView); },
+  beat: (beat) => { takeClock(beat); heard(beat.liveness); refreshHistory().then(showView); },
   // Of these only the fields come that are others than before.
-  status: (status) => { state.status = { ...state.status, ...status }; showStatus(); showMap(); },
-  rover: (rover) => { state.rover = { ...state.rover, ...rover }; showRover(); },
-  link: (link) => { state.link = { ...state.link, ...link }; showLink(); },
-  contacts: (contacts) => { state.contacts = { ...state.contacts, ...contacts }; showLog(); showTimeline(); },
-  event: (event) => { state.events.push(event); showLog(); showTimeline(); },
-  entry: (entry) => { state.entries.push(entry); showLog(); showTimeline(); },
-  mode: (mode) => { state.modes.push(mode); showTimeline(); },
+  status: (status) => { state.status = { ...state.status, ...status }; redraw(showStatus, showMap); },
+  rover: (rover) => { state.rover = { ...state.rover, ...rover }; redraw(showRover); },
+  link: (link) => { state.link = { ...state.link, ...link }; redraw(showLink); },
+  contacts: (contacts) => { state.contacts = { ...state.contacts, ...contacts }; redraw(showLog, showTimeline); },
+  event: (event) => { state.events.push(event); redraw(showLog, showTimeline); },
+  entry: (entry) => { state.entries.push(entry); redraw(showLog, showTimeline); },
+  mode: (mode) => { state.modes.push(mode); redraw(showTimeline); },
   command: takeCommand,
   curve: ({ name, points }) => charts[name].extend(points),
   interests: takeInterests,
-  alarms: (alarms) => { state.alarms = alarms; showAlarms(); showLog(); showTimeline(); },
+  alarms: (alarms) => { state.alarms = alarms; redraw(showAlarms, showLog, showTimeline); },
 }, () => { state.connected = false; showLiveness(); });
 
 // A hidden page fetches no map; it does when it is visible again.
@@ -130,22 +127,17 @@ function showPhase() {
   rewrite($("phase"), phase);
 }
 
-// Several times a second, and each frame while messages fly; a browser calls this for a page that is seen alone.
-let drawnAt = -Infinity;
-function everyFrame(wall) {
-  requestAnimationFrame(everyFrame);
+setFlying(() => picture.flies && isTimeKnown() && now() !== null, () => picture.draw(now()));
+everyFrame(() => {
   const time = now();
   if (time === null) return;
   const known = isTimeKnown();
-  if (known && picture.flies) picture.draw(time);
-  if (wall - drawnAt < CLOCK_EVERY_MS) return;
-  drawnAt = wall;
   rewrite($("utc"), known ? utc(time) : "not known");
   rewrite($("elapsed"), known ? elapsed(sinceStart(time)) : "not known");
   rewrite($("pace"), known ? state.pace : "not known");
   if (known) showAge(time);
   showRecording();
-}
+});
 
 const remembered = localStorage.getItem("theme");
 if (remembered) document.documentElement.dataset.theme = remembered;
@@ -156,4 +148,3 @@ $("theme").addEventListener("click", () => {
   map.draw();
 });
 matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => map.draw());
-requestAnimationFrame(everyFrame);

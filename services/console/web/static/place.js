@@ -1,10 +1,10 @@
 // A place or a sample that was chosen: what the map says of it.
 
-import { map, thresholdPpb, whenThresholdChanges, whenTimeChanges, whenTrackChanges } from "./layers.js";
+import { heldAt, map, thresholdPpb, whenThresholdChanges, whenTimeChanges, whenTrackChanges } from "./layers.js";
 import { askJson } from "./net.js";
 import { tenth } from "./projection.js";
 import { fact } from "./rover.js";
-import { $, attempt, sinceStart, state } from "./state.js";
+import { $, attempt, rewrite, sinceStart, state } from "./state.js";
 import { inAddress, keepView, numbers } from "./view.js";
 import { elapsed, element, fixed, grouped, utc } from "./words.js";
 
@@ -20,8 +20,23 @@ whenThresholdChanges(showPlace);
 function showChosen() {
   $("go-to").disabled = map.chosen === null;
   showSteps();
+  showHeld();
   showPlace();
   keepView();
+}
+
+// At once what the map on this page says of the place; the ground's answer takes its place.
+function showHeld() {
+  const held = map.chosen && heldAt(map.chosen);
+  delete $("place").dataset.held;
+  if (!held) return;
+  const [x, y] = map.chosen, about = held.exact ? "" : "≈ ";
+  $("place-hint").textContent = `(${tenth(x)}, ${tenth(y)}) m, revision ${held.revision}, read off this page's map; asking the ground …`;
+  $("answer").textContent = `(${tenth(x)}, ${tenth(y)}) m: ${about}${fixed(held.mean_ppb)} ± ${fixed(held.std_ppb)} ppb, read off the map …`;
+  $("answer").hidden = false;
+  const text = `${about}${fixed(held.mean_ppb)} ± ${fixed(held.std_ppb)} ppb`;
+  $("place").replaceChildren(factsOf(text, held, thresholdPpb(), { above: "…", information: "…", ground: "…" }));
+  $("place").dataset.held = JSON.stringify(held);
 }
 
 // The newest revision of the map: what is shown of an older one is asked for again.
@@ -37,7 +52,10 @@ async function showPlace() {
   const [x, y] = map.chosen, mine = ++asked;
   await attempt(async () => {
     const threshold = thresholdPpb();
-    const point = await askJson("map/point", { x, y, threshold, as_of: state.past?.revision });
+    const point = await askJson("map/point", { x, y, threshold, as_of: state.past?.revision }).catch((error) => {
+      if (mine === asked) rewrite($("place-hint"), $("place-hint").textContent.replace("asking the ground …", "the ground did not answer"));
+      throw error;
+    });
     const sample = map.track?.samples.find((each) => each.sample_id === map.sample), before = sample && await beforeIt(sample);
     if (mine !== asked) return;
     // The ground reports a new map a moment before it answers from it.
@@ -45,19 +63,24 @@ async function showPlace() {
     $("place-hint").textContent = `${sample ? `Sample ${sample.sample_id} at ` : ""}(${tenth(x)}, ${tenth(y)}) m, revision ${point.revision}`;
     // Where the panel is below the map, the answer is on it as well.
     $("answer").textContent = `(${tenth(x)}, ${tenth(y)}) m: ${fixed(point.mean_ppb)} ± ${fixed(point.std_ppb)} ppb${sample ? `; measured ${fixed(sample.helium3_ppb)} ± ${fixed(sample.noise_std_ppb)} ppb` : ""}${point.traversable ? "" : ", closed"}`;
+    delete $("place").dataset.held;
     $("place").dataset.point = JSON.stringify(point);
     $("place").replaceChildren(...(sample ? [ofSample(sample, point, before)] : []), ofPlace(point, threshold));
   });
 }
 
 function ofPlace(point, threshold) {
-  const [low, high] = [-1.96, 1.96].map((factor) => fixed(Math.max(0, point.mean_ppb + factor * point.std_ppb)));
+  return factsOf(`${fixed(point.mean_ppb, 3)} ± ${fixed(point.std_ppb, 3)} ppb`, point, threshold, {
+    above: `${(100 * point.exceedance).toFixed(1)} %`, information: `${fixed(point.information_nats, 2)} nat`,
+    ground: point.traversable ? "traversable" : "not traversable",
+  });
+}
+
+function factsOf(text, { mean_ppb, std_ppb }, threshold, { above, information, ground }) {
+  const [low, high] = [-1.96, 1.96].map((factor) => fixed(Math.max(0, mean_ppb + factor * std_ppb)));
   return element("dl", { class: "facts" }, ...[
-    ["Helium-3", `${fixed(point.mean_ppb, 3)} ± ${fixed(point.std_ppb, 3)} ppb`, true],
-    ["95 % interval", `${low} to ${high} ppb`],
-    [`More than ${threshold} ppb`, `${(100 * point.exceedance).toFixed(1)} %`],
-    ["Information of one sample", `${fixed(point.information_nats, 2)} nat`],
-    ["Ground", point.traversable ? "traversable" : "not traversable"],
+    ["Helium-3", text, true], ["95 % interval", `${low} to ${high} ppb`], [`More than ${threshold} ppb`, above],
+    ["Information of one sample", information], ["Ground", ground],
   ].map(fact));
 }
 

@@ -1,6 +1,7 @@
 // The strip under the map: one axis of mission time for rounds, the rover, commands, contacts and alarms.
 
 import { STEPS_S, colour, pointAt, seeSpan, timeLabel, whenPointedAt, whenSpanSeen, whenThemeChanges } from "./cursor.js";
+import { everyFrame } from "./frames.js";
 import { map, showMoment, whenTimeChanges } from "./layers.js";
 import { isTimeKnown } from "./liveness.js";
 import { send } from "./net.js";
@@ -9,7 +10,7 @@ import { contactText, described, deviationText, edges, lanes, moments, placeAt }
 import { inAddress, keepView, numbers } from "./view.js";
 import { duration, elapsed, element } from "./words.js";
 
-const EVERY_MS = 500, ROW = 13, GAP = 7, AXIS = 20, NAMES_FROM = 560, NAMES = 76, NAMES_SHORT = 58, LEAST_SPAN_S = 30, DRAG_PX = 4, LISTED = 200, AHEAD = 1.12;
+const EVERY_MS = 450, ROW = 13, GAP = 7, AXIS = 20, NAMES_FROM = 560, NAMES = 76, NAMES_SHORT = 58, LEAST_SPAN_S = 30, DRAG_PX = 4, LISTED = 200, AHEAD = 1.12;
 const LOOKS = { good: "--good", bad: "--bad", warn: "--warn", accent: "--accent", accent2: "--analysing", dim: "--line", contact: "--good", none: "--bad", critical: "--bad", warning: "--warn", advisory: "--accent", sample: "--sample" };
 const canvas = $("timeline"), pen = canvas.getContext("2d");
 let shown = [], facts = null, changed = true;
@@ -17,11 +18,13 @@ let span = null;      // what is seen [s]; null for the whole mission
 let follows = false;  // whether the span moves with the present time
 let cursor = null;    // the moment that is pointed at [s]
 let drawnAt = null;   // the present when it was drawn last [s]
+let lookedAt = -Infinity;
 
 export function showTimeline() { changed = true; }
 
 function look() {
-  if (document.hidden || !state.clock) return;
+  if (!state.clock || performance.now() - lookedAt < EVERY_MS) return;
+  lookedAt = performance.now();
   const time = isTimeKnown() ? now() : null;
   if (!changed && time === facts?.time) return;
   const before = facts;
@@ -237,7 +240,7 @@ whenPointedAt((at_s) => {
 whenTimeChanges(() => draw());
 whenThemeChanges(() => draw());
 new ResizeObserver(() => draw()).observe(canvas);
-setInterval(look, EVERY_MS);
+everyFrame(look);
 inAddress("span", () => span?.map((at) => at.toFixed(0)).join(","), (text) => seeSpan(numbers(text, 2)));
 
 // The map, or the recording, at that moment.
