@@ -251,10 +251,13 @@ class MissionState:
 
     @property
     def report_period_s(self) -> float:
-        """Mission time between two reports of the rover's state [s], as heard; lost reports do not lengthen it."""
+        """Mission time between two reports of the rover's state [s], as heard.
+
+        The median: lost reports make some intervals longer, a change of the rover's mode makes two of one.
+        """
         with self._lock:
             gaps = sorted(self._report_gaps_s)
-        return gaps[len(gaps) // 4] if len(gaps) >= MIN_REPORT_GAPS else STATE_PERIOD_S
+        return gaps[len(gaps) // 2] if len(gaps) >= MIN_REPORT_GAPS else STATE_PERIOD_S
 
     @property
     def rover_age_s(self) -> float | None:
@@ -352,7 +355,12 @@ class MissionState:
         if topic is STATE:
             reported_at = None if last is None else last.made_at
             self._note_mode(body.mode, reported_at, header.made_at, self.time.now())
-        if topic is STATE and last is not None and header.incarnation == last.header.incarnation:
+        if (
+            topic is STATE
+            and last is not None
+            and header.incarnation == last.header.incarnation
+            and header.made_at > last.made_at  # not the same report once more
+        ):
             self._report_gaps_s.append((header.made_at - last.made_at) / SECOND)
         if topic is EARTH_CLOCK:
             self.time.follow(body)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from random import Random
 from typing import Any
 
 import pytest
 
 from schemas.ground import GroundStatus, MissionPhase, Presence
-from schemas.link import ClockMode, ClockState, DirectionCounts, LinkConditions, LinkStatus
+from schemas.link import ClockMode, ClockState, DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
 from schemas.telemetry import RoverMode, RoverState
 from schemas.topics import EARTH_CLOCK, EARTH_PRESENCE, GROUND_STATUS, LINK_STATUS, STATE
 from schemas.wire import Header
@@ -31,10 +32,13 @@ def ground(phase: MissionPhase = MissionPhase.EXECUTING) -> GroundStatus:
     )  # fmt: skip
 
 
-def link(contact: bool = True, changes_at: int | None = None, forced: bool | None = None) -> LinkStatus:
+def link(
+    contact: bool = True, changes_at: int | None = None, forced: bool | None = None, loss: float = 0.0
+) -> LinkStatus:
+    each = DirectionConditions(loss=loss)
     return LinkStatus(
-        conditions=LinkConditions(), contact=contact, contact_changes_at=changes_at, contact_forced=forced,
-        up=DirectionCounts(), down=DirectionCounts(), in_flight=(), incarnation=1,
+        conditions=LinkConditions(up=each, down=each), contact=contact, contact_changes_at=changes_at,
+        contact_forced=forced, up=DirectionCounts(), down=DirectionCounts(), in_flight=(), incarnation=1,
     )  # fmt: skip
 
 
@@ -129,6 +133,27 @@ def test_reports_that_are_lost_do_not_make_the_period_longer(state: MissionState
     for number in (0, 1, 2, 5, 6, 9, 10, 11):
         session.send(STATE, header(START + number * 60 * SECOND, "rover"), rover())
     assert state.report_period_s == 60.0
+
+
+@pytest.mark.parametrize("loss", [0.3, 0.6])
+def test_losses_that_the_link_states_make_no_rover_overdue_and_a_rover_that_is_silent_becomes_so(
+    state: MissionState, session: Any, loss: float
+) -> None:
+    """20 hours of reports, one a minute and one more with each change of mode, which some links repeat."""
+    chance, heard = Random(4), START
+    session.send(LINK_STATUS, header(START + 1, "link"), link(loss=loss))
+    for minute in range(1, 1200):
+        for after_s in (0, 0, chance.choice((3, 20, 41)))[: chance.choice((1, 1, 2, 3))]:
+            made = START + (60 * minute + after_s) * SECOND
+            if chance.random() >= loss:
+                session.send(STATE, header(made, "rover"), rover())
+                heard = made
+        now = START + (60 * minute + 59) * SECOND
+        session.send(EARTH_CLOCK, header(now, "link"), at(now))
+        assert liveness(state).condition is Condition.LIVE, f"minute {minute}"
+    now = heard + 60 * 60 * SECOND
+    session.send(EARTH_CLOCK, header(now, "link"), at(now))
+    assert liveness(state).condition is Condition.ROVER_OVERDUE
 
 
 def test_a_mission_that_is_over_is_over_whoever_is_silent(
