@@ -17,6 +17,7 @@ from services.console.cli.session import NamedSession, Session
 if TYPE_CHECKING:
     from services.console.client.areas import Area
     from services.console.client.mission_client import MissionClient
+    from services.console.client.previews import CommandOutlook
 
 EXAMPLES = """\b
 Examples:
@@ -102,7 +103,7 @@ def rename(
     kind: Kind = None,
     yes: Yes = False,
 ) -> None:
-    """Give an area a new name; a keep-out is closed all the time."""
+    """Give an area a new name; a keep-out is closed all the time. One answer decides on both of its commands."""
     from dataclasses import replace as changed
 
     from he3.errors import InvalidInput
@@ -112,8 +113,7 @@ def rename(
         objection = client.name_objection(area.kind, new_name)
         if objection is not None:
             raise InvalidInput(objection)
-        _set(client, changed(area, name=new_name), yes=yes)
-        _remove(client, area, yes=yes)
+        _rename(client, area, changed(area, name=new_name), yes=yes)
     typer.echo(f"mission '{client.mission}': {area.kind.value} {name} is now {new_name}")
 
 
@@ -159,12 +159,33 @@ def _remove(client: MissionClient, area: Area, *, yes: bool) -> None:
         client.set_interest(area.name, None)
 
 
+def _rename(client: MissionClient, area: Area, renamed: Area, *, yes: bool) -> None:
+    """Set the area under its new name, then remove the old one; one question, before either is sent."""
+    from he3.errors import He3Error
+
+    if area.weight is None and asks("set-keep-out", yes=yes):
+        outlook = client.preview("set-keep-out", area_id=renamed.name, polygon_m=renamed.polygon_m)
+        then = ("then", f"removes keep-out {area.name}; its ground stays closed under the new name")
+        _expect_consent(client, outlook, then)
+    _set(client, renamed, yes=True)
+    try:
+        _remove(client, area, yes=True)
+    except He3Error as error:
+        raise He3Error(f"{area.kind.value} {renamed.name} is set, and {area.name} not removed: {error}") from None
+
+
+def _expect_consent(client: MissionClient, outlook: CommandOutlook, *further: tuple[str, str]) -> None:
+    """Return once the operator has read what is to happen and sends it; ends the command if they do not."""
+    if not confirmed(client, outlook, *further):
+        typer.echo("he3: nothing was sent", err=True)
+        raise typer.Exit(1)
+
+
 def _command(client: MissionClient, what: dict[str, Any], *, yes: bool) -> None:
     """Send the keep-out once the operator has read what it does; ends the command if they do not send it."""
     kind = "set-keep-out"
-    if asks(kind, yes=yes) and not confirmed(client, client.preview(kind, **what)):
-        typer.echo("he3: nothing was sent", err=True)
-        raise typer.Exit(1)
+    if asks(kind, yes=yes):
+        _expect_consent(client, client.preview(kind, **what))
     client.command(kind, **what)
 
 

@@ -190,16 +190,17 @@ def _show(client: MissionClient, outlook: CommandOutlook, *, json: bool) -> None
         raise InvalidInput(outlook.preview.objection)
 
 
-def confirmed(client: MissionClient, outlook: CommandOutlook) -> bool:
+def confirmed(client: MissionClient, outlook: CommandOutlook, *further: tuple[str, str]) -> bool:
     """Whether the operator at the terminal sends the command that would do this: Enter does, any other answer not.
 
+    further: names and texts of what else is decided.
     Raises InvalidInput for a command that the ground would refuse: there is nothing to ask.
     """
     from he3.errors import InvalidInput
 
     if not outlook.sound:
         raise InvalidInput(outlook.preview.objection)
-    typer.echo("\n".join(outlook_lines(client, outlook)), err=True)
+    typer.echo("\n".join(outlook_lines(client, outlook, *further)), err=True)
     typer.echo("Enter sends it, any other answer does not: ", nl=False, err=True)
     return sends(sys.stdin.readline())
 
@@ -209,9 +210,9 @@ def sends(answer: str) -> bool:
     return answer.endswith("\n") and answer.strip() in ("", "y", "yes")
 
 
-def outlook_lines(client: MissionClient, outlook: CommandOutlook) -> list[str]:
+def outlook_lines(client: MissionClient, outlook: CommandOutlook, *further: tuple[str, str]) -> list[str]:
     """What a command would do in aligned lines of plain text; the mission that it goes to comes first."""
-    rows = [("mission", f"{client.mission} at {client.earth}"), *outlook.rows()]
+    rows = [("mission", f"{client.mission} at {client.earth}"), *outlook.rows(), *further]
     return [f"{name:<10} {text}" for name, text in rows]
 
 
