@@ -118,7 +118,7 @@ def _check_seal(payload: bytes, where: str) -> bool:
 
 def decode(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
     """Header and body of a message of that topic; raises Refused with one line for anything else."""
-    return _decode(topic.payload, payload, mission, topic.key(mission), topic.max_bytes, topic.sources)
+    return _decode(topic, topic.payload, payload, mission, topic.max_bytes, topic.sources)
 
 
 def raw_objection(topic: Topic, payload: bytes) -> str | None:
@@ -152,29 +152,40 @@ def decode_reply(topic: Topic, payload: bytes, mission: str) -> tuple[Header, An
     """Header and body of the answer to a query of that topic; raises Refused with one line for anything else."""
     if topic.reply is None:
         raise Refused(f"{topic.key(mission)}: is not a query, so there is nothing to answer")
-    where = f"{topic.key(mission)} (reply)"
-    return _decode(topic.reply, payload, mission, where, topic.max_reply_bytes, topic.reply_sources)
+    return _decode(topic, topic.reply, payload, mission, topic.max_reply_bytes, topic.reply_sources, " (reply)")
 
 
 def _decode(
-    body_type: type[Wire], payload: bytes, mission: str, where: str, limit: int, sources: frozenset[str] | None
+    topic: Topic,
+    body_type: type[Wire],
+    payload: bytes,
+    mission: str,
+    limit: int,
+    sources: frozenset[str] | None,
+    what: str = "",
 ) -> tuple[Header, Any]:
+    """Header and body; what: of the topic's key the message is."""
+
+    def expected(text: str) -> Refused:
+        return Refused(f"{topic.key(mission)}{what}: expected {text}")
+
     if len(payload) > limit:
-        raise Refused(f"{where}: expected at most {limit} bytes, got {len(payload)}")
-    header, body = _parts(body_type, payload, where)
+        raise expected(f"at most {limit} bytes, got {len(payload)}")
+    if isinstance(payload, Passed) and type(payload.body) is body_type:
+        header, body = payload.header, payload.body
+    else:
+        header, body = _parsed(body_type, payload, f"{topic.key(mission)}{what}")
     if header.version != SCHEMA_VERSION:
-        raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {header.version}")
+        raise expected(f"schema version {SCHEMA_VERSION}, got {header.version}")
     if header.mission != mission:
-        raise Refused(f"{where}: expected mission '{mission}', got '{header.mission}'")
+        raise expected(f"mission '{mission}', got '{header.mission}'")
     if sources is not None and header.source not in sources:
-        raise Refused(f"{where}: expected a message of {' or '.join(sorted(sources))}, got one of '{header.source}'")
+        raise expected(f"a message of {' or '.join(sorted(sources))}, got one of '{header.source}'")
     return header, body
 
 
-def _parts(body_type: type[Wire], payload: bytes, where: str) -> tuple[Header, Any]:
+def _parsed(body_type: type[Wire], payload: bytes, where: str) -> tuple[Header, Any]:
     """Header and body, each of the right form; raises Refused."""
-    if isinstance(payload, Passed) and type(payload.body) is body_type:
-        return payload.header, payload.body
     sealed = _check_seal(payload, where)
     try:
         envelope = _adapter(body_type).validate_json(payload)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from enum import Enum, StrEnum
 
 from schemas.authority import AuthorityChange, AuthorityState
@@ -114,39 +114,40 @@ class Topic:
     """Whether each subscriber has a key of its own, which ends with its name; see `addressed`."""
     max_bytes: int = 16_384
     max_reply_bytes: int = 1_048_576
+    sources: frozenset[str] | None = field(init=False, repr=False, compare=False)
+    """The names of the processes that make its messages, or its queries; None: people do, under names of their own.
+
+    The role of a process has the name of the process. It holds end to end: the link that carries a message does not
+    become its source.
+    """
+    reply_sources: frozenset[str] | None = field(init=False, repr=False, compare=False)
+    """The names of the processes that reply to its queries."""
+    direction: Direction | None = field(init=False, repr=False, compare=False)
+    """Direction in which it crosses the link; None for a topic that stays on its side."""
+    sides: tuple[Side, ...] = field(init=False, repr=False, compare=False)
+    """The sides on which the key exists: both for a topic that crosses."""
+
+    def __post_init__(self) -> None:
+        # Every message asks for these, so they are worked out once.
+        by = self.access.query if isinstance(self.service, Query) else self.access.publish
+        object.__setattr__(self, "sources", _process_names(by))
+        object.__setattr__(self, "reply_sources", _process_names(self.access.answer))
+        direction = {Crosses.UP: Direction.UP, Crosses.DOWN: Direction.DOWN, Crosses.NEVER: None}[self.crosses]
+        object.__setattr__(self, "direction", direction)
+        both = Side.MOON, Side.EARTH
+        object.__setattr__(self, "sides", (Side(self.name.split("/", 1)[0]),) if direction is None else both)
 
     def __hash__(self) -> int:
         return hash(self.name)  # the names differ, and topics are looked up with every message
 
+    def __eq__(self, other: object) -> bool:
+        if self is other or not isinstance(other, Topic):
+            return self is other
+        return self.name == other.name and astuple(self) == astuple(other)
+
     def key(self, mission: str) -> str:
         """The Zenoh key expression of this topic in that mission."""
         return f"{KEY_ROOT}/{mission}/{self.name}"
-
-    @property
-    def sources(self) -> frozenset[str] | None:
-        """The names of the processes that make its messages, or its queries; None: people do, under names of their own.
-
-        The role of a process has the name of the process. It holds end to end: the link that carries a message does not
-        become its source.
-        """
-        return _process_names(self.access.query if isinstance(self.service, Query) else self.access.publish)
-
-    @property
-    def reply_sources(self) -> frozenset[str] | None:
-        """The names of the processes that reply to its queries."""
-        return _process_names(self.access.answer)
-
-    @property
-    def direction(self) -> Direction | None:
-        """Direction in which it crosses the link; None for a topic that stays on its side."""
-        return {Crosses.UP: Direction.UP, Crosses.DOWN: Direction.DOWN, Crosses.NEVER: None}[self.crosses]
-
-    @property
-    def sides(self) -> tuple[Side, ...]:
-        """The sides on which the key exists: both for a topic that crosses."""
-        if self.crosses is not Crosses.NEVER:
-            return Side.MOON, Side.EARTH
-        return (Side(self.name.split("/", 1)[0]),)
 
     def access_on(self, side: Side) -> Access:
         """Which roles may do what with the topic on that side's network, the link as the carrier included."""

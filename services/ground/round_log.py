@@ -59,7 +59,7 @@ class RoundLog:
     @property
     def open_rounds(self) -> list[RoundRecord]:
         """Rounds of the chain of which something is still to come."""
-        return [record for record in self.chain if not record.closed]
+        return [record for record in self.chain if not record.all_settled and record.pending]
 
     @property
     def not_begun(self) -> list[RoundRecord]:
@@ -83,7 +83,7 @@ class RoundLog:
     @property
     def completed(self) -> int:
         """Number of rounds that have begun and of which no sample is still to come."""
-        return sum(record.begun and record.closed for record in self.chain)
+        return sum([record.begun and (record.all_settled or not record.pending) for record in self.chain])
 
     @property
     def fruitless(self) -> int:

@@ -37,22 +37,27 @@ class RoundRecord:
     """Farthest place reached along the path [m]."""
     changes: int = field(default=0, init=False)
     """Counts what has changed in it since it was made here, apart from its samples."""
-    _all_settled: bool = field(init=False)
+    all_settled: bool = field(init=False)
+    """Whether every sample arrived or was skipped."""
     _arc_m: FloatArray = field(init=False)
     _path_m: FloatArray = field(init=False)
+    _x: FloatArray = field(init=False)
+    _y: FloatArray = field(init=False)
     _begin_x: FloatArray = field(init=False)
     _begin_y: FloatArray = field(init=False)
     _leg_x: FloatArray = field(init=False)
     _leg_y: FloatArray = field(init=False)
     _squared: FloatArray = field(init=False)
     _root: FloatArray = field(init=False)
+    _passed: tuple[float, tuple[Waypoint, ...], tuple[Waypoint, ...]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._all_settled = len(self.settled) == len(self.plan.samples)
+        self.all_settled = len(self.settled) == len(self.plan.samples)
         self._path_m = np.array(self.plan.path_m, dtype=np.float64)
         steps = np.hypot(*np.diff(self._path_m, axis=0).T)
         self._arc_m = np.concatenate(([0.0], np.cumsum(steps)))
-        self._begin_x, self._begin_y = self._path_m[:-1, 0].copy(), self._path_m[:-1, 1].copy()
+        self._x, self._y = self._path_m[:, 0].copy(), self._path_m[:, 1].copy()
+        self._begin_x, self._begin_y = self._x[:-1], self._y[:-1]
         self._leg_x, self._leg_y = np.diff(self._path_m[:, 0]), np.diff(self._path_m[:, 1])
         self._squared = np.maximum(self._leg_x**2 + self._leg_y**2, 1e-12)
         self._root = np.sqrt(self._squared)
@@ -79,7 +84,7 @@ class RoundRecord:
     @property
     def pending(self) -> list[PlannedSample]:
         """Samples that are still to come, in the order of the path."""
-        if self._all_settled:
+        if self.all_settled:
             return []
         return [
             planned
@@ -90,7 +95,7 @@ class RoundRecord:
     @property
     def closed(self) -> bool:
         """Whether no sample of it is still to come."""
-        return self._all_settled or not self.pending
+        return self.all_settled or not self.pending
 
     def begin(self) -> None:
         """Note that the rover has begun it."""
@@ -127,7 +132,7 @@ class RoundRecord:
         if sample_id in self.settled:
             return False
         self.settled.add(sample_id)
-        self._all_settled = len(self.settled) == len(self.plan.samples)
+        self.all_settled = len(self.settled) == len(self.plan.samples)
         self.arrived += arrived
         return True
 
@@ -137,7 +142,7 @@ class RoundRecord:
             return
         x_m, y_m = place_m
         along = (x_m - self._begin_x) * self._leg_x + (y_m - self._begin_y) * self._leg_y
-        share = np.clip(along / self._squared, 0.0, 1.0)
+        share = np.minimum(np.maximum(along / self._squared, 0.0), 1.0)
         off_x, off_y = self._begin_x + share * self._leg_x - x_m, self._begin_y + share * self._leg_y - y_m
         arc = self._arc_m[:-1] + share * self._root
         ahead = np.flatnonzero((arc >= self.reached_m - 1e-6) & (np.hypot(off_x, off_y) <= tolerance_m))
@@ -148,21 +153,27 @@ class RoundRecord:
 
     def driven(self) -> tuple[Waypoint, ...]:
         """The part of the path up to the farthest place reached."""
-        whole, here = self._reached()
-        return (*self.plan.path_m[:whole], here)
+        return self._divided()[0]
 
     def ahead(self) -> tuple[Waypoint, ...]:
         """The part of the path beyond the farthest place reached."""
-        whole, here = self._reached()
-        return (here, *self.plan.path_m[whole:])
+        return self._divided()[1]
+
+    def _divided(self) -> tuple[tuple[Waypoint, ...], tuple[Waypoint, ...]]:
+        """The path up to the farthest place reached, and beyond it."""
+        if self._passed is None or self._passed[0] != self.reached_m:
+            whole, here = self._reached()
+            path = self.plan.path_m
+            self._passed = self.reached_m, (*path[:whole], here), (here, *path[whole:])
+        return self._passed[1:]
 
     def _reached(self) -> tuple[int, Waypoint]:
         """The number of vertices passed so far, and the farthest place reached."""
         if self.reached_m >= self.length_m:
             return len(self.plan.path_m), self.end_m
         whole = int(np.searchsorted(self._arc_m, self.reached_m, side="right"))
-        x, y = (float(np.interp(self.reached_m, self._arc_m, self._path_m[:, axis])) for axis in (0, 1))
-        return whole, (x, y)
+        x, y = np.interp(self.reached_m, self._arc_m, self._x), np.interp(self.reached_m, self._arc_m, self._y)
+        return whole, (float(x), float(y))
 
     def checkpoint(self) -> SavedState:
         """The whole state, as named parts."""

@@ -112,9 +112,10 @@ class Channel:
 
     def advance(self, now: MissionTime) -> None:
         """Begins to send every packet whose turn has come by now, each at its own time."""
-        while len(self._queue) and self._begin_next(now):
+        while self._queue and self._begin_next(now):
             pass
-        self._advanced_to = max(self._advanced_to, now)
+        if now > self._advanced_to:
+            self._advanced_to = now
 
     def change(self, conditions: DirectionConditions, contact: Contact, at_edge: AtEdge, now: MissionTime) -> None:
         """Puts other conditions in force for packets whose sending begins from now on."""
@@ -129,7 +130,7 @@ class Channel:
     def arrived(self, now: MissionTime) -> list[Flight]:
         """Removes and returns the packets that have arrived by now, in the order of arrival, then of departure."""
         self.advance(now)
-        flights = []
+        flights: list[Flight] = []
         while self._flying and self._flying[0][0] <= now:
             flight = heapq.heappop(self._flying)[2]
             self._count_flight(flight, -1)
@@ -140,17 +141,20 @@ class Channel:
 
     def next_event(self) -> MissionTime | None:
         """When the next packet arrives or may be sent; None if nothing happens without an offer or a change."""
+        if not self._queue:
+            return self._flying[0][0] if self._flying else None
         times = [self._flying[0][0]] if self._flying else []
-        if len(self._queue):
-            if self._free_at > self._advanced_to:
-                times.append(self._free_at)
-            change = self._contact.changes_at(self._advanced_to)
-            if change is not None:
-                times.append(change)
+        if self._free_at > self._advanced_to:
+            times.append(self._free_at)
+        change = self._contact.changes_at(self._advanced_to)
+        if change is not None:
+            times.append(change)
         return min(times, default=None)
 
     def drops(self) -> list[Drop]:
         """Removes and returns the drops since the last call, oldest first."""
+        if not self._drops:
+            return []
         drops, self._drops = self._drops, []
         return drops
 

@@ -42,7 +42,7 @@ STATUS_INTERVAL_BUSY: MissionTime = 10 * SECOND
 STATUS_INTERVAL_IDLE: MissionTime = 60 * SECOND
 """Interval between two reports while the link is idle [ns]."""
 
-_TRAFFIC, _CONTACT, _STATUS = "traffic", "contact", "status"
+_TIMERS = "traffic", "contact", "status"
 _ARRIVES_ON = {Direction.UP: Side.MOON, Direction.DOWN: Side.EARTH}
 
 
@@ -131,10 +131,11 @@ class LinkNode:
             yield SendIfHeard(LINK_STATUS, lambda: self._relay.status(now, self._incarnation))
             self._reported_at = now
             self._report_due = now + (STATUS_INTERVAL_BUSY if self._relay.busy else STATUS_INTERVAL_IDLE)
-        yield from self._set_timer(_TRAFFIC, self._relay.next_event())
-        yield from self._set_timer(_CONTACT, self._relay.contact_changes_at(now))
-        if self._reports:
-            yield from self._set_timer(_STATUS, self._report_due)
+        due = (self._relay.next_event(), self._relay.contact_changes_at(now), self._report_due)
+        for timer, at in zip(_TIMERS if self._reports else _TIMERS[:-1], due, strict=False):
+            if self._timers.get(timer) != at:
+                self._timers[timer] = at
+                yield SetTimer(timer, at)
 
     def _report_soon(self, now: MissionTime) -> None:
         soon = now if self._reported_at is None else max(now, self._reported_at + STATUS_INTERVAL_MIN)
@@ -143,11 +144,6 @@ class LinkNode:
     def _until(self, now: MissionTime) -> dict[str, MissionTime]:
         changes_at = self._relay.contact_changes_at(now)
         return {} if changes_at is None else {"until": changes_at}
-
-    def _set_timer(self, timer: str, at: MissionTime | None) -> Iterator[Effect]:
-        if self._timers.get(timer) != at:
-            self._timers[timer] = at
-            yield SetTimer(timer, at)
 
 
 def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:

@@ -70,9 +70,12 @@ class Relay:
 
     def arrived(self, now: MissionTime) -> list[tuple[Direction, Flight]]:
         """Removes and returns the packets that have arrived on either side, by time of arrival, then of offering."""
-        arrived = [
-            (direction, flight) for direction, channel in self._channels.items() for flight in channel.arrived(now)
-        ]
+        arrived = []
+        for direction, channel in self._channels.items():
+            if flights := channel.arrived(now):
+                arrived += [(direction, flight) for flight in flights]
+        if not arrived:
+            return arrived
         arrived.sort(key=lambda pair: (pair[1].arrives_at, pair[1].packet.order))
         self._commands_arrived.extend(
             _shown_flight(direction, flight) for direction, flight in arrived if flight.packet.topic is COMMAND
@@ -81,12 +84,19 @@ class Relay:
 
     def next_event(self) -> MissionTime | None:
         """When a packet arrives or may begin to be sent next."""
-        times = [time for channel in self._channels.values() if (time := channel.next_event()) is not None]
-        return min(times, default=None)
+        earliest = None
+        for channel in self._channels.values():
+            time = channel.next_event()
+            if time is not None and (earliest is None or time < earliest):
+                earliest = time
+        return earliest
 
     def drops(self) -> list[tuple[Direction, Drop]]:
         """Removes and returns the drops since the last call."""
-        drops = [(direction, drop) for direction, channel in self._channels.items() for drop in channel.drops()]
+        drops = []
+        for direction, channel in self._channels.items():
+            if dropped := channel.drops():
+                drops += [(direction, drop) for drop in dropped]
         self._dropped.extend(_shown_dropped(direction, drop) for direction, drop in drops)
         return drops
 

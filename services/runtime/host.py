@@ -59,6 +59,7 @@ from services.runtime.node import (
     SendIfHeard,
     SendQuery,
     SendReply,
+    SetTimer,
     Started,
     TimerFired,
 )
@@ -431,10 +432,12 @@ class Host:
 
     def _dispatch(self, given: Input, now: MissionTime) -> list[Action]:
         match given:
-            case ProcessStarted(incarnation):
-                return self._start(incarnation, now)
+            case TimerElapsed(timer):
+                return self._timer(timer, now)
             case MessageArrived(topic, payload, objection):
                 return self._message(topic, payload, objection, now)
+            case ProcessStarted(incarnation):
+                return self._start(incarnation, now)
             case QueryArrived(topic, payload, token):
                 return self._query(topic, payload, token, now)
             case CheckedQueryArrived(topic, request, token):
@@ -443,8 +446,6 @@ class Host:
                 return self._reply(query, payload, now)
             case QueryUnanswered(query, why, detail):
                 return self._unanswered(query, why, detail, now)
-            case TimerElapsed(timer):
-                return self._timer(timer, now)
             case ComputationEnded(job, result, error):
                 what = f"computed {job}{' failed' if error else ''}"
                 return self._handle(Computed(job, result, error), now, what)
@@ -571,6 +572,8 @@ class Host:
     def _actions(self, effects: Iterable[Effect], now: MissionTime) -> Iterable[Action]:
         for effect in effects:
             match effect:
+                case SetTimer() | LogRecord():
+                    yield effect
                 case SendIfHeard(topic, make):
                     side = self._side_of(topic)
                     if self._heard(topic, side):

@@ -150,7 +150,8 @@ class NodeScheduler:
         """
         if self._running:
             self._collect_results(now, wait)
-        self._collect_timers(now)
+        if self._heap and self._heap[0][0] <= now:
+            self._collect_timers(now)
         if len(self._inbox) > 1:
             self._inbox.sort(key=itemgetter(0))
         batch = [given for _, given in self._inbox]
@@ -163,11 +164,12 @@ class NodeScheduler:
             self._journal.append(now, batch)
         self.last = now
         for given in batch:
-            actions = [action for action in self.host.handle(given, now) if not self._performed(action, now)]
-            if audited:
-                for action in actions:
+            for action in self.host.handle(given, now):
+                if self._performed(action, now):
+                    continue
+                if audited:
                     self.host.answered(action, now)
-            outward += actions
+                outward.append(action)
         if self._journal is not None and batch:
             self._keep_state(batch)
         return outward
