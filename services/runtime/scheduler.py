@@ -88,6 +88,7 @@ class NodeScheduler:
 
     def __init__(self, host: Host, executor: Executor, journal: Journal | None = None) -> None:
         self.host = host
+        self.name = host.interface.name
         self._journal = journal
         self.emitted = 0
         """Messages published so far."""
@@ -98,12 +99,9 @@ class NodeScheduler:
         self._running: list[_Computation] = []
         self._lasting: dict[type, Action] = {}  # what still holds after a restart: the last snapshot, the end
         self._since_checkpoint = 0
+        self._wake: tuple[MissionTime | None] | None = None  # what `next_wake` has found, until something changes
         self.last: MissionTime = 0
         """Mission time of the last `run` [ns]."""
-
-    @property
-    def name(self) -> str:
-        return self.host.interface.name
 
     def put(self, order: Order, given: Input) -> None:
         """Keep an input for the next `run`."""
@@ -118,7 +116,7 @@ class NodeScheduler:
         """Whether `run` has anything to handle at that time."""
         if self._inbox:
             return True
-        wake = self.next_wake()
+        wake = self.next_wake() if self._wake is None else self._wake[0]
         return wake is not None and wake <= now
 
     def next_wake(self, wait: bool = True) -> MissionTime | None:
@@ -126,6 +124,8 @@ class NodeScheduler:
 
         wait: whether computations that still run count (virtual time), or only those that have ended.
         """
+        if wait and self._wake is not None:
+            return self._wake[0]
         heap, timers = self._heap, self._timers
         while heap and timers.get(heap[0][1]) != heap[0][0]:
             heapq.heappop(heap)
@@ -133,6 +133,8 @@ class NodeScheduler:
         for each in self._running:
             if (earliest is None or each.ends < earliest) and (wait or each.future.done()):
                 earliest = each.ends
+        if wait:
+            self._wake = (earliest,)
         return earliest
 
     def computations(self) -> list[str]:
@@ -148,6 +150,7 @@ class NodeScheduler:
 
         wait: whether to wait for a computation that is due (virtual time), or to leave it until it has ended.
         """
+        self._wake = None
         if self._running:
             self._collect_results(now, wait)
         if self._heap and self._heap[0][0] <= now:
@@ -223,6 +226,7 @@ class NodeScheduler:
         They are the latest snapshot, the end of the mission, and the queries that have not ended. Timers stand as they
         did; computations whose result is not in the journal begin again. state: from a checkpoint before these inputs.
         """
+        self._wake = None
         begun = {} if state is None else self._restore(state)
         for now, given in kept:
             self.last = now

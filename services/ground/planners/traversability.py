@@ -138,14 +138,18 @@ def _scalar_check(grid: SiteGrid, by_row: bytes, by_column: bytes) -> SegmentChe
         if x0 < 0.0 or x1 > n or y0 < 0.0 or y1 < 0.0 or y0 > m or y1 > m:
             return False
         slope = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
-        slab, last = floor(x0 - TOUCH), floor(x1 + TOUCH)
-        slab, last = max(slab, 0), min(last, n - 1)
+        slab, last = max(floor(x0 - TOUCH), 0), min(floor(x1 + TOUCH), n - 1)
+        # Tens of thousands of legs a plan: conditions cost less than calls, and int() rounds down from 0 on.
         while slab <= last:
-            ya = y0 + slope * (min(max(x0, slab), x1) - x0)
-            yb = y0 + slope * (max(min(x1, slab + 1), x0) - x0)
+            low = x0 if slab < x0 else slab
+            high = slab + 1 if slab + 1 < x1 else x1
+            ya = y0 + slope * ((low if low < x1 else x1) - x0)
+            yb = y0 + slope * ((high if high > x0 else x0) - x0)
             if ya > yb:
                 ya, yb = yb, ya
-            first, final = max(floor(ya - TOUCH), 0), min(floor(yb + TOUCH), m - 1)
+            first, final = int(ya - TOUCH) if ya > TOUCH else 0, int(yb + TOUCH)
+            if final >= m:
+                final = m - 1
             at = slab * m + first
             room = clearance[at]
             if not room:

@@ -71,6 +71,8 @@ class CustodyEndpoint:
         self._receiver = CustodyReceiver(config)
         self._acks_sent = 0
         self._timer_at: MissionTime | None = None
+        self._timer_may_move = False
+        """Whether anything has happened since `move_timer`."""
         self._newest: dict[tuple[str, str], tuple[MissionTime, int, int]] = {}
 
     @property
@@ -91,6 +93,7 @@ class CustodyEndpoint:
 
     def offer(self, topic: Topic, header: Header, body: Wire, now: MissionTime) -> list[Action]:
         """Keep a message of this node, and send what may be sent."""
+        self._timer_may_move = True
         held_from = self._sender.held_from(topic, header.incarnation, header.sequence)
         header = header.model_copy(update={"held_from": held_from})
         try:
@@ -108,6 +111,7 @@ class CustodyEndpoint:
         self, topic: Topic, header: Header, body: Any, size_bytes: int, now: MissionTime
     ) -> tuple[list[Delivery], list[Action]]:
         """The messages to deliver after a message that crossed the link, and the actions to carry out."""
+        self._timer_may_move = True
         actions = self._publish(self._sender.contact(now))
         if not under_custody(topic):
             return [Delivery(topic, header, body)] if self._is_newest(topic, header, now) else [], actions
@@ -124,11 +128,12 @@ class CustodyEndpoint:
 
     def acknowledged(self, ack: Acknowledgement, header: Header, now: MissionTime) -> list[Action]:
         """Drop the messages that the other side has, and repeat those that it lacks."""
+        self._timer_may_move = True
         return self._publish(self._sender.acknowledged(ack, header, now))
 
     def timer_elapsed(self, now: MissionTime) -> list[Action]:
         """Repeat what was not acknowledged in time, and send the acknowledgements that waited."""
-        self._timer_at = None
+        self._timer_at, self._timer_may_move = None, True
         actions: list[Action] = []
         repeat_at, acknowledge_at = self._sender.next_timer(), self._receiver.next_timer()
         if repeat_at is not None and repeat_at <= now:
@@ -139,6 +144,9 @@ class CustodyEndpoint:
 
     def move_timer(self) -> list[Action]:
         """The change of the host's timer, if it has to move."""
+        if not self._timer_may_move:
+            return []
+        self._timer_may_move = False
         times = [at for at in (self._sender.next_timer(), self._receiver.next_timer()) if at is not None]
         timer_at = min(times, default=None)
         if timer_at == self._timer_at:
@@ -184,3 +192,4 @@ class CustodyEndpoint:
         self._receiver.restore(state["receiver"])
         self._acks_sent, self._timer_at = state["acks_sent"], state["timer_at"]
         self._newest = state["newest"]
+        self._timer_may_move = True
