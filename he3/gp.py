@@ -140,7 +140,8 @@ class GaussianProcess:
         batch, k, _ = sets.shape
         flat = as_points(sets.reshape(-1, 2))
         difference = sets[:, :, None, :] - sets[:, None, :, :]
-        covariance = self.hyperparameters.kernel.of_squared_distance((difference * difference).sum(axis=-1))
+        kernel = self.hyperparameters.kernel
+        covariance = kernel.of_squared_distance(kernel.squared_length(difference[..., 0], difference[..., 1]))
         basis = self.hyperparameters.trend_basis(flat)
         if basis is not None:
             stacked = basis.reshape(batch, k, -1)

@@ -87,7 +87,8 @@ class Hyperparameters:
 
     log_likelihood: of the observations [ppb] that they were fitted to, NaN if they were not fitted. alternatives:
     weights, whose sum is 1, and kernels that together stand for what the samples leave possible (``he3.mixture``);
-    empty where ``kernel`` is taken for certain.
+    empty where ``kernel`` is taken for certain. noises_ppb: the noise's standard deviation under each alternative;
+    empty where it is that of these under all.
     """
 
     kernel: Kernel
@@ -97,12 +98,15 @@ class Hyperparameters:
     log_likelihood: float = math.nan
     trend: Trend | None = None
     alternatives: tuple[tuple[float, Kernel], ...] = ()
+    noises_ppb: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale_ppb) and self.scale_ppb > 0 and math.isfinite(self.mean_ppb)):
             raise InvalidInput(f"expected a finite mean and a positive scale, got {self.mean_ppb} and {self.scale_ppb}")
         if not (math.isfinite(self.noise_std_ppb) and self.noise_std_ppb >= 0):
             raise InvalidInput(f"expected a noise standard deviation of 0 or more, got {self.noise_std_ppb!r} ppb")
+        if self.noises_ppb and len(self.noises_ppb) != len(self.alternatives):
+            raise InvalidInput(f"expected a noise for each of {len(self.alternatives)}, got {len(self.noises_ppb)}")
 
     @property
     def noise_variance(self) -> float:
@@ -335,6 +339,15 @@ class LikelihoodProblem:
     trend_covariance: FloatArray | None
     noise: float
     bounds: FloatArray
+
+    def kernel_at(self, theta: FloatArray) -> Kernel:
+        """The kernel of these parameters (p,)."""
+        return with_log_parameters(self.default, theta)
+
+    def noise_at(self, theta: FloatArray) -> float:
+        """The noise variance in standardised units, as these parameters (p,) have it."""
+        del theta
+        return self.noise
 
     def start(self, kernel: Kernel) -> FloatArray:
         """The kernel's log parameters (p,), within bounds."""

@@ -17,6 +17,9 @@ which draws at random:
 2. *A few of its points.* ``he3.condensation`` chooses those whose mixture has, at places all over the site, the
    moments that all of them have together.
 
+Where the samples speak for unstated noise or for two lengths and a bearing (``he3.model_extensions``), the points of
+those models are among them, with the weight of their evidence.
+
 On 20 maps of 10 to 30 samples of 16 fields, six points had the moments of a design of 256, twice the one used here:
 standard deviations within 1 % on average and 2 % at most, means within 2 and 5 % of a standard deviation.
 """
@@ -45,7 +48,8 @@ from he3.hyperparameters import (
     typical_spacing_m,
 )
 from he3.hyperprior import REACH, Hyperprior
-from he3.kernels import AUTO, Kernel, kernel_from, squared_distances, with_log_parameters
+from he3.kernels import AUTO, Kernel, Stretched, kernel_from, squared_distances
+from he3.model_extensions import extensions
 from he3.trend import UnknownConstant
 
 if TYPE_CHECKING:
@@ -60,6 +64,7 @@ POINTS = ((40, 128), (200, 64), (400, 40))  # points of the design for up to so 
 POINTS_OF_MANY = 24
 WIDENING = 1.3  # 1, of the normal approximation; its tails are then never thinner than the posterior's
 _PRIOR_SHARE = 0.5  # 1, of the design, for up to 40 samples; less for more
+LEAST_LOG_SHARE = -4.0  # 1, logarithm of a model's weight, over the best one's, below which it is left out
 _LEAST_VARIANCE = 1e-9  # 1, of the prior's, where rounding leaves less
 _STEP = 0.05  # 1, of the second differences, in standard deviations of the prior
 _FOLLOWED_UP_TO = 150  # samples up to which the best points of the prior are starts, too
@@ -91,7 +96,7 @@ def infer_hyperparameters(
     found = [_inferred(xy, values, name, prior, noise_std_ppb, trend, previous) for name in names]
     least = max(each.log_evidence for each in found) - VERY_STRONG_EVIDENCE
     chosen = next(each for each in found if each.log_evidence >= least)
-    return chosen.with_alternatives(xy, prior.extent_m)
+    return _mixed([chosen, *_extended(chosen, xy)], xy, prior.extent_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +112,11 @@ class _Posterior:
 
     def kernel(self, u: FloatArray) -> Kernel:
         """The kernel whose parameters are at u (p,)."""
-        return with_log_parameters(self.likelihood.default, self.medians + self.factors * u)
+        return self.likelihood.kernel_at(self.medians + self.factors * u)
+
+    def noise(self, u: FloatArray) -> float:
+        """The noise variance at u (p,), in standardised units."""
+        return self.likelihood.noise_at(self.medians + self.factors * u)
 
     def cost(self, u: FloatArray) -> tuple[float, FloatArray]:
         """Minus the log posterior, and its gradient (p,)."""
@@ -156,22 +165,42 @@ class _Posterior:
 class _Probed:
     """The log likelihood of a kernel, and the moments of the field at places, from one factorisation.
 
-    r2: squared distances (n, m) [m^2] between samples and places; trend (n, m) and trend_variance (m,): of the trend.
+    xy, places: of n samples and m places [m], and r2 (n, m) the squared distances between them [m^2]. trend (n, m) and
+    trend_variance (m,): of the trend.
     """
 
     likelihood: LikelihoodProblem
+    xy: FloatArray
+    places: FloatArray
     r2: FloatArray
     trend: FloatArray
     trend_variance: FloatArray
 
-    def moments(self, kernel: Kernel) -> tuple[float, FloatArray, FloatArray]:
-        """Log likelihood, means (m,) and variances (m,), in standardised units; minus infinity if it has no value."""
+    @classmethod
+    def of(cls, inference: _Inference, xy: FloatArray, places: FloatArray) -> _Probed:
+        trend, scale = inference.fitted.trend, inference.fitted.scale_ppb
+        assert trend is not None
+        basis = trend.basis(places, scale)
+        across, variance = trend.basis(xy, scale) @ basis.T, (basis * basis).sum(axis=1)
+        return cls(inference.posterior.likelihood, xy, places, squared_distances(xy, places), across, variance)
+
+    def _covariances(self, kernel: Kernel) -> tuple[FloatArray, FloatArray]:
+        """Among the samples (n, n), and between them and the places (n, m)."""
+        if isinstance(kernel, Stretched):
+            return kernel.covariance(self.xy, self.xy), kernel.covariance(self.xy, self.places)
+        return kernel.of_squared_distance(self.likelihood.r2), kernel.of_squared_distance(self.r2)
+
+    def moments(self, kernel: Kernel, noise: float) -> tuple[float, FloatArray, FloatArray]:
+        """Log likelihood, means (m,) and variances (m,), in standardised units; minus infinity if it has no value.
+
+        noise: its variance in standardised units.
+        """
         problem, n = self.likelihood, len(self.likelihood.z)
         prior = kernel.prior_variance + self.trend_variance
         if not n:
             return 0.0, np.zeros(len(prior)), prior
-        noise = max(problem.noise, NOISE_VARIANCE_FLOOR * kernel.prior_variance)
-        total = kernel.of_squared_distance(problem.r2)
+        noise = max(noise, NOISE_VARIANCE_FLOOR * kernel.prior_variance)
+        total, across = self._covariances(kernel)
         if problem.trend_covariance is not None:
             total += problem.trend_covariance
         total.flat[:: n + 1] += noise
@@ -179,7 +208,7 @@ class _Probed:
             factor = np.linalg.cholesky(total)
         except np.linalg.LinAlgError:
             return -math.inf, np.zeros(len(prior)), prior
-        both = np.column_stack((problem.z, kernel.of_squared_distance(self.r2) + self.trend))
+        both = np.column_stack((problem.z, across + self.trend))
         whitened = solve_triangular(factor, both, lower=True, check_finite=False)
         value, cross = whitened[:, 0], whitened[:, 1:]
         log_likelihood = -0.5 * float(value @ value) - float(np.log(factor.diagonal()).sum())
@@ -188,8 +217,30 @@ class _Probed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Weighted:
+    """Kernels, noise variances (N,) in standardised units, logarithms of their weights (N,), and moments (N, m)."""
+
+    kernels: list[Kernel]
+    noises: FloatArray
+    log_weights: FloatArray
+    means: FloatArray
+    variances: FloatArray
+
+    @classmethod
+    def together(cls, each: list[_Weighted]) -> _Weighted:
+        """All of several."""
+        return cls(
+            [kernel for one in each for kernel in one.kernels],
+            np.concatenate([one.noises for one in each]),
+            np.concatenate([one.log_weights for one in each]),
+            np.concatenate([one.means for one in each]),
+            np.concatenate([one.variances for one in each]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Inference:
-    """The posterior of one kernel's parameters, its mode, and the evidence."""
+    """The posterior of one model's parameters, its mode, and the evidence, the model's own prior odds included."""
 
     posterior: _Posterior
     mode: FloatArray
@@ -197,27 +248,63 @@ class _Inference:
     log_evidence: float
     fitted: Hyperparameters
 
-    def with_alternatives(self, xy: FloatArray, extent_m: float) -> Hyperparameters:
-        """The hyperparameters for planners, with the kernels that stand for the posterior."""
-        axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
-        probes = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
-        trend, scale = self.fitted.trend, self.fitted.scale_ppb
-        assert trend is not None
-        basis = trend.basis(probes, scale)
-        probed = _Probed(
-            self.posterior.likelihood,
-            squared_distances(xy, probes),
-            trend.basis(xy, scale) @ basis.T,
-            (basis * basis).sum(axis=1),
-        )
+    def weighted(self, xy: FloatArray, places: FloatArray) -> _Weighted:
+        """The points that stand for the posterior. The sum of their weights is 1."""
+        probed = _Probed.of(self, xy, places)
         points, log_weights = self.posterior.weighted_design(self.mode, self.spread)
-        kernels = [self.posterior.kernel(u) for u in points]
-        log_likelihoods, means, variances = zip(*(probed.moments(kernel) for kernel in kernels), strict=True)
+        kernels, noises = zip(*((self.posterior.kernel(u), self.posterior.noise(u)) for u in points), strict=True)
+        moments = (probed.moments(kernel, noise) for kernel, noise in zip(kernels, noises, strict=True))
+        log_likelihoods, means, variances = zip(*moments, strict=True)
         log_weights = log_weights + np.array(log_likelihoods)
-        weights = np.exp(log_weights - log_weights.max())
-        chosen, shares = condensed(weights, np.array(means), np.array(variances), COMPONENTS)
-        alternatives = tuple((float(share), kernels[number]) for number, share in zip(chosen, shares, strict=True))
-        return replace(self.fitted, alternatives=alternatives)
+        log_weights -= np.logaddexp.reduce(log_weights)
+        return _Weighted(list(kernels), np.array(noises), log_weights, np.array(means), np.array(variances))
+
+
+def _mixed(models: list[_Inference], xy: FloatArray, extent_m: float) -> Hyperparameters:
+    """The hyperparameters for planners, those of the first model, with the kernels that stand for all models."""
+    axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
+    places = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
+    best = max(model.log_evidence for model in models)
+    counted = [model for model in models if model.log_evidence >= best + LEAST_LOG_SHARE]
+    each = [
+        replace(found, log_weights=found.log_weights + model.log_evidence - best)
+        for model, found in ((model, model.weighted(xy, places)) for model in counted)
+    ]
+    points = _Weighted.together(each)
+    weights = np.exp(points.log_weights - points.log_weights.max())
+    chosen, shares = condensed(weights, points.means, points.variances, COMPONENTS)
+    fitted = models[0].fitted
+    alternatives = tuple((float(share), points.kernels[number]) for number, share in zip(chosen, shares, strict=True))
+    noises = points.noises[chosen]
+    if np.all(noises == models[0].posterior.likelihood.noise):
+        return replace(fitted, alternatives=alternatives)
+    stds = fitted.scale_ppb * np.sqrt(noises)
+    return replace(
+        fitted,
+        noise_std_ppb=float(np.sqrt(shares @ stds**2)),
+        alternatives=alternatives,
+        noises_ppb=tuple(float(std) for std in stds),
+    )
+
+
+def _extended(plain: _Inference, xy: FloatArray) -> list[_Inference]:
+    """The extensions of a model that the samples speak for."""
+    of = plain.posterior
+    found = []
+    for extension in extensions(of.likelihood, of.medians, of.factors, plain.mode, xy):
+        posterior = _Posterior(extension.likelihood, extension.medians, extension.factors)
+        mode = posterior.mode([extension.start])
+        spread = posterior.normal_at(mode)
+        # What does not depend on the model is that of the plain one, such as the samples' unit.
+        more = _log_integral(posterior, mode, spread) - _log_integral(of, plain.mode, plain.spread)
+        evidence = plain.log_evidence + more + extension.log_odds
+        found.append(_Inference(posterior, mode, spread, evidence, plain.fitted))
+    return found
+
+
+def _log_integral(posterior: _Posterior, mode: FloatArray, spread: FloatArray) -> float:
+    """Laplace's approximation of the logarithm of the posterior's integral."""
+    return float(np.linalg.slogdet(spread)[1]) - posterior.cost(mode)[0]
 
 
 def _inferred(
@@ -254,7 +341,7 @@ def _inferred(
     mode = posterior.mode(_starts(posterior, kernel_name, previous, scale))
     spread = posterior.normal_at(mode)
     of_scale = len(values) * math.log(scale)  # the samples are in ppb
-    log_evidence = float(np.linalg.slogdet(spread)[1]) - posterior.cost(mode)[0] - of_scale
+    log_evidence = _log_integral(posterior, mode, spread) - of_scale
     guide = _guide(posterior, mode, xy, prior.extent_m)
     likelihood = 0.5 * float(guide @ guide) - posterior.cost(guide)[0] - of_scale if len(values) else math.nan
     fitted = Hyperparameters(posterior.kernel(guide), noise_std_ppb, mean, scale, likelihood, unknown)

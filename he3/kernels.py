@@ -1,7 +1,8 @@
 """Covariance functions of the belief, as frozen values, with their derivatives.
 
-All are stationary and isotropic, so each is a function of the squared distance r^2 [m^2] alone. Variances are in the
-squared unit of the field (here: standardised, see ``he3.gp``); length scales are in metres.
+All are stationary and isotropic, so each is a function of the squared distance r^2 [m^2] alone. ``Stretched`` makes any
+of them anisotropic, by a metric of its own. Variances are in the squared unit of the field (here: standardised, see
+``he3.gp``); length scales are in metres.
 With a = sqrt(2 nu) r / l (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eqs. 4.9, 4.14-4.17):
 
     se         s^2 exp(-r^2 / (2 l^2))
@@ -30,9 +31,12 @@ from he3.frames import Float32Array, FloatArray, as_points
 class Kernel(Protocol):
     """A covariance function of the squared distance between two places."""
 
-    name: ClassVar[str]
     half_correlation_scales: ClassVar[float]
     """Distance at which the correlation (that of the rough part, if there are two) is a half, in length scales."""
+
+    @property
+    def name(self) -> str:
+        """Its key in ``KERNELS``."""
 
     @property
     def prior_variance(self) -> float:
@@ -44,8 +48,11 @@ class Kernel(Protocol):
     def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
         """Covariance (N, M) between places a (N, 2) and b (M, 2) [m]."""
 
+    def squared_length(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """Squared length of offsets [m] in the kernel's metric [m^2], of their common shape."""
+
     def of_squared_distance(self, r2: FloatArray) -> FloatArray:
-        """Covariance at the squared distances [m^2], same shape."""
+        """Covariance at the squared distances [m^2] in the kernel's metric, same shape."""
 
     def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
         """Covariance at the squared distances [m^2], and its derivatives by the logarithm of each parameter."""
@@ -80,6 +87,9 @@ class _Stationary:
 
     def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
         return self.of_squared_distance(squared_distances(as_points(a_m), as_points(b_m)))
+
+    def squared_length(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        return east_m * east_m + north_m * north_m
 
     def of_squared_distance(self, r2: FloatArray) -> FloatArray:
         raise NotImplementedError
@@ -278,6 +288,77 @@ class SmoothPlusRough(_Stationary):
         out += r2
 
 
+STRETCH, BEARING = "stretch", "bearing_deg"
+
+
+@dataclass(frozen=True, slots=True)
+class Stretched:
+    """An isotropic kernel with two lengths: longer along a bearing, and shorter across it.
+
+    stretch: ratio of the longer to the shorter length, at least 1; the length scales of ``isotropic`` are their
+    geometric mean. bearing_deg: of the longer axis, clockwise from north, 0 to 180. With d the offset, t the unit
+    vector along it, n that across it and q the stretch, the squared length of d is (d t)^2 / q + (d n)^2 q.
+    """
+
+    isotropic: Kernel
+    stretch: float
+    bearing_deg: float
+
+    half_correlation_scales: ClassVar[float] = 1.0  # planners are guided by isotropic kernels
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.stretch) and self.stretch >= 1.0 and 0.0 <= self.bearing_deg <= 180.0):
+            raise InvalidInput(
+                f"kernel {self.name!r}: expected a stretch of at least 1 and a bearing of 0 to 180 deg, "
+                f"got {self.stretch!r} and {self.bearing_deg!r}"
+            )
+
+    @property
+    def name(self) -> str:
+        """That of the isotropic kernel; the parameters tell them apart."""
+        return self.isotropic.name
+
+    @property
+    def prior_variance(self) -> float:
+        return self.isotropic.prior_variance
+
+    @property
+    def metric(self) -> tuple[float, float, float]:
+        """Coefficients of east^2, east north and north^2 in the squared length."""
+        bearing = math.radians(self.bearing_deg)
+        east, north, along, across = math.sin(bearing), math.cos(bearing), 1.0 / self.stretch, self.stretch
+        return (
+            along * east**2 + across * north**2,
+            2.0 * (along - across) * east * north,
+            along * north**2 + across * east**2,
+        )
+
+    def parameters(self) -> dict[str, float]:
+        return {**self.isotropic.parameters(), STRETCH: self.stretch, BEARING: self.bearing_deg}
+
+    def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
+        a, b = as_points(a_m), as_points(b_m)
+        return self.of_squared_distance(
+            self.squared_length(a[:, 0, None] - b[None, :, 0], a[:, 1, None] - b[None, :, 1])
+        )
+
+    def squared_length(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        of_east, of_both, of_north = self.metric
+        length = (of_east * east_m + of_both * north_m) * east_m
+        length += of_north * north_m * north_m
+        return np.maximum(length, 0.0, out=length)
+
+    def of_squared_distance(self, r2: FloatArray) -> FloatArray:
+        return self.isotropic.of_squared_distance(r2)
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        """As the protocol's, with derivatives by the parameters of the isotropic kernel alone."""
+        return self.isotropic.with_log_gradients(r2)
+
+    def fill(self, r2: Float32Array, out: Float32Array) -> None:
+        self.isotropic.fill(r2, out)
+
+
 KERNELS: dict[str, type[Kernel]] = {
     kind.name: kind for kind in (SquaredExponential, Matern12, Matern32, Matern52, SmoothPlusRough)
 }
@@ -285,7 +366,7 @@ AUTO = "auto"  # not a kernel: the evidence chooses among KERNELS
 
 
 def kernel_from(name: str, parameters: Mapping[str, float] | None = None) -> Kernel:
-    """The kernel with that name and those parameters, or with its default ones.
+    """The kernel with that name and those parameters, or with its default ones; stretched if they say so.
 
     Raises InvalidInput for an unknown name or a set of parameters that the kernel does not have.
     """
@@ -295,6 +376,9 @@ def kernel_from(name: str, parameters: Mapping[str, float] | None = None) -> Ker
     if parameters is None:
         return kind()
     expected = kind().parameters()
+    if {STRETCH, BEARING} <= parameters.keys():
+        isotropic = {key: value for key, value in parameters.items() if key not in (STRETCH, BEARING)}
+        return Stretched(kernel_from(name, isotropic), float(parameters[STRETCH]), float(parameters[BEARING]))
     if set(parameters) != set(expected):
         raise InvalidInput(f"kernel {name!r}: expected parameters {', '.join(expected)}, got {', '.join(parameters)}")
     return kind(**{key: float(value) for key, value in parameters.items()})

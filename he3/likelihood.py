@@ -10,7 +10,7 @@ with respect to the logarithms of the kernel's parameters, in their order, and t
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy.linalg import lapack
@@ -19,15 +19,21 @@ from he3.errors import NumericalFailure
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
-    from he3.kernels import Kernel
 
 _factor: Callable[..., tuple[Any, int]] = lapack.dpotrf
 _solve: Callable[..., tuple[Any, int]] = lapack.dpotrs
 _invert: Callable[..., tuple[Any, int]] = lapack.dpotri
 
 
+class Covariance(Protocol):
+    """A covariance with derivatives, such as a kernel."""
+
+    def with_log_gradients(self, r2: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        """Covariance (n, n) at the squared distances [m^2], and its derivatives by the parameters."""
+
+
 def log_marginal_likelihood(
-    kernel: Kernel,
+    kernel: Covariance,
     noise_variance: float,
     r2: FloatArray,
     z: FloatArray,

@@ -5,7 +5,7 @@ With weights w_i, and means m_i and variances v_i of the processes at a place,
     mean = sum w_i m_i,      variance = sum w_i v_i + sum w_i (m_i - mean)^2
 
 (law of total variance): the mean of the variances, and the variance of the means, which is what is not known of the
-kernel. All processes have the same samples, noise and trend.
+kernel. All processes have the same samples and trend.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ def alternatives_of(hyperparameters: Hyperparameters) -> list[tuple[float, Hyper
     """The weight and the hyperparameters of each process of the mixture; one of weight 1 if there are no others."""
     if not hyperparameters.alternatives:
         return [(1.0, hyperparameters)]
+    noises = hyperparameters.noises_ppb or (hyperparameters.noise_std_ppb,) * len(hyperparameters.alternatives)
     return [
-        (weight, replace(hyperparameters, kernel=kernel, alternatives=()))
-        for weight, kernel in hyperparameters.alternatives
+        (weight, replace(hyperparameters, kernel=kernel, noise_std_ppb=noise, alternatives=(), noises_ppb=()))
+        for (weight, kernel), noise in zip(hyperparameters.alternatives, noises, strict=True)
     ]
 
 

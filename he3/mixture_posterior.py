@@ -52,7 +52,7 @@ class MixturePosterior:
             self._weights = np.array(weights)
             self._parts = [posterior(coarse, one) for one in each]
             if coarse != grid:
-                self._coarse_one = posterior(coarse, replace(hyperparameters, alternatives=()))
+                self._coarse_one = posterior(coarse, replace(hyperparameters, alternatives=(), noises_ppb=()))
 
     def __len__(self) -> int:
         """Number of samples."""

@@ -124,23 +124,30 @@ def _nodes(grid: SiteGrid, area: BoolArray, block: int) -> tuple[FloatArray, Flo
     return np.column_stack((x, y)), counts / counts.sum()
 
 
-def _pairs_at_lags(grid: SiteGrid, area: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """How many pairs of the area's cells lie at each lag, and the lag's squared length [m^2]: arrays of one shape."""
+def _pairs_at_lags(grid: SiteGrid, area: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How many pairs of the area's cells lie at each lag (N, M), and the lags north (N, 1) and east (1, M) [m]."""
     rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
     mask = area[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(np.float64)
     shape = tuple(next_fast_len(2 * size, real=True) for size in mask.shape)
     spectrum = rfft2(mask, shape)
     pairs = np.maximum(irfft2(spectrum * spectrum.conj(), shape), 0.0)
-    lags = [np.minimum(np.arange(size), size - np.arange(size)) * grid.resolution_m for size in shape]
-    return pairs, lags[0][:, None] ** 2 + lags[1][None, :] ** 2
+    lags = [(np.arange(size) - size * (2 * np.arange(size) > size)) * grid.resolution_m for size in shape]
+    return pairs, lags[0][:, None], lags[1][None, :]
 
 
 def _prior_variance(
-    process: GaussianProcess, grid: SiteGrid, area: BoolArray, pairs: FloatArray, r2: FloatArray
+    process: GaussianProcess,
+    grid: SiteGrid,
+    area: BoolArray,
+    pairs: FloatArray,
+    north_m: FloatArray,
+    east_m: FloatArray,
 ) -> float:
-    """w' K w over all pairs of cells, in standardised units. pairs and r2: those of ``_pairs_at_lags``."""
+    """w' K w over all pairs of cells, in standardised units. pairs and lags [m]: those of ``_pairs_at_lags``."""
     hyperparameters = process.hyperparameters
-    total: float = float((pairs * hyperparameters.kernel.of_squared_distance(r2)).sum()) / float(area.sum()) ** 2
+    kernel = hyperparameters.kernel
+    covariance = kernel.of_squared_distance(kernel.squared_length(east_m, north_m))
+    total: float = float((pairs * covariance).sum()) / float(area.sum()) ** 2
     basis = hyperparameters.trend_basis(grid.points()[area.ravel()])
     if basis is not None:
         total += float((basis.mean(axis=0) ** 2).sum())

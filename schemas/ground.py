@@ -27,6 +27,9 @@ class WeightedKernel(Wire):
 
     weight: Annotated[float, Field(gt=0, le=1)]
     parameters: dict[str, float]
+    """Those of the kernel in use, and ``stretch`` and ``bearing_deg`` where it has two lengths."""
+    noise_std_ppb: float | None = Field(default=None, exclude_if=is_none)
+    """None where the noise is that of the kernel in use."""
 
 
 class KernelParameters(Wire):

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from he3.kernels import squared_distances
 from he3.posterior.sums import PosteriorSums
 
 if TYPE_CHECKING:
@@ -58,8 +57,7 @@ class Probes:
         first = self._count
         if first == len(process):
             return
-        r2 = squared_distances(process.places_m[first:], self._points_m)
-        new = process.hyperparameters.kernel.of_squared_distance(r2)
+        new = process.hyperparameters.kernel.covariance(process.places_m[first:], self._points_m)
         new -= process.factor[first:, :first] @ self._rows[:first]
         if len(new) == 1:
             new /= process.factor[-1, -1]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, solve_triangular
 
-from he3.kernels import Kernel, SmoothPlusRough, SquaredExponential
+from he3.kernels import Kernel, SmoothPlusRough, SquaredExponential, Stretched
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray, SiteGrid
@@ -37,7 +37,7 @@ def solve_rows(
 
     factor: the process's Cholesky factor (n, n) in the precision of the rows, converted once for all parts.
     """
-    dtype = factor.dtype
+    dtype, kernel = factor.dtype, process.hyperparameters.kernel
     trsm = blas.strsm if dtype == np.float32 else blas.dtrsm
     dx2 = squared_offsets(process.places_m, grid.x_m[part.columns], 0, dtype)
     dy2 = squared_offsets(process.places_m, grid.y_m[part.rows], 1, dtype)
@@ -45,7 +45,10 @@ def solve_rows(
     for first in range(0, len(process), _ROWS_TO_SOLVE):
         last = min(first + _ROWS_TO_SOLVE, len(process))
         work = np.empty((last - first, part.size), dtype=dtype)
-        covariance_on_cells(process.hyperparameters.kernel, dx2[first:last], dy2[first:last], work)
+        if isinstance(kernel, Stretched):
+            _stretched_on_cells(kernel, process.places_m[first:last], grid.x_m[part.columns], grid.y_m[part.rows], work)
+        else:
+            covariance_on_cells(kernel, dx2[first:last], dy2[first:last], work)
         for before, rows in solved_before:
             work -= factor[first:last, before : before + len(rows)] @ rows
         # Transposed, work is in Fortran order, and X L' = work' is solved in place: X' are the rows of V.
@@ -57,6 +60,11 @@ def solve_rows(
 
 def fill_covariance(kernel: Kernel, place_m: FloatArray, tiled: TiledGrid, out: NDArray[np.floating]) -> None:
     """Write the kernel between one place (2,) [m] and all cells, in tile order, into out (cells,)."""
+    if isinstance(kernel, Stretched):
+        x, y = tiled.grid.x_m, tiled.grid.y_m
+        for tile in tiled.tiles:
+            _stretched_on_cells(kernel, place_m[None, :], x[tile.columns], y[tile.rows], out[None, tile.cells])
+        return
     dx2 = squared_offsets(place_m[None, :], tiled.grid.x_m, 0, out.dtype)
     dy2 = squared_offsets(place_m[None, :], tiled.grid.y_m, 1, out.dtype)
     for tile in tiled.tiles:
@@ -92,6 +100,18 @@ def covariance_on_cells(
         kernel.fill(dy2[:, :, None] + dx2[:, None, :], shaped)
     else:
         shaped[...] = _of_squared_distance(kernel, dy2[:, :, None] + dx2[:, None, :])
+
+
+def _stretched_on_cells(
+    kernel: Stretched, places_m: FloatArray, x_m: FloatArray, y_m: FloatArray, out: NDArray[np.floating]
+) -> None:
+    """Write the kernel between k places (k, 2) and the cells at x (columns,) and y (rows,) [m] into out (k, cells).
+
+    In float64: only the coarse maps of a mixture have such kernels.
+    """
+    east = (places_m[:, 0, None] - x_m)[:, None, :]
+    north = (places_m[:, 1, None] - y_m)[:, :, None]
+    out[...] = kernel.of_squared_distance(kernel.squared_length(east, north)).reshape(out.shape)
 
 
 def _of_squared_distance(kernel: Kernel, r2: NDArray[np.floating]) -> NDArray[np.floating]:

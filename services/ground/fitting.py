@@ -43,7 +43,7 @@ def fit(request: FitRequest) -> Hyperparameters:
     as it would after a few equal samples; then it is the most probable one.
     """
     if request.prior is None:
-        return replace(_likeliest(request, request.kernel), trend=None)
+        return replace(_likeliest(request, request.kernel, request.noise_std_ppb), trend=None)
     inferred = infer_hyperparameters(
         request.xy_m,
         request.values_ppb,
@@ -54,7 +54,7 @@ def fit(request: FitRequest) -> Hyperparameters:
         previous=request.previous,
     )
     if len(request.xy_m):
-        likeliest = _likeliest(request, inferred.kernel.name)
+        likeliest = _likeliest(request, inferred.kernel.name, inferred.noise_std_ppb)
         if likeliest.field_std_ppb >= request.prior.least_field_std_ppb:
             inferred = inferred.with_kernel_of(likeliest)
     return inferred if request.trend is None else replace(inferred, trend=None)
@@ -63,26 +63,27 @@ def fit(request: FitRequest) -> Hyperparameters:
 def fit_kernel(request: FitRequest) -> Hyperparameters:
     """As `fit`, but with the alternatives of the fit before: for planners that are guided by the one kernel alone.
 
-    It takes a fifth of the time. The kernel is that of `fit` but for rounding.
+    It takes a fifth of the time. The kernel is that of `fit` but for rounding, and for what was learned of the noise
+    since the fit before.
     """
     previous, prior = request.previous, request.prior
     if prior is None or previous is None or not previous.alternatives or request.kernel == AUTO:
         return fit(request)
-    likeliest = _likeliest(request, request.kernel)
+    likeliest = _likeliest(request, request.kernel, previous.noise_std_ppb)
     if likeliest.field_std_ppb < prior.least_field_std_ppb:
         return fit(request)
     fitted = previous.with_kernel_of(likeliest)
     return fitted if request.trend is None else replace(fitted, trend=None)
 
 
-def _likeliest(request: FitRequest, kernel: str) -> Hyperparameters:
+def _likeliest(request: FitRequest, kernel: str, noise_std_ppb: float) -> Hyperparameters:
     """The hyperparameters of maximum likelihood."""
     return fit_hyperparameters(
         request.xy_m,
         request.values_ppb,
         kernel,
         rng=np.random.default_rng(np.random.SeedSequence(request.seed)),
-        noise_std_ppb=request.noise_std_ppb,
+        noise_std_ppb=noise_std_ppb,
         previous=request.previous,
         trend=request.trend,
         extent_m=request.extent_m,

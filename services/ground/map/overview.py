@@ -68,6 +68,7 @@ def overview(snapshot: MapSnapshot, known: int, fits: int) -> MapOverview:
 def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
     """The hyperparameters as operators see them."""
     trend = hyperparameters.trend
+    noises = hyperparameters.noises_ppb or (None,) * len(hyperparameters.alternatives)
     return KernelParameters(
         mean_std_ppb=trend.std_ppb if isinstance(trend, UnknownConstant) else None,
         name=hyperparameters.kernel.name,
@@ -76,8 +77,8 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
         mean_ppb=hyperparameters.mean_ppb,
         scale_ppb=hyperparameters.scale_ppb,
         alternatives=tuple(
-            WeightedKernel(weight=weight, parameters=kernel.parameters())
-            for weight, kernel in hyperparameters.alternatives
+            WeightedKernel(weight=weight, parameters=kernel.parameters(), noise_std_ppb=noise)
+            for (weight, kernel), noise in zip(hyperparameters.alternatives, noises, strict=True)
         )
         or None,
     )
@@ -85,15 +86,15 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
 
 def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
     """The hyperparameters that operators saw, as ``kernel_parameters`` gave them; without an orbital trend."""
+    alternatives = kernel.alternatives or ()
     return Hyperparameters(
         kernel_from(kernel.name, kernel.parameters),
         kernel.noise_std_ppb,
         kernel.mean_ppb,
         kernel.scale_ppb,
         trend=None if kernel.mean_std_ppb is None else UnknownConstant(kernel.mean_std_ppb),
-        alternatives=tuple(
-            (each.weight, kernel_from(kernel.name, each.parameters)) for each in kernel.alternatives or ()
-        ),
+        alternatives=tuple((each.weight, kernel_from(kernel.name, each.parameters)) for each in alternatives),
+        noises_ppb=tuple(each.noise_std_ppb for each in alternatives if each.noise_std_ppb is not None),
     )
 
 

@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, path_length
 from he3.information import information_gains
+from he3.kernels import kernel_from
 from he3.mixture import heaviest_of
 from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
@@ -139,7 +140,9 @@ def with_least_length_scale(hyperparameters: Hyperparameters, least_m: float) ->
     kernel = hyperparameters.kernel
     least_scale_m = least_m / kernel.half_correlation_scales
     short = {k: least_scale_m for k, v in kernel.parameters().items() if k in _LENGTH_SCALES and v < least_scale_m}
-    return replace(hyperparameters, kernel=replace(kernel, **short)) if short else hyperparameters  # type: ignore[type-var]
+    if not short:
+        return hyperparameters
+    return replace(hyperparameters, kernel=kernel_from(kernel.name, {**kernel.parameters(), **short}))
 
 
 def places_on_paths(tree: Tree, nodes: NDArray[np.intp], count: int) -> FloatArray:
