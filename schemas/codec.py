@@ -52,13 +52,13 @@ def encode(header: Header, body: Wire, sign: Sign | None = None) -> bytes:
 
     sign: returns the header with signer and signature, given the header and the body as it is sent; None: not signed.
     """
-    content = body.model_dump_json().encode()
+    content = _json(body)
     return _sealed(header if sign is None else sign(header, content), content)
 
 
 def passed(header: Header, body: Wire) -> Passed:
     """The same bytes as `encode` gives, for readers in this process."""
-    content = body.model_dump_json().encode()
+    content = _json(body)
     head, checksum = _head_and_checksum(header, content)
     message = Passed(_joined(head, checksum, content))
     message.header = header.model_copy(update={"checksum": checksum})
@@ -92,8 +92,13 @@ def _head_and_checksum(header: Header, body: bytes) -> tuple[bytes, int]:
         left_out.add("held_from")
     if header.repetition == 0:
         left_out.add("repetition")
-    head = header.model_dump_json(exclude=left_out).encode()
+    head = _json(header, left_out)
     return head, zlib.crc32(body, zlib.crc32(head))
+
+
+def _json(model: Wire, left_out: set[str] | None = None) -> bytes:
+    """The model as JSON in UTF-8, without those fields: `model_dump_json` would decode it, only to be encoded again."""
+    return type(model).__pydantic_serializer__.to_json(model, exclude=left_out)
 
 
 def body_of(payload: bytes) -> bytes:

@@ -72,8 +72,9 @@ class FieldNode:
     def _terrain(self, request: TerrainRequest) -> TerrainReply:
         """The values of the cells; a place outside the region has those of the nearest cell and is not traversable."""
         grid, points = self._region.grid, np.array(request.points_m)
-        columns = np.clip(points[:, 0] // grid.resolution_m, 0, grid.columns - 1).astype(np.intp)
-        rows = np.clip(points[:, 1] // grid.resolution_m, 0, grid.rows - 1).astype(np.intp)
+        cells = np.maximum(points // grid.resolution_m, 0)
+        columns = np.minimum(cells[:, 0], grid.columns - 1).astype(np.intp)
+        rows = np.minimum(cells[:, 1], grid.rows - 1).astype(np.intp)
         return TerrainReply(
             elevation_m=tuple(self._region.elevation_m[rows, columns].tolist()),
             slope_deg=tuple(self._region.slope_deg[rows, columns].tolist()),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,27 +41,20 @@ class RoundRecord:
     all_settled: bool = field(init=False)
     """Whether every sample arrived or was skipped."""
     _arc_m: FloatArray = field(init=False)
-    _path_m: FloatArray = field(init=False)
     _x: FloatArray = field(init=False)
     _y: FloatArray = field(init=False)
-    _begin_x: FloatArray = field(init=False)
-    _begin_y: FloatArray = field(init=False)
-    _leg_x: FloatArray = field(init=False)
-    _leg_y: FloatArray = field(init=False)
-    _squared: FloatArray = field(init=False)
-    _root: FloatArray = field(init=False)
+    _legs: list[list[float]] = field(init=False)
+    """Of each leg its beginning x, y, its extent x, y, square and length, and the path up to it [m]."""
     _passed: tuple[float, tuple[Waypoint, ...], tuple[Waypoint, ...]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.all_settled = len(self.settled) == len(self.plan.samples)
-        self._path_m = np.array(self.plan.path_m, dtype=np.float64)
-        steps = np.hypot(*np.diff(self._path_m, axis=0).T)
-        self._arc_m = np.concatenate(([0.0], np.cumsum(steps)))
-        self._x, self._y = self._path_m[:, 0].copy(), self._path_m[:, 1].copy()
-        self._begin_x, self._begin_y = self._x[:-1], self._y[:-1]
-        self._leg_x, self._leg_y = np.diff(self._path_m[:, 0]), np.diff(self._path_m[:, 1])
-        self._squared = np.maximum(self._leg_x**2 + self._leg_y**2, 1e-12)
-        self._root = np.sqrt(self._squared)
+        self._x, self._y = np.array(self.plan.path_m, dtype=np.float64).T.copy()
+        leg_x, leg_y = np.diff(self._x), np.diff(self._y)
+        self._arc_m = np.concatenate(([0.0], np.cumsum(np.hypot(leg_x, leg_y))))
+        squared = np.maximum(leg_x**2 + leg_y**2, 1e-12)
+        columns = (self._x[:-1], self._y[:-1], leg_x, leg_y, squared, np.sqrt(squared), self._arc_m[:-1])
+        self._legs = np.column_stack(columns).tolist()
 
     @property
     def number(self) -> int:
@@ -138,18 +132,20 @@ class RoundRecord:
 
     def note_place(self, place_m: Place, tolerance_m: float = 2.0) -> None:
         """Note the progress along the path, if the place is on the part still ahead."""
-        if len(self._path_m) < 2:
-            return
         x_m, y_m = place_m
-        along = (x_m - self._begin_x) * self._leg_x + (y_m - self._begin_y) * self._leg_y
-        share = np.minimum(np.maximum(along / self._squared, 0.0), 1.0)
-        off_x, off_y = self._begin_x + share * self._leg_x - x_m, self._begin_y + share * self._leg_y - y_m
-        arc = self._arc_m[:-1] + share * self._root
-        ahead = np.flatnonzero((arc >= self.reached_m - 1e-6) & (np.hypot(off_x, off_y) <= tolerance_m))
-        if ahead.size and (reached_m := float(arc[ahead[0]])) > self.reached_m:
-            # The first passage that fits: a path that crosses itself is not cut short.
-            self.reached_m = reached_m
-            self.changes += 1
+        first = max(0, int(np.searchsorted(self._arc_m, self.reached_m - 1e-3)) - 1)
+        for leg in range(first, len(self._legs)):
+            begin_x, begin_y, leg_x, leg_y, squared, root, arc_m = self._legs[leg]
+            share = min(max(((x_m - begin_x) * leg_x + (y_m - begin_y) * leg_y) / squared, 0.0), 1.0)
+            reached_m = arc_m + share * root
+            if reached_m < self.reached_m - 1e-6:
+                continue
+            if hypot(begin_x + share * leg_x - x_m, begin_y + share * leg_y - y_m) <= tolerance_m:
+                # The first passage that fits: a path that crosses itself is not cut short.
+                if reached_m > self.reached_m:
+                    self.reached_m = reached_m
+                    self.changes += 1
+                return
 
     def driven(self) -> tuple[Waypoint, ...]:
         """The part of the path up to the farthest place reached."""
