@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray
@@ -184,14 +185,38 @@ def run_mission(
 
 
 def start_of(region: Region, terrain: GroundTerrain | None = None) -> tuple[float, float]:
-    """START_M, or where that is closed or outside the region, the centre [m] of the open cell that is nearest to it."""
-    terrain = terrain or GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
-    wanted = np.array([START_M])
-    if region.grid.contains(wanted).all() and OpenGround(region.grid, terrain.traversable).is_open(wanted).all():
-        return START_M
-    places = (np.argwhere(terrain.traversable)[:, ::-1] + 0.5) * region.grid.resolution_m
-    if not len(places):
+    """Where a mission begins that is told no start [m]: in the largest connected part of the open ground.
+
+    It is START_M if that lies in this part, else the centre of the part's cell that is nearest to it. Raises
+    InvalidInput without open ground.
+    """
+    open_cells = _open_cells(region, terrain)
+    labels, _ = ndimage.label(open_cells)
+    largest = labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
+    return _nearest(region, largest)
+
+
+def corner_of(region: Region, terrain: GroundTerrain | None = None) -> tuple[float, float]:
+    """START_M, or where that is closed or outside the region, the centre [m] of the open cell that is nearest to it.
+
+    Closed ground may part it from nearly all of the region. Raises InvalidInput without open ground.
+    """
+    return _nearest(region, _open_cells(region, terrain))
+
+
+def _open_cells(region: Region, terrain: GroundTerrain | None) -> NDArray[np.bool_]:
+    found = (terrain or GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)).traversable
+    if not found.any():
         raise InvalidInput(f"{region.name}: expected some traversable ground, got none")
+    return found
+
+
+def _nearest(region: Region, cells: NDArray[np.bool_]) -> tuple[float, float]:
+    """START_M if it lies on one of the cells (rows, columns), else the centre [m] of the cell nearest to it."""
+    wanted = np.array([START_M])
+    if region.grid.contains(wanted).all() and OpenGround(region.grid, cells).is_open(wanted).all():
+        return START_M
+    places = (np.argwhere(cells)[:, ::-1] + 0.5) * region.grid.resolution_m
     nearest = places[int(np.argmin(np.hypot(*(places - wanted).T)))]
     return float(nearest[0]), float(nearest[1])
 

@@ -3,8 +3,8 @@
 Six fields of 500 m are plateaus at 3 to 10 ppb: uniform ground as far as the rover sees, and another level beyond. From
 drawn starts, missions of few samples are flown with the hyperparameters' uncertainty counted (`bayes`, the default) and
 with those of maximum likelihood taken for certain (`ml`, as published). A mission is trapped when its map is no better
-than the field's mean: an RMSE above the field's own standard deviation. With --region FILE, missions are flown from
-that region's default start, too.
+than the field's mean: an RMSE above the field's own standard deviation. With --region FILE, missions fly there, too:
+from the south-west corner, and from the nearest place from which most ground can be reached, if that is another.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.calibration import NOMINAL
 from benchmarks.flights import mean_and_std, planner_for, region_named, written
-from benchmarks.missions import Row, run_mission, start_of
+from benchmarks.missions import Row, corner_of, run_mission, start_of
 from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
@@ -81,7 +81,7 @@ def plateau(name: str) -> Region:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One mission: on a field of plateaus from a drawn start, or on a region of a file from its default start."""
+    """One mission: on a field of plateaus from a drawn start, or on a region of a file from that place."""
 
     field: str
     planner: str
@@ -89,6 +89,7 @@ class Trial:
     start: int
     rounds: int
     kernel: str
+    start_m: tuple[float, float] | None = None
 
 
 def run(
@@ -106,8 +107,8 @@ def run(
 ) -> list[Row]:
     """One row a mission; the table printed, rows written to `json`.
 
-    fields: of plateaus; rounds: of 5 samples; hyperparameters: of bayes and ml; region: a region, flown once from its
-    default start with each planner. Raises InvalidInput for names that are not known.
+    fields: of plateaus; rounds: of 5 samples; hyperparameters: of bayes and ml; region: a region, flown once from each
+    of its starts with each planner. Raises InvalidInput for names that are not known.
     """
     for given, known in ((fields, PLATEAUS), (hyperparameters, HYPERPARAMETERS)):
         if unknown := [name for name in given if name not in known]:
@@ -121,10 +122,11 @@ def run(
         for field in fields for planner in planners for how in hyperparameters for start in range(1, starts + 1)
     ]  # fmt: skip
     if region is not None:
-        region_named(str(region))
+        begun_at = dict.fromkeys((corner_of(region_named(str(region))), start_of(region_named(str(region)))))
         trials += [
-            Trial(str(region), planner, how, 0, rounds, kernel) for planner in planners for how in hyperparameters
-        ]
+            Trial(str(region), planner, how, 0, rounds, kernel, start_m)
+            for start_m in begun_at for planner in planners for how in hyperparameters
+        ]  # fmt: skip
     found: dict[Trial, Row] = {}
     began = time.monotonic()
     with Tasks(jobs) as pool:
@@ -140,11 +142,8 @@ def run(
 
 def fly(trial: Trial) -> Row:
     """The row of that mission."""
-    if trial.field in PLATEAUS:
-        region, start = plateau(trial.field), _drawn_start(trial.start)
-    else:
-        region = region_named(trial.field)
-        start = start_of(region)
+    region = plateau(trial.field) if trial.field in PLATEAUS else region_named(trial.field)
+    start = trial.start_m or _drawn_start(trial.start)
     mission = run_mission(
         region, planner_for(trial.planner), trial.kernel, trial.start, rounds=trial.rounds, start_m=start,
         likeliest=trial.hyperparameters == "ml",
@@ -152,7 +151,7 @@ def fly(trial: Trial) -> Row:
     open_cells = mission.traversable
     return {
         **mission.row,
-        "region": region.name,
+        "region": region.name if trial.start_m is None else f"{region.name} {start[0]:g},{start[1]:g}",
         "planner": trial.planner,
         "hyperparameters": trial.hyperparameters,
         "start": trial.start,

@@ -49,13 +49,13 @@ from he3.hyperparameters import (
 )
 from he3.hyperprior import REACH, Hyperprior
 from he3.kernels import AUTO, Kernel, Stretched, kernel_from, squared_distances
+from he3.level import unknown_level
 from he3.model_extensions import extensions
-from he3.trend import UnknownConstant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from he3.trend import CovariateTrend
+    from he3.trend import CovariateTrend, Trend
 
 LEAST_PRECISION = 0.5  # 1, of the normal approximation along any axis, in units of the prior's
 COMPONENTS = 6  # 1, kernels that stand for the posterior
@@ -323,7 +323,7 @@ def _inferred(
     if trend is None:
         mean = prior.mean_ppb
         away = abs(sample_mean - mean) if len(residual) else 0.0
-        unknown: UnknownConstant | CovariateTrend = UnknownConstant(max(prior.mean_std_ppb, away))
+        unknown: Trend = unknown_level(max(prior.mean_std_ppb, away), prior.extent_m)
         scale *= max(1.0, away / prior.mean_std_ppb)
     else:
         mean, unknown = sample_mean, trend  # the trend's own offset lies about the samples' misfit

@@ -42,6 +42,8 @@ class KernelParameters(Wire):
     scale_ppb: float
     mean_std_ppb: float | None = Field(default=None, exclude_if=is_none)
     """Prior standard deviation of what the mean may be off by; None where the mean is taken for certain."""
+    level_extent_m: Annotated[float, Field(gt=0)] | None = Field(default=None, exclude_if=is_none)
+    """Width of the site over which the mean varies (``he3.level``); None where it is the same everywhere."""
     alternatives: Annotated[tuple[WeightedKernel, ...], Field(max_length=100)] | None = Field(
         default=None, exclude_if=is_none
     )

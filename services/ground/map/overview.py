@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import kernel_from
+from he3.level import UnknownLevel, unknown_level
 from he3.trend import UnknownConstant
 from schemas.ground import (
     MAX_OVERVIEW_CELLS,
@@ -70,7 +71,8 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
     trend = hyperparameters.trend
     noises = hyperparameters.noises_ppb or (None,) * len(hyperparameters.alternatives)
     return KernelParameters(
-        mean_std_ppb=trend.std_ppb if isinstance(trend, UnknownConstant) else None,
+        mean_std_ppb=trend.std_ppb if isinstance(trend, UnknownConstant | UnknownLevel) else None,
+        level_extent_m=trend.extent_m if isinstance(trend, UnknownLevel) else None,
         name=hyperparameters.kernel.name,
         parameters=hyperparameters.kernel.parameters(),
         noise_std_ppb=hyperparameters.noise_std_ppb,
@@ -92,7 +94,7 @@ def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
         kernel.noise_std_ppb,
         kernel.mean_ppb,
         kernel.scale_ppb,
-        trend=None if kernel.mean_std_ppb is None else UnknownConstant(kernel.mean_std_ppb),
+        trend=None if kernel.mean_std_ppb is None else unknown_level(kernel.mean_std_ppb, kernel.level_extent_m or 0.0),
         alternatives=tuple((each.weight, kernel_from(kernel.name, each.parameters)) for each in alternatives),
         noises_ppb=tuple(each.noise_std_ppb for each in alternatives if each.noise_std_ppb is not None),
     )

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import calibration, frontier, paper
 from benchmarks.flights import Flight, conditions, expect_open, flown, fly
 from benchmarks.floor import Floor
-from benchmarks.missions import start_of
+from benchmarks.missions import corner_of, start_of
 from benchmarks.tasks import Tasks
 from he3.errors import He3Error, InvalidInput
 from he3.kernels import KERNELS
@@ -97,6 +97,11 @@ def test_missions_begin_where_the_ground_is_open(quarter_of_t1):
     x, y = start_of(replace(region, traversable=closed))
     assert max(x, y) > 40.0
     assert region.traversable[int(y), int(x)]
+    walled_in = region.traversable.copy()
+    walled_in[:40, 38:42] = walled_in[38:42, :40] = False
+    enclosed = replace(region, traversable=walled_in)
+    assert corner_of(enclosed) == (25.0, 25.0)
+    assert max(start_of(enclosed)) > 40.0
     with pytest.raises(InvalidInput, match="expected some traversable ground"):
         start_of(replace(region, traversable=np.zeros_like(closed)))
 

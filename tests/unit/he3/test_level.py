@@ -1,0 +1,49 @@
+"""The level of a wide site is another far from the samples than at them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from he3.errors import InvalidInput
+from he3.gp import GaussianProcess
+from he3.hyperposterior import infer_hyperparameters
+from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB, Hyperprior
+from he3.level import LEVEL_LENGTH_M, NARROW_M, UnknownLevel, unknown_level
+from he3.mixture import ProcessMixture
+from he3.trend import UnknownConstant
+
+WIDE_M = 30_000.0
+PLACES = np.random.default_rng(3).uniform(0.0, WIDE_M, (200, 2))
+
+
+def test_the_level_of_a_narrow_site_is_a_constant() -> None:
+    assert unknown_level(4.0, 0.99 * NARROW_M) == UnknownConstant(4.0)
+
+
+def test_the_columns_of_a_wide_site_have_the_levels_covariance() -> None:
+    columns = UnknownLevel(4.0, WIDE_M).basis(PLACES, 2.0)
+    apart = np.hypot(*(PLACES[:, None] - PLACES[None, :]).transpose(2, 0, 1))
+    exact = 4.0 * np.exp(-apart / LEVEL_LENGTH_M)
+    assert columns.shape[1] < 40
+    # What is left out is narrow: it is of places less than a lattice's step apart.
+    far = apart > WIDE_M / 9.0
+    assert np.abs(columns @ columns.T - exact)[far].max() < 0.15 * 4.0
+    assert np.sqrt(np.mean((columns @ columns.T - exact)[far] ** 2)) < 0.03 * 4.0
+
+
+def test_equal_samples_in_a_corner_leave_distant_ground_as_uncertain_as_soils_are() -> None:
+    corner = PLACES[:80] / 5.0
+    fitted = infer_hyperparameters(corner, np.full(80, 3.0), "matern52", Hyperprior(WIDE_M), noise_std_ppb=0.1)
+    mixture = ProcessMixture.of(GaussianProcess(fitted).condition(corner, np.full(80, 3.0)))
+    mean, std = mixture.predict([[3000.0, 3000.0], [28_000.0, 28_000.0]])
+    assert mean[0] == pytest.approx(3.0, abs=0.2)
+    assert std[0] < 0.2
+    assert 3.0 + 0.4 * (MEAN_PPB - 3.0) < mean[1] < MEAN_PPB
+    assert std[1] > 0.8 * MEAN_STD_PPB
+
+
+@pytest.mark.parametrize(("std_ppb", "extent_m"), [(0.0, WIDE_M), (4.0, 0.0), (np.nan, WIDE_M), (4.0, np.inf)])
+def test_a_level_needs_a_width_and_a_standard_deviation(std_ppb: float, extent_m: float) -> None:
+    with pytest.raises(InvalidInput, match="expected a positive width"):
+        UnknownLevel(std_ppb, extent_m)
