@@ -55,27 +55,53 @@ def run(
 ) -> Row:
     """All rows and the counts. samples: in the map when the mission is rehearsed. seed: of the first mission.
 
-    Raises InvalidInput unless there is a mission, and one that has more samples.
+    json: the file that has the rows. Those that it has already are not flown again, so a run that was stopped goes on.
+    Raises InvalidInput unless there is a mission, and one that has more samples, and for a file of another run.
     """
     first = choose(scenario, seed=seed).scenario
     if missions < 1 or not 0 < samples < first.samples:
         raise InvalidInput(f"expected a mission and 1 to {first.samples - 1} samples, got {missions} and {samples}")
+    what: Row = {"scenario": scenario, "samples": samples, "draws": draws}
+    known = {} if json is None else _known(Path(json), what)
     rows: list[Row] = []
     say(f"{scenario} from sample {samples} of {first.samples}, {draws} draws")
     say(f"{'seed':>4} {'wall':>7} {'cpu':>7} {'draw':>6}" + "".join(f"{name:>36}" for name in FIGURES.values()))
     with closing(MissionExecutor()) as executor:
         for number in range(seed, seed + missions):
-            rows.append(_row(scenario, number, samples, draws, processes, executor))
+            rows.append(known.get(number) or _row(scenario, number, samples, draws, processes, executor))
             say(_line(rows[-1]))
+            if json is not None:
+                _write(Path(json), {**what, "rows": rows})
     inside = {
         level: {name: sum(row[name][f"in_{level}"] for row in rows) for name in FIGURES} for level in ("68", "95")
     }
     for level, counts in inside.items():
         say(f"in the {level} % band: " + ", ".join(f"{FIGURES[name]} {counts[name]} of {missions}" for name in FIGURES))
-    document: Row = {"scenario": scenario, "samples": samples, "draws": draws, "inside": inside, "rows": rows}
+    document: Row = {**what, "inside": inside, "rows": rows}
     if json is not None:
-        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+        _write(Path(json), document)
     return document
+
+
+def _known(path: Path, what: Row) -> dict[int, Row]:
+    """The rows that the file has, by their seeds; none without the file. Raises InvalidInput for one of another run."""
+    if not path.exists():
+        return {}
+    try:
+        kept = json_format.loads(path.read_text(encoding="utf-8"))
+        same = {name: kept[name] for name in what} == what
+        rows = {int(row["seed"]): row for row in kept["rows"]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InvalidInput(f"{path}: expected rows of this benchmark, got {error}") from None
+    if not same:
+        raise InvalidInput(f"{path}: expected the rows of {what}, got those of another run")
+    return rows
+
+
+def _write(path: Path, document: Row) -> None:
+    part = path.with_name(f"{path.name}.part")
+    part.write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+    part.replace(path)
 
 
 def _row(scenario: str, seed: int, samples: int, draws: int, processes: int | None, executor: Executor) -> Row:
@@ -87,7 +113,7 @@ def _row(scenario: str, seed: int, samples: int, draws: int, processes: int | No
     under_way = tuple(each.command for each in live.ask(LIST_COMMANDS, NoParameters()).commands if each.end is None)
     start = Start(live.ask(FORK, NoParameters()), live.ask(LINK_SHOW, NoParameters()), under_way)
     before_s, began_s = _processor_s(), time.monotonic()
-    forecast = rehearse(start, draws, processes=processes)
+    (forecast,) = rehearse(start, draws, processes=processes)
     wall_s, cpu_s = time.monotonic() - began_s, _processor_s() - before_s
     fly(start, region, 0, executor)
     before_s = _processor_s()

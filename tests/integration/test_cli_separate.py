@@ -104,8 +104,12 @@ def test_the_rest_of_a_running_mission_is_rehearsed_from_the_command_line(enviro
     with started("up", "short", "--rate", "20", "--quiet", *network, environment=environment) as process:
         services_of(process, environment)
         until_answered(environment, "map", "score")  # the ground is up
-        forecast = json.loads(he3_here("rehearse", "--draws", "2", "--json", env=environment).stdout)
+        against = ("--against", "abort-round; planner tour")
+        forecast = json.loads(he3_here("rehearse", "--draws", "2", "--json", *against, env=environment).stdout)
         assert (forecast["bands"]["samples"]["median"], forecast["flights"][0]["completed"]) == (9.0, True)
+        (other,) = forecast["against"]
+        assert (other["name"], other["flights"][0]["completed"]) == ("abort-round; planner tour", True)
+        assert other["more"]["driven_m"]["median"] != 0.0
 
 
 def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dict[str, str]) -> None:

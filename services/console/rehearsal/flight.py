@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from he3.hyperdraws import redrawn
 from schemas.codec import decode, encode
 from schemas.commands import CommandKind
 from schemas.link import LinkChange
 from schemas.telemetry import EventKind, RoverMode
-from schemas.topics import COMMAND, EVENT, LINK_SET, PLAN, STATE, Side, Topic
+from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, PLAN, STATE, Side, Topic
 from schemas.wire import Header
+from services.console.rehearsal.alternative import AS_PLANNED, HOLDING, Alternative
 from services.console.rehearsal.drawn_field import DrawnField
 from services.field.node import FieldNode
 from services.ground.belief import Belief, DeferredBelief
@@ -35,7 +36,7 @@ from services.runtime.scheduler import InlineExecutor
 from services.runtime.state_codec import StateCodec
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from he3.frames import Place
     from he3.reference import Region
@@ -60,7 +61,7 @@ STATE_PERIOD_S: Final = 1200.0
 REPORTS_IN_TIMEOUT: Final = 3
 """Reports at least in the time after which the ground takes the rover for silent."""
 _SEED: Final = 0x7265  # separates the draws of rehearsals from all other uses of the mission's seed
-_HOLDS: Final = frozenset({CommandKind.PAUSE, CommandKind.SAFE, CommandKind.RESUME})
+_HOLDS: Final = HOLDING | {CommandKind.RESUME}
 """Commands that hold the rover or release it: the rover of a rehearsal is not held."""
 
 
@@ -98,6 +99,8 @@ class Flight:
     """Mission time from the copy to the end of each round, by its number."""
     track_m: list[tuple[float, float, float]] = field(default_factory=list)
     """The rover's way: seconds from the copy, x and y [m]."""
+    charges_wh: list[tuple[float, float]] = field(default_factory=list)
+    """The battery's charge: seconds from the copy, and Wh."""
 
 
 def assumptions(start: Start) -> list[str]:
@@ -105,7 +108,7 @@ def assumptions(start: Start) -> list[str]:
     taken, fork = [], start.fork
     if fork.rover is not None and fork.rover.mode in (RoverMode.PAUSED, RoverMode.SAFE):
         taken.append(f"the rover is in the mode {fork.rover.mode.value}: it resumes now")
-    if any(command.kind in (CommandKind.PAUSE, CommandKind.SAFE) for command in start.commands):
+    if any(command.kind in HOLDING for command in start.commands):
         taken.append("a command on its way would hold the rover: it does not")
     if start.link.contact_forced is False:
         taken.append("the black-out that an operator set ends now")
@@ -114,15 +117,22 @@ def assumptions(start: Start) -> list[str]:
     return taken
 
 
-def fly(start: Start, region: Region, draw: int, executor: Executor | None = None) -> Flight:
+def fly(
+    start: Start,
+    region: Region,
+    draw: int,
+    executor: Executor | None = None,
+    alternative: Alternative = AS_PLANNED,
+) -> Flight:
     """The rest of the mission in virtual time. region: the scenario's; executor: of fits and plans, None: at once.
 
-    Draws differ in measurements, hidden hazards and losses on the link; equal numbers give equal flights.
+    Draws differ in measurements, hidden hazards and losses on the link; equal numbers give equal flights. Raises
+    InvalidInput for a command of the alternative that the ground refuses.
     """
     fork, conditions = start.fork, start.link.conditions
     live = scenario_of(fork)
     seed = live.seed + 1_000_003 * (draw + 1)
-    scenario = _simplified(live, conditions)
+    scenario = _simplified(live, conditions, alternative.planner)
     beliefs: list[Belief] = []
     planner, certified = scenario.ground.planner, scenario.ground.goal is not None  # a goal is certified by the map
     deferred = planner in IGNORE_STD and not certified
@@ -134,6 +144,7 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
 
     ground = build_ground(scenario, region, make_belief=make_belief)
     state: dict[str, Any] = StateCodec(ground.state_types).decode(base64.b64decode(fork.state_base64))
+    state["authority"] = ground.checkpoint()["authority"]  # who may command the mission plays no part here
     ground.restore({**ground.checkpoint(), **state})
     place_m = scenario.start_m if fork.rover is None else (fork.rover.x_m, fork.rover.y_m)
     truth = FieldNode(region, scenario.field, seed, place_m)
@@ -153,7 +164,7 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
     simulation.step()  # the nodes start
     if start.link.contact_forced:
         simulation.ask(LINK_SET, LinkChange(contact=True))
-    flight = _Watch(simulation, ground, start, draw).run()
+    flight = _Watch(simulation, ground, start, draw).run(alternative.commands)
     if quick is not None and quick.last is not None:
         beliefs[0].adopt(fit(quick.last))
     known = beliefs[0].last_map() if isinstance(beliefs[0], DeferredBelief) else beliefs[0].map
@@ -161,9 +172,12 @@ def fly(start: Start, region: Region, draw: int, executor: Executor | None = Non
     return flight
 
 
-def _simplified(live: Scenario, conditions: LinkConditions) -> Scenario:
-    """The scenario of a rehearsal: no reference, no approval, and fewer reports where none is ahead of another."""
-    ground: dict[str, Any] = {"approval": "auto", "score": False}
+def _simplified(live: Scenario, conditions: LinkConditions, planner: str | None) -> Scenario:
+    """The scenario of a rehearsal: no reference, no approval, and fewer reports where none is ahead of another.
+
+    planner: from now on; None: as before.
+    """
+    ground: dict[str, Any] = {"approval": "auto", "score": False, "planner": planner or live.ground.planner}
     rover: dict[str, Any] = {}
     if conditions.up.rate_bit_s is None and conditions.down.rate_bit_s is None:
         often_s = min(STATE_PERIOD_S, live.ground.rover_timeout_s / REPORTS_IN_TIMEOUT)
@@ -240,14 +254,19 @@ class _Watch:
         self._flight = Flight(draw, False, "", 0.0, driven_m, 0, 0.0, charge_wh, charge_wh or float("inf"))
         simulation.tap(self._listen, (STATE, EVENT))
 
-    def run(self) -> Flight:
-        """Fly it to its end."""
+    def run(self, commands: Sequence[Telecommand]) -> Flight:
+        """Fly it to its end. commands: issued at its beginning."""
         simulation, fork = self._simulation, self._fork
         if fork.plan is not None:
             self._bring(PLAN, fork.plan, 0)
         on_the_way = (command for command in self._commands if command.kind not in _HOLDS)
         for number, command in enumerate(on_the_way):
             self._bring(COMMAND, command, number)
+        for command in commands:
+            try:
+                simulation.ask(ISSUE_COMMAND, command)
+            except He3Error as refusal:
+                raise InvalidInput(f"rehearsal: {refusal}") from None
         simulation.run(until=fork.at + round(LONGEST_S * SECOND), stop=lambda: GROUND in simulation.finished)
         flight, status, end = self._flight, self._ground.status, simulation.finished.get(GROUND)
         flight.completed = end is not None and end.ok
@@ -276,3 +295,4 @@ class _Watch:
             flight.lowest_wh = min(flight.lowest_wh, body.energy_wh)
             if not flight.track_m or since_s - flight.track_m[-1][0] >= TRACK_EVERY_S:
                 flight.track_m.append((since_s, body.x_m, body.y_m))
+                flight.charges_wh.append((since_s, body.energy_wh))

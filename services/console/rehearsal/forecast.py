@@ -6,10 +6,9 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import cache
 from multiprocessing import get_context
 from signal import SIG_IGN, SIGINT, signal
 from typing import TYPE_CHECKING, Any, Final
@@ -17,8 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import stdtrit
 
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from services.console.client.time_format import duration
+from services.console.rehearsal.alternative import AS_PLANNED, Alternative
 from services.console.rehearsal.flight import Flight, Start, assumptions, fly, scenario_of
 from services.ground.pure_tasks import MissionExecutor
 from services.mission.regions import load_region
@@ -26,6 +26,8 @@ from services.runtime.child import child_environment
 from services.runtime.entry import end_with_parent
 
 if TYPE_CHECKING:
+    from threading import Event
+
     from he3.reference import Region
 
 LEVELS: Final = (0.68, 0.95)
@@ -33,7 +35,15 @@ RANKED_FROM: Final = 39
 """Flights from which the bands are ranks: of fewer, smallest and largest hold the next one in less than 95 %."""
 MIN_DRAWS: Final = 2
 MAX_DRAWS: Final = 200
+CURVE_POINTS: Final = 60
+"""Moments of a curve over the time of the flights."""
+STOPPED_EVERY_S: Final = 0.2
+"""Wall time between two looks at whether to stop."""
 FIGURES: Final = ("lasts_s", "driven_m", "samples", "mean_std_ppb", "charge_wh", "lowest_wh")
+
+
+class Stopped(He3Error):
+    """A rehearsal was stopped before its end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +57,13 @@ class Band:
     high_95: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Band:
-        """The band of these values, at least two, none of them negative.
+    def of(cls, values: Sequence[float], least: float = 0.0) -> Band:
+        """The band of these values, at least two. least: below which there can be none.
 
-        From `RANKED_FROM` values on the bands are ranks i/(n + 1), for any distribution. Of fewer they are Student's
-        prediction interval, which takes the values as normally distributed.
+        From `RANKED_FROM` values on the bands are ranks i/(n + 1), for any distribution (Wilks 1941). Of fewer they are
+        Student's prediction interval for one further value, t s sqrt(1 + 1/n), which takes the values as normally
+        distributed; that of 95 % also has all values, because most figures have longer tails: metres are the same in
+        most flights, and others in those that plan by another kernel.
         """
         sample = np.asarray(values, dtype=np.float64)
         middle, count = float(np.median(sample)), len(sample)
@@ -62,7 +74,9 @@ class Band:
                 low, high = np.quantile(sample, tails, method="weibull")
             else:
                 half = stdtrit(count - 1, tails[1]) * sample.std(ddof=1) * math.sqrt(1.0 + 1.0 / count)
-                low, high = max(0.0, middle - half), middle + half
+                low, high = max(least, middle - half), middle + half
+                if level == LEVELS[-1]:
+                    low, high = min(low, sample.min()), max(high, sample.max())
             bounds += [float(low), float(high)]
         return cls(middle, *bounds)
 
@@ -71,6 +85,8 @@ class Band:
 class Forecast:
     """The rehearsals of one mission from one moment."""
 
+    name: str
+    """What is done at its beginning."""
     at: int
     """Mission time of the copy [ns]."""
     assumptions: tuple[str, ...]
@@ -87,36 +103,64 @@ class Forecast:
         numbers = set.intersection(*(set(flight.rounds_s) for flight in self.flights))
         return {number: Band.of([flight.rounds_s[number] for flight in self.flights]) for number in sorted(numbers)}
 
+    def charges(self) -> list[tuple[float, Band]]:
+        """The battery's charge [Wh] at moments in seconds from now, up to the end of the first flight."""
+        ends_s = min(flight.lasts_s for flight in self.flights)
+        moments_s = np.linspace(0.0, ends_s, CURVE_POINTS)
+        each = np.array(
+            [np.interp(moments_s, *np.array(flight.charges_wh).T) for flight in self.flights if flight.charges_wh]
+        )
+        if len(each) < MIN_DRAWS:
+            return []
+        return [(float(at_s), Band.of(each[:, number].tolist())) for number, at_s in enumerate(moments_s)]
+
+    def less(self, other: Forecast, figure: str) -> Band:
+        """The band of how much more that figure is here than in the other, draw by draw."""
+        pairs = zip(self.flights, other.flights, strict=True)
+        return Band.of([getattr(here, figure) - getattr(there, figure) for here, there in pairs], -math.inf)
+
     def document(self) -> dict[str, Any]:
         """The forecast as JSON values; tracks included."""
         return {
+            "name": self.name,
             "at": self.at,
             "assumptions": list(self.assumptions),
             "wall_s": self.wall_s,
             "bands": {figure: asdict(self.band(figure)) for figure in FIGURES},
+            "charges_wh": [{"at_s": at_s, **asdict(band)} for at_s, band in self.charges()],
             "rounds_s": {str(number): asdict(band) for number, band in self.rounds().items()},
             "flights": [asdict(flight) for flight in self.flights],
         }
 
     def rows(self) -> list[tuple[str, str]]:
         """The forecast as names and texts for people."""
-        ended = [flight for flight in self.flights if not flight.completed]
         rows = [("ends in", _band(self.band("lasts_s"), duration))]
         nearest = list(self.rounds().items())[:3]
         rows += [(f"round {number}", f"done in {_band(band, duration)}") for number, band in nearest]
         rows += [
-            ("drives", _band(self.band("driven_m"), lambda value: f"{value:,.0f} m")),
-            ("samples", _band(self.band("samples"), lambda value: f"{value:.0f}")),
-            ("mean std", _band(self.band("mean_std_ppb"), lambda value: f"{value:.4f} ppb")),
+            ("drives", _band(self.band("driven_m"), _m)),
+            ("samples", _band(self.band("samples"), _count)),
+            ("mean std", _band(self.band("mean_std_ppb"), _ppb)),
             ("battery", f"{_band(self.band('charge_wh'), _wh)} at the end"),
             ("lowest", _band(self.band("lowest_wh"), _wh)),
         ]
-        if ended:
-            rows.append(("NOT DONE", f"{len(ended)} of {len(self.flights)}, for example: {ended[0].why}"))
-        rows += [("assumes", line) for line in self.assumptions]
+        if failed := self.not_done():
+            rows.append(("NOT DONE", failed))
+        return [*rows, *self.notes(), ("draws", self.drawn())]
+
+    def not_done(self) -> str:
+        """How many flights did not complete the mission, and why one of them did not; empty if all did."""
+        ended = [flight for flight in self.flights if not flight.completed]
+        return f"{len(ended)} of {len(self.flights)}, for example: {ended[0].why}" if ended else ""
+
+    def notes(self) -> list[tuple[str, str]]:
+        """What the rehearsals take for granted, as names and texts."""
+        return [("assumes", line) for line in self.assumptions]
+
+    def drawn(self) -> str:
+        """How many flights there are, how long they took, and what their bands take for granted."""
         few = "; the bands of so few take them as normally distributed" if len(self.flights) < RANKED_FROM else ""
-        rows.append(("draws", f"{len(self.flights)} in {self.wall_s:.1f} s{few}"))
-        return rows
+        return f"{len(self.flights)} in {self.wall_s:.1f} s{few}"
 
 
 def rehearse(
@@ -124,32 +168,53 @@ def rehearse(
     draws: int,
     on_flight: Callable[[Flight], None] = lambda flight: None,
     processes: int | None = None,
-) -> Forecast:
-    """Fly the rest of the mission that often, in child processes. on_flight: called with each flight that is done.
+    alternatives: Sequence[Alternative] = (AS_PLANNED,),
+    stop: Event | None = None,
+) -> tuple[Forecast, ...]:
+    """Fly the rest of the mission that often under each alternative, in child processes; a forecast for each.
 
-    processes: None: one for each processor. Raises InvalidInput for another number of draws, and for a
-    mission that cannot be rehearsed here.
+    on_flight: called with each flight that is done. processes: None: one for each processor. stop: ends it when it is
+    set. Raises InvalidInput for another number of draws, for a mission that cannot be rehearsed here, and for a command
+    that the ground refuses; Stopped if it was stopped.
     """
     if not MIN_DRAWS <= draws <= MAX_DRAWS:
         raise InvalidInput(f"rehearsal: expected {MIN_DRAWS} to {MAX_DRAWS} draws, got {draws}")
     scenario_of(start.fork)
     began = time.monotonic()
-    flights: list[Flight] = []
-    with _pool(min(draws, processes or os.cpu_count() or 1)) as pool:
-        waiting: list[Future[Flight]] = [pool.submit(_flown, start, draw) for draw in range(draws)]
-        for done in as_completed(waiting):
-            flights.append(done.result())
-            on_flight(flights[-1])
-    flights.sort(key=lambda flight: flight.draw)
-    return Forecast(start.fork.at, tuple(assumptions(start)), tuple(flights), time.monotonic() - began)
+    flights: dict[int, list[Flight]] = {number: [] for number in range(len(alternatives))}
+    with _pool(min(draws * len(alternatives), processes or os.cpu_count() or 1), start) as pool:
+        waiting: dict[Future[Flight], int] = {
+            pool.submit(_flown, draw, alternative): number
+            for draw in range(draws)
+            for number, alternative in enumerate(alternatives)
+        }
+        left = set(waiting)
+        while left:
+            done, left = wait(left, STOPPED_EVERY_S, FIRST_COMPLETED)
+            if stop is not None and stop.is_set():
+                raise Stopped("rehearsal: it was stopped")
+            for each in done:
+                flights[waiting[each]].append(each.result())
+                on_flight(each.result())
+    wall_s = time.monotonic() - began
+    return tuple(
+        Forecast(
+            alternative.name,
+            start.fork.at,
+            tuple(assumptions(start)),
+            tuple(sorted(flights[number], key=lambda flight: flight.draw)),
+            wall_s,
+        )
+        for number, alternative in enumerate(alternatives)
+    )
 
 
 @contextmanager
-def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Child processes; none is left when an error or Ctrl-C ends the wait for them."""
+def _pool(processes: int, start: Start) -> Iterator[ProcessPoolExecutor]:
+    """Child processes for flights from there; none is left when an error or Ctrl-C ends the wait for them."""
     before = {name: os.environ.get(name) for name in child_environment()}
     os.environ.update(child_environment())  # each child computes with one BLAS thread
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin)
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(start,))
     try:
         yield pool
     except BaseException:
@@ -165,22 +230,29 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
                 os.environ[name] = value
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the parent, and end with it."""
+@dataclass(slots=True)
+class _Beginning:
+    """What the flights of a child process begin with."""
+
+    start: Start
+    region: Region
+
+
+_beginnings: list[_Beginning] = []
+
+
+def _begin(start: Start) -> None:
+    """Leave Ctrl-C to the parent, end with it, and keep what every flight begins with."""
     signal(SIGINT, SIG_IGN)
     end_with_parent()
-
-
-def _flown(start: Start, draw: int) -> Flight:
     scenario = scenario_of(start.fork)
-    region = _region(scenario.region, scenario.field.field_seed)
+    _beginnings.append(_Beginning(start, load_region(scenario.region, scenario.field.field_seed)))
+
+
+def _flown(draw: int, alternative: Alternative) -> Flight:
+    beginning = _beginnings[-1]
     with MissionExecutor() as executor:  # as in the live mission, no plan depends on those before it
-        return fly(start, region, draw, executor)
-
-
-@cache
-def _region(name: str, field_seed: int) -> Region:
-    return load_region(name, field_seed)
+        return fly(beginning.start, beginning.region, draw, executor, alternative)
 
 
 def _band(band: Band, text: Callable[[float], str]) -> str:
@@ -192,5 +264,54 @@ def _band(band: Band, text: Callable[[float], str]) -> str:
     )
 
 
+def compared(one: Forecast, other: Forecast) -> list[tuple[str, str, str, str]]:
+    """Two forecasts side by side: names, and texts of the one, of the other, and of how much the other differs.
+
+    The difference is taken draw by draw. Below each median stands its 95 % band.
+    """
+    rows = [("", one.name, other.name, "difference")]
+    for figure, (name, text, more) in _SHOWN.items():
+        bands = one.band(figure), other.band(figure)
+        differs = other.less(one, figure)
+        rows.append((name, text(bands[0].median), text(bands[1].median), more(differs.median)))
+        here, there = (f"{text(band.low_95)} to {text(band.high_95)}" for band in bands)
+        if any(band.low_95 != band.high_95 for band in (*bands, differs)):
+            rows.append(("  95 %", here, there, f"{more(differs.low_95)} to {more(differs.high_95)}"))
+    failed = one.not_done(), other.not_done()
+    if any(failed):
+        rows.append(("NOT DONE", *failed, ""))
+    return rows
+
+
+def _signed(text: Callable[[float], str]) -> Callable[[float], str]:
+    return lambda value: f"{'-' if value < 0 else '+'}{text(abs(value))}"
+
+
 def _wh(value: float) -> str:
     return f"{value:,.0f} Wh"
+
+
+def _m(value: float) -> str:
+    return f"{value:,.0f} m"
+
+
+def _ppb(value: float) -> str:
+    return f"{value:.4f} ppb"
+
+
+def _count(value: float) -> str:
+    return f"{value:.0f}"
+
+
+_SHOWN: Final[dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]]] = {
+    figure: (name, text, _signed(text))
+    for figure, name, text in (
+        ("lasts_s", "ends in", duration),
+        ("driven_m", "drives", _m),
+        ("samples", "samples", _count),
+        ("mean_std_ppb", "mean std", _ppb),
+        ("charge_wh", "battery", _wh),
+        ("lowest_wh", "lowest", _wh),
+    )
+}
+"""Name and texts of each figure, of its value and of a difference."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import astuple
 from typing import Any
 
@@ -18,9 +19,10 @@ from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, RoverMode
 from schemas.topics import EVENT, FORK, ISSUE_COMMAND, LINK_SHOW, LIST_COMMANDS, MEASURE, Side
+from services.console.rehearsal.alternative import parse_alternative
 from services.console.rehearsal.drawn_field import DrawnField
 from services.console.rehearsal.flight import Flight, Start, assumptions, fly, scenario_of
-from services.console.rehearsal.forecast import Band, Forecast
+from services.console.rehearsal.forecast import Band, Forecast, compared
 from services.field.node import FieldNode
 from services.mission.in_process import InProcessMission, build_nodes
 from services.mission.mission_time import SECOND
@@ -199,7 +201,7 @@ def test_a_forecast_has_the_median_and_central_bands_of_its_flights() -> None:
     flights = tuple(
         Flight(n, True, "", 3600.0 * n, 10.0 * n, 8, 0.5, 100.0, 50.0, rounds_s={3: 60.0 * n}) for n in range(101)
     )
-    forecast = Forecast(0, ("a thing",), flights, 2.0)
+    forecast = Forecast("as planned", 0, ("a thing",), flights, 2.0)
     assert astuple(forecast.band("driven_m")) == pytest.approx((500.0, 153.2, 846.8, 15.5, 984.5))
     ((number, done),) = forecast.rounds().items()
     assert number == 3
@@ -210,4 +212,84 @@ def test_a_forecast_has_the_median_and_central_bands_of_its_flights() -> None:
     assert rows["assumes"] == "a thing"
     assert "NOT DONE" not in rows
     failed = Flight(101, False, "no route", 1.0, 1.0, 4, 0.9, 1.0, 1.0)
-    assert dict(Forecast(0, (), (*flights, failed), 1.0).rows())["NOT DONE"] == "1 of 102, for example: no route"
+    assert (
+        dict(Forecast("as planned", 0, (), (*flights, failed), 1.0).rows())["NOT DONE"]
+        == "1 of 102, for example: no route"
+    )
+
+
+def test_a_band_of_few_flights_has_all_of_them() -> None:
+    same_but_one = Band.of([2946.0] * 19 + [2990.0])
+    assert same_but_one.median == 2946.0
+    assert same_but_one.high_68 < 2990.0 <= same_but_one.high_95
+
+
+def test_two_forecasts_stand_side_by_side_and_differ_draw_by_draw() -> None:
+    def forecast(name: str, further_m: float, *, fails: bool = False) -> Forecast:
+        flights = [
+            Flight(
+                n,
+                not fails,
+                "no route",
+                3600.0,
+                100.0 * n + further_m,
+                8,
+                0.5,
+                9.0,
+                5.0,
+                {},
+                [],
+                [(0.0, 9.0), (1.0, 7.0)],
+            )
+            for n in range(20)
+        ]
+        return Forecast(name, 0, (), tuple(flights), 1.0)
+
+    one, other = forecast("as planned", 0.0), forecast("planner informative", 30.0, fails=True)
+    assert astuple(other.less(one, "driven_m")) == (30.0,) * 5
+    rows = {name: texts for name, *texts in compared(one, other)}
+    assert rows[""] == ["as planned", "planner informative", "difference"]
+    assert rows["drives"] == ["950 m", "980 m", "+30 m"]
+    assert rows["ends in"] == ["1 h 00 min", "1 h 00 min", "+0 s"]
+    assert rows["NOT DONE"] == ["", "20 of 20, for example: no route", ""]
+    at_s, charge = one.charges()[-1]
+    assert (at_s, charge.median) == (3600.0, 7.0)
+
+
+def test_an_alternative_is_a_planner_commands_or_both() -> None:
+    both = parse_alternative("planner  rrtstar; abort-round\nkeep-out a 1,1 2,1 2,2")
+    assert both.planner == "rrtstar"
+    assert [command.kind for command in both.commands] == [CommandKind.ABORT_ROUND, CommandKind.SET_KEEP_OUT]
+    assert both.name == "planner rrtstar; abort-round keep-out a 1,1 2,1 2,2"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "expected 'planner NAME' or a command such as 'abort-round', got ''"),
+        ("planner x", "expected a planner among rrt, rrtstar, informative, tour; got 'x'"),
+        ("pause", "expected a command after which the mission goes on, got 'pause'"),
+        ("at 2h: resume", "expected a command without conditions and expiry"),
+        ("resume --expires-in 9", "expected a command without conditions and expiry"),
+        ("go-to 3", "go-to: expected X Y in metres, got 1 values"),
+        ("x" * 2001, "expected at most 2000 characters, got 2001"),
+        ("; ".join(["abort-round"] * 21), "expected at most 20 commands, got 21"),
+    ],
+)
+def test_what_is_no_alternative_is_refused_in_one_line(text: str, why: str) -> None:
+    with pytest.raises(InvalidInput, match=re.escape(why)):
+        parse_alternative(text)
+
+
+def test_a_rehearsed_alternative_begins_with_its_commands_and_its_planner() -> None:
+    live = Live()
+    live.until_samples(7)
+    start = live.start()
+    as_planned = fly(start, live.region, 0)
+    otherwise = fly(start, live.region, 0, alternative=parse_alternative("planner informative; go-to 55 55"))
+    assert otherwise.completed
+    assert otherwise.driven_m > as_planned.driven_m
+    assert min(np.hypot(x - 55.0, y - 55.0) for _, x, y in otherwise.track_m) < 1.0
+    with pytest.raises(InvalidInput, match=r"rehearsal: command .*: expected a target within 0\.\.60 m east"):
+        fly(start, live.region, 0, alternative=parse_alternative("go-to 500 55"))
+    assert live.start() == start
