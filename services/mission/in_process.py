@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from schemas.ground import GroundStatus
     from schemas.topics import Topic
     from schemas.wire import Wire
-    from services.ground.map.snapshot import MapSnapshot
     from services.mission.scenario import Scenario
     from services.runtime.host import EventSink
     from services.runtime.scheduler import Executor
@@ -71,15 +70,6 @@ class InProcessMission:
 
         ground = self.simulation.node(GROUND)
         return ground.status if isinstance(ground, GroundNode) else None
-
-    @property
-    def map(self) -> MapSnapshot:
-        """The map that the ground has published last, as queries are answered from it."""
-        from services.ground.map.snapshot import MapSnapshot
-
-        snapshot = self.simulation.snapshots[GROUND]
-        assert isinstance(snapshot, MapSnapshot), "the ground publishes its map as soon as it starts"
-        return snapshot
 
     @property
     def mission_time_s(self) -> float:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import InvalidInput
 from schemas.commands import NoParameters
-from schemas.topics import LINK_SHOW, MAP_SCORE, TRACK
+from schemas.maps import MapLayer, MapLayerQuery
+from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
 from services.console.campaign.identity import planner_checksum, region_checksum
-from services.console.report.mission_report import Run, build_report
+from services.console.report.mission_report import Run, array_of, build_report
 from services.ground.pure_tasks import MissionExecutor
 from services.mission.in_process import InProcessMission, build_nodes
 from services.mission.regions import load_region
@@ -44,7 +45,9 @@ def fly(arguments: Mapping[str, Any]) -> dict[str, Any]:
     score = mission.ask(MAP_SCORE, NoParameters()) if scenario.ground.score else None
     run = Run("in-process", None, region.provenance, mission.mission_time_s, 0.0)
     report = build_report(scenario, run, mission.status, track, link, score)
-    mean, std = mission.map.mean_ppb, mission.map.std_ppb
+    mean, std = (
+        array_of(mission.ask(MAP_LAYER, MapLayerQuery(layer=layer))) for layer in (MapLayer.MEAN, MapLayer.STD)
+    )
     digest = hashlib.sha256(mean.tobytes() + std.tobytes())
     digest.update("\n".join(sample.model_dump_json() for sample in report.sample_table).encode())
     figures = {name: getattr(report, name) for name in _TAKEN}
