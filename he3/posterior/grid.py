@@ -165,10 +165,7 @@ class GridPosterior:
 
     def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike) -> tuple[GaussianProcess, GaussianProcess]:
         """The process with more samples, with and without the trend."""
-        count = len(self) + len(xy)
-        if count > MAX_SAMPLES:
-            raise InvalidInput(f"expected at most {MAX_SAMPLES} samples on a grid, got {count}")
-        expect_map_fits(self.grid, self.hyperparameters.kernel.name, count)
+        expect_map_fits(self.grid, self.hyperparameters.kernel.name, len(self) + len(xy))
         process = self._process.condition(xy, values_ppb)
         trend = self.hyperparameters.trend
         if trend is None:
@@ -238,9 +235,13 @@ class GridPosterior:
 def expect_map_fits(grid: SiteGrid, kernel_name: str, samples: int) -> None:
     """Raises InvalidInput if the map of that many samples, with that kernel or "auto", would take too much memory.
 
+    Neither does a map hold more than ``MAX_SAMPLES``.
+
     The rows are counted in float32. In float64 they may take twice as much: a map that is accepted here is never
     refused when its samples turn out to need that.
     """
+    if samples > MAX_SAMPLES:
+        raise InvalidInput(f"expected at most {MAX_SAMPLES} samples on a grid, got {samples}")
     separable = kernel_name == SquaredExponential.name
     size = 0 if separable else samples * grid.rows * grid.columns * np.dtype(np.float32).itemsize
     if size > MAX_ROW_BYTES:

@@ -8,7 +8,7 @@ order and any delays of their arrival.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import MEAN_PPB, Hyperprior
 from he3.kernels import AUTO, kernel_from
 from he3.mixture_posterior import MixturePosterior, coarser, on_cells
-from he3.posterior.grid import GridPosterior, PosteriorMap
+from he3.posterior.grid import GridPosterior, PosteriorMap, expect_map_fits
 from services.ground.fitting import FitRequest, fit
 
 if TYPE_CHECKING:
@@ -66,8 +66,9 @@ class Belief:
         self._trend = trend
         self._prior = None if likeliest else hyperprior(grid, trend)
         self._observations: dict[str, Observation] = {}
-        self._posterior: MixturePosterior | None = MixturePosterior(self._coarse, self._first(), self._empty)
-        self._map, self._process = self._shown(self._posterior), self._posterior.process
+        self._posterior: MixturePosterior | None = None
+        self._map: PosteriorMap | None = None
+        self._process = GaussianProcess(self._first())
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
 
@@ -119,8 +120,18 @@ class Belief:
         return self._process
 
     @property
+    def changes(self) -> int:
+        """Counts the changes of the map."""
+        return self._fits + len(self._observations)
+
+    @property
     def map(self) -> PosteriorMap:
-        """Mean and standard deviation on every cell [ppb]: arrays that no later sample touches."""
+        """Mean and standard deviation on every cell [ppb]: arrays that no later sample touches.
+
+        Computed when it is asked for; it does not depend on how often that is.
+        """
+        if self._map is None:
+            self._map = self._shown(self._standing())
         return self._map
 
     @property
@@ -139,11 +150,11 @@ class Belief:
         low, high = -margin, HELIUM3_MAX_PPB + margin
         if not (isfinite(observation.value_ppb) and low <= observation.value_ppb <= high):
             raise InvalidInput(f"sample {sample_id}: expected {low:g} to {high:g} ppb, got {observation.value_ppb:g}")
-        self.grid.cells_of(np.array([observation.place_m], dtype=np.float64))
-        posterior = self._standing()
-        posterior.add(observation.place_m, observation.value_ppb)
-        self._map, self._process = self._shown(posterior), posterior.process
-        self._observations[sample_id] = observation
+        places = np.array([observation.place_m], dtype=np.float64)
+        self.grid.cells_of(places)
+        expect_map_fits(self.grid, self.hyperparameters.kernel.name, len(self) + 1)
+        self._process = self._process.condition(places, [observation.value_ppb])
+        self._observations[sample_id], self._map = observation, None
         return True
 
     def fit_request(self, up_to_round: int, seed: tuple[int, ...]) -> FitRequest | None:
@@ -168,8 +179,10 @@ class Belief:
         self._fits += 1
         planned = {name: observed.planned for name, observed in self._observations.items()}
         self._built = tuple(sorted(planned, key=planned.__getitem__))
-        posterior = self._posterior = self._rebuilt(self._with_trend(fitted))
-        self._map, self._process = self._shown(posterior), posterior.process
+        self._process = GaussianProcess(self._with_trend(fitted))
+        if self._built:
+            self._process = self._process.condition(*self._samples(self._built))
+        self._posterior = self._map = None
 
     def begin_with(self, observations: Mapping[str, Observation], fitted: Hyperparameters) -> None:
         """Take in these samples at once, as if they had been added and these hyperparameters then adopted."""
@@ -178,11 +191,9 @@ class Belief:
 
     def _rebuilt(self, hyperparameters: Hyperparameters) -> MixturePosterior:
         """The map of the last refit, without the samples added since."""
-        built = [self._observations[name] for name in self._built]
-        places = np.array([observed.place_m for observed in built], dtype=np.float64).reshape(-1, 2)
-        values = np.array([observed.value_ppb for observed in built], dtype=np.float64)
-        if not built:
+        if not self._built:
             return MixturePosterior(self._coarse, hyperparameters, self._empty)
+        places, values = self._samples(self._built)
 
         def posterior(grid: SiteGrid, of: Hyperparameters) -> GridPosterior:
             return GridPosterior.build(grid, of, places, values, threads=MAP_THREADS)
@@ -203,12 +214,18 @@ class Belief:
         return GridPosterior(grid, hyperparameters, threads=MAP_THREADS)
 
     def _standing(self) -> MixturePosterior:
-        """The present posterior, to which the next sample is added; a restart recomputes it in the same steps."""
+        """The present posterior: that of the last refit, to which the samples since are added one by one."""
         if self._posterior is None:
             self._posterior = self._rebuilt(self.hyperparameters)
-            for observed in list(self._observations.values())[len(self._built) :]:
-                self._posterior.add(observed.place_m, observed.value_ppb)
+        for observed in list(self._observations.values())[len(self._posterior) :]:
+            self._posterior.add(observed.place_m, observed.value_ppb)
         return self._posterior
+
+    def _samples(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """Places (n, 2) [m] and values (n,) [ppb] of the samples of those names."""
+        observed = [self._observations[name] for name in names]
+        places = np.array([each.place_m for each in observed], dtype=np.float64).reshape(-1, 2)
+        return places, np.array([each.value_ppb for each in observed], dtype=np.float64)
 
     def _in_order(self) -> list[Observation]:
         return sorted(self._observations.values(), key=lambda observed: observed.planned)
@@ -229,33 +246,7 @@ class Belief:
         """Restore the belief from this state."""
         self._observations, self._built, self._fits = state["observations"], state["built"], state["fits"]
         self._process, self._posterior = state["process"], None
-        known: PosteriorMap | None = state["map"]
-        self._map = self._shown(self._standing()) if known is None else known  # None: it follows from the rest
-
-
-class DeferredBelief(Belief):
-    """A belief whose map stands still until it is asked for: for missions of which only the last map matters."""
-
-    def add(self, sample_id: str, observation: Observation) -> bool:
-        """Keep a measurement; False, and nothing changes, if it was there already."""
-        if sample_id in self._observations:
-            return False
-        self._observations[sample_id] = observation
-        return True
-
-    def adopt(self, fitted: Hyperparameters) -> None:
-        """Keep new hyperparameters."""
-        self._fits += 1
-        self._process = GaussianProcess(self._with_trend(fitted))
-
-    def restore(self, state: SavedState) -> None:
-        """Restore the belief from this state; a map that it lacks is that before the first sample."""
-        super().restore({**state, "map": self._map if state["map"] is None else state["map"]})
-
-    def last_map(self) -> PosteriorMap:
-        """The map from all samples under the present hyperparameters."""
-        super().adopt(self.hyperparameters)
-        return self.map
+        self._map = state["map"]  # None: it follows from the rest
 
 
 def hyperprior(grid: SiteGrid, trend: CovariateTrend | None) -> Hyperprior:

@@ -98,6 +98,7 @@ if TYPE_CHECKING:
     from he3.frames import SiteGrid
     from he3.reference import Region
     from schemas.ground import GroundStatus
+    from services.ground.map.publisher import MapUse
     from services.ground.map.snapshot import MapSnapshot
     from services.ground.planners.interface import Planner
     from services.mission.scenario import Scenario
@@ -196,7 +197,8 @@ class GroundNode:
         match event:
             case QueryReceived(topic, request, token) if topic in MAP_TOPICS:
                 try:
-                    return [SendReply(token, answer(topic, request, self.snapshot))]
+                    shown = self._publisher.present(now, self._director.plan_ends)
+                    return [SendReply(token, answer(topic, request, shown))]
                 except He3Error as error:
                     return [RefuseQuery(token, str(error))]
             case QueryReceived(topic, _, token) if topic is LIST_COMMANDS:
@@ -214,8 +216,8 @@ class GroundNode:
             if isinstance(effect, Send) and isinstance(effect.body, MissionPlan)
         ]
         effects += [self._operations.goal(text, now) for text in self._goal.news()]
-        shown = self._publisher.publish(now, self._director.ended, self._director.plan_ends)
-        return [*effects, *shown, *self._status.send(anyway=event == TimerFired(STATUS_TIMER))]
+        changed = self._publisher.publish(now, self._director.ended, self._director.plan_ends)
+        return [*effects, *changed, *self._status.send(anyway=event == TimerFired(STATUS_TIMER))]
 
     def _changed_by(self, event: Event, now: MissionTime) -> Iterable[Effect]:
         match event:
@@ -368,10 +370,11 @@ def build_node(
     region: Region | None = None,
     planner: Planner | None = None,
     make_belief: Callable[..., Belief] = Belief,
+    map_use: MapUse = "always",
 ) -> GroundNode:
     """The ground station of that scenario; region and planner are read and chosen from it unless they are given.
 
-    make_belief: makes the belief, from the arguments of `Belief`.
+    make_belief: makes the belief, from the arguments of `Belief`. map_use: for what the map is computed.
 
     Belief and director receive only what is known from orbit; the reference field goes to the scorer alone.
     Raises InvalidInput for a scenario that does not fit its region.
@@ -407,7 +410,16 @@ def build_node(
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
     publisher = MapPublisher(
-        belief, terrain, samples, round_log, refits, scorer, origin, scenario.start_ns, region_account(scenario, region)
+        belief,
+        terrain,
+        samples,
+        round_log,
+        refits,
+        scorer,
+        origin,
+        scenario.start_ns,
+        region_account(scenario, region),
+        map_use,
     )
     silence = SilenceWatch(ground.rover_timeout_s)
     round_trip_s = scenario.link.up.one_way_light_time_s + scenario.link.down.one_way_light_time_s

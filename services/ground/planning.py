@@ -20,7 +20,7 @@ from services.runtime.node import Compute
 
 if TYPE_CHECKING:
     from he3.driving_cost import TerrainCost
-    from he3.frames import FloatArray, Place, SiteGrid
+    from he3.frames import Float32Array, FloatArray, Place, SiteGrid
     from schemas.plans import PlannedSample, RoundPlan
     from services.ground.belief import Belief
     from services.ground.budget import RemainingBudget
@@ -126,7 +126,7 @@ class RoundPlanning:
             traversable=self._terrain.open_from(start_m, self._round_log.paths()[0][-MAX_BACK:]),
             start_m=start_m,
             observed_m=np.vstack((self._belief.places_m, _places(pending))),
-            std_ppb=self._belief.map.std_ppb,
+            std_ppb=self._std_ppb(bool(pending)),
             hyperparameters=self._belief.hyperparameters,
             samples=samples,
             samples_left=remaining.samples,
@@ -138,6 +138,13 @@ class RoundPlanning:
             cost=self._cost,
             goal=self._goal,
         )
+
+    def _std_ppb(self, samples_pending: bool) -> Float32Array:
+        """The map's standard deviation (rows, columns) [ppb]; zeros where nothing reads it, which costs no map."""
+        ignored = isinstance(self._planner, str) and self._planner in IGNORE_STD
+        if ignored or samples_pending:  # with samples pending, `run_planner` computes it
+            return np.zeros(self._grid.shape, dtype=np.float32)
+        return self._belief.map.std_ppb
 
     def cancel(self) -> None:
         """Cancel the round that is being planned or waits for approval; an answer is dropped when it arrives."""

@@ -14,7 +14,6 @@ from services.runtime.node import SendIfHeard
 if TYPE_CHECKING:
     from he3.driving_cost import CostUnit
     from he3.hyperparameters import Hyperparameters
-    from schemas.maps import MapScore
     from schemas.telemetry import RoverState
     from services.ground.belief import Belief
     from services.ground.director import Director, MissionProgress
@@ -27,7 +26,10 @@ if TYPE_CHECKING:
 
 
 class _Facts(NamedTuple):
-    """What the status says, apart from what never changes; what changes most often comes first."""
+    """What the status says, apart from what never changes and what follows from the map's revision.
+
+    What changes most often comes first.
+    """
 
     rover_made_at: MissionTime | None
     rounds_completed: int
@@ -37,12 +39,10 @@ class _Facts(NamedTuple):
     plan_revision: int
     planning: bool
     map_revision: int
-    mean_std_ppb: float
     phase: MissionPhase
     detail: str
     proposal: int | None
     rover: RoverState | None
-    score: MapScore | None
     goal: GoalStatus | None
     hyperparameters: Hyperparameters
 
@@ -107,12 +107,10 @@ class StatusReporter:
             plan_revision=progress.plan_revision,
             planning=progress.planning,
             map_revision=self._publisher.revision,
-            mean_std_ppb=self._publisher.mean_std_ppb,
             phase=self._phase(progress),
             detail=self._detail(progress)[:500],
             proposal=None if progress.proposed is None else progress.proposed.number,
             rover=self._rover,
-            score=self._publisher.score,
             goal=None if self._goal is None else self._goal.status(),
             hyperparameters=self._belief.hyperparameters,
         )
@@ -131,9 +129,9 @@ class StatusReporter:
             plan_revision=facts.plan_revision,
             plans_in_work=int(facts.planning),
             map_revision=facts.map_revision,
-            mean_std_ppb=facts.mean_std_ppb,
+            mean_std_ppb=self._publisher.mean_std_ppb,
             kernel=kernel_parameters(facts.hyperparameters),
-            score=facts.score,
+            score=self._publisher.score,
             rover=facts.rover,
             rover_made_at=facts.rover_made_at,
             goal=facts.goal,

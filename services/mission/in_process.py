@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from schemas.ground import GroundStatus
     from schemas.topics import Topic
     from schemas.wire import Wire
+    from services.ground.map.publisher import MapUse
     from services.mission.scenario import Scenario
     from services.runtime.host import EventSink
     from services.runtime.scheduler import Executor
@@ -27,10 +28,11 @@ RECORDING_FLUSH_S = 3600.0
 """Mission time between flushes of an in-process recording, which no other process reads while it runs [s]."""
 
 
-def build_nodes(scenario: Scenario, region: Region | None = None) -> tuple[Node, ...]:
+def build_nodes(scenario: Scenario, region: Region | None = None, map_use: MapUse = "always") -> tuple[Node, ...]:
     """The nodes of a scenario, built as each process builds its own.
 
-    region: the scenario's, where it is loaded already. Raises InvalidInput for a scenario that no mission can have.
+    region: the scenario's, where it is loaded already. map_use: when the ground computes its map; no choice of it
+    changes a mission's course or its last map. Raises InvalidInput for a scenario that no mission can have.
     """
     from services.field.node import build_node as build_field
     from services.ground.node import build_node as build_ground
@@ -41,7 +43,7 @@ def build_nodes(scenario: Scenario, region: Region | None = None) -> tuple[Node,
         build_field(scenario, region),
         build_rover(scenario, None if region is None else region.grid),
         build_link(scenario),
-        build_ground(scenario, region),
+        build_ground(scenario, region, map_use=map_use),
     )
 
 

@@ -38,7 +38,7 @@ def fly(arguments: Mapping[str, Any]) -> dict[str, Any]:
     planner = scenario.ground.planner
     _expect("planner", planner, arguments["planner_sha256"], planner_checksum(planner))
     region = _region(scenario.region, scenario.field.field_seed)
-    mission = InProcessMission(scenario, _executor(), None, build_nodes(scenario, region=region))
+    mission = InProcessMission(scenario, _executor(), None, build_nodes(scenario, region, map_use="asked"))
     mission.run()
     assert mission.status is not None, "the run ends only after the ground has reported its status"
     track, link = mission.ask(TRACK, NoParameters()), mission.ask(LINK_SHOW, NoParameters())

@@ -39,7 +39,8 @@ def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, event
             'ground.approval: expected "auto" for a mission in one process, which no operator can reach, got "operator"'
         )
     region = load_region(scenario.region, scenario.field.field_seed)
-    nodes = build_nodes(scenario, region=region)
+    seen = where.recording is not None or events is not None
+    nodes = build_nodes(scenario, region, map_use="always" if seen else "rounds")
     with claimed(where, events):
         outcome, problems = _run_in_process(scenario, region, nodes, where, progress, events)
         return write_outcome(outcome, region, where, events, problems)

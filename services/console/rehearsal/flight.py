@@ -20,7 +20,7 @@ from schemas.wire import Header
 from services.console.rehearsal.alternative import AS_PLANNED, HOLDING, Alternative
 from services.console.rehearsal.drawn_field import DrawnField
 from services.field.node import FieldNode
-from services.ground.belief import Belief, DeferredBelief
+from services.ground.belief import Belief
 from services.ground.fitting import fit, fit_kernel
 from services.ground.node import NAME as GROUND
 from services.ground.node import build_node as build_ground
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from schemas.link import LinkConditions, LinkStatus
     from schemas.plans import MissionPlan
     from services.ground.fitting import FitRequest
-    from services.ground.node import GroundNode
     from services.rover.node import RoverNode
     from services.runtime.scheduler import Executor
 
@@ -138,11 +137,10 @@ def fly(
     deferred = planner in IGNORE_STD and not certified
 
     def make_belief(*arguments: Any, **options: Any) -> Belief:
-        kind = DeferredBelief if deferred else Belief
-        beliefs.append(kind(*arguments, **options, most_cells=MAP_CELLS))
+        beliefs.append(Belief(*arguments, **options, most_cells=MAP_CELLS))
         return beliefs[-1]
 
-    ground = build_ground(scenario, region, make_belief=make_belief)
+    ground = build_ground(scenario, region, make_belief=make_belief, map_use="asked")
     state: dict[str, Any] = StateCodec(ground.state_types).decode(base64.b64decode(fork.state_base64))
     state["authority"] = ground.checkpoint()["authority"]  # who may command the mission plays no part here
     ground.restore({**ground.checkpoint(), **state})
@@ -164,11 +162,11 @@ def fly(
     simulation.step()  # the nodes start
     if start.link.contact_forced:
         simulation.ask(LINK_SET, LinkChange(contact=True))
-    flight = _Watch(simulation, ground, start, draw).run(alternative.commands)
+    flight = _Watch(simulation, start, draw).run(alternative.commands)
     if quick is not None and quick.last is not None:
         beliefs[0].adopt(fit(quick.last))
-    known = beliefs[0].last_map() if isinstance(beliefs[0], DeferredBelief) else beliefs[0].map
-    flight.mean_std_ppb = float(known.std_ppb.mean(dtype="f8"))
+    flight.samples = len(beliefs[0])
+    flight.mean_std_ppb = float(beliefs[0].map.std_ppb.mean(dtype="f8"))
     return flight
 
 
@@ -243,9 +241,8 @@ def _rover(scenario: Scenario, region: Region, fork: MissionFork, place_m: Place
 class _Watch:
     """A simulation that is flown to its end, and what is seen of it."""
 
-    def __init__(self, simulation: Simulation, ground: GroundNode, start: Start, draw: int) -> None:
+    def __init__(self, simulation: Simulation, start: Start, draw: int) -> None:
         self._simulation = simulation
-        self._ground = ground
         self._commands, self._fork = start.commands, start.fork
         fork = start.fork
         driven_m = 0.0 if fork.rover is None else fork.rover.driven_m
@@ -268,12 +265,11 @@ class _Watch:
             except He3Error as refusal:
                 raise InvalidInput(f"rehearsal: {refusal}") from None
         simulation.run(until=fork.at + round(LONGEST_S * SECOND), stop=lambda: GROUND in simulation.finished)
-        flight, status, end = self._flight, self._ground.status, simulation.finished.get(GROUND)
+        flight, end = self._flight, simulation.finished.get(GROUND)
         flight.completed = end is not None and end.ok
         flight.why = f"not over after {LONGEST_S / 86_400:.0f} days" if end is None else end.why
         flight.lasts_s = (simulation.now - fork.at) / SECOND
         flight.driven_m = max(0.0, flight.driven_m - self._driven_before_m)
-        flight.samples = status.samples
         return flight
 
     def _bring(self, topic: Topic, body: MissionPlan | Telecommand, sequence: int) -> None:

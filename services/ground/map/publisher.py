@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from schemas.ground import KeepOutArea
 from schemas.topics import MAP_OVERVIEW
@@ -13,7 +13,6 @@ from services.ground.map.snapshot import MapSnapshot
 from services.runtime.node import PublishSnapshot, SendIfHeard
 
 if TYPE_CHECKING:
-    from he3.posterior.grid import PosteriorMap
     from schemas.maps import MapRegion, MapScore
     from services.ground.belief import Belief
     from services.ground.refits import RefitSchedule
@@ -23,6 +22,10 @@ if TYPE_CHECKING:
     from services.ground.terrain import GroundTerrain
     from services.mission.mission_time import MissionTime
     from services.runtime.node import SavedState
+
+
+MapUse = Literal["always", "rounds", "asked"]
+"""When a map is computed: at every change, as for operators; once a round and when asked for; only when asked for."""
 
 
 class MapPublisher:
@@ -39,9 +42,11 @@ class MapPublisher:
         origin_deg: tuple[float, float] | None,
         start: MissionTime,
         region: MapRegion | None = None,
+        use: MapUse = "always",
     ) -> None:
         """scorer: None where there is no reference; origin_deg: latitude and longitude of the site's south-west corner
-        where they are known; start: when the mission begins."""
+        where they are known; start: when the mission begins. use: unless "always", snapshots are not published but
+        made when they are asked for; "asked" leaves out the scores of the rounds."""
         self._belief = belief
         self._terrain = terrain
         self._samples = samples
@@ -50,18 +55,42 @@ class MapPublisher:
         self._scorer = scorer
         self._origin_deg = origin_deg
         self._region = region
-        self._map: PosteriorMap | None = None
+        self._use = use
+        self._noted = -1
         self._traversable: object = None
         self._map_time = start
         self._rounds_scored = 0
         self._history: tuple[MapScore, ...] = ()
         self._shown_at_the_end = False
+        self._samples_noted = 0
         self.revision = 0
-        self.mean_std_ppb = 0.0
-        """Mean over the cells of the standard deviation [ppb]."""
-        self.score: MapScore | None = None
+        self._mean_std_ppb: float | None = 0.0
+        self._score: MapScore | None = None
         self.snapshot: MapSnapshot | None = None
-        """The map as it was last published."""
+        """The map as it was last made."""
+
+    @property
+    def mean_std_ppb(self) -> float:
+        """Mean over the cells of the standard deviation [ppb]."""
+        if self._mean_std_ppb is None:
+            self._mean_std_ppb = float(self._belief.map.std_ppb.mean(dtype="f8"))
+        return self._mean_std_ppb
+
+    @property
+    def score(self) -> MapScore | None:
+        """The score of the map; None where there is no reference, and before the first map."""
+        if self._score is None and self._scorer is not None and self.revision:
+            current = self._belief.map
+            self._score = self._scorer.score(
+                current.mean_ppb, current.std_ppb, self.revision, self._samples_noted, self._map_time
+            )
+        return self._score
+
+    def present(self, now: MissionTime, plan_ends: Callable[[MissionTime], MissionTime | None]) -> MapSnapshot | None:
+        """The map as operators see it now; None before there is one. plan_ends: as for `publish`."""
+        if self._use != "always" and self.revision:
+            self._make(now, plan_ends)
+        return self.snapshot
 
     def publish(
         self, now: MissionTime, ended: bool, plan_ends: Callable[[MissionTime], MissionTime | None]
@@ -71,6 +100,24 @@ class MapPublisher:
         plan_ends: the expected end of all planned rounds; called for new snapshots only.
         """
         self._note_changes(now)
+        if self._use != "always":
+            return
+        before = self.snapshot
+        shown = self._make(now, plan_ends)
+        if shown is before:
+            if ended and not self._shown_at_the_end:
+                self._shown_at_the_end = True
+                yield PublishSnapshot(shown, awaited=True)
+            return
+        # Reports are made from queries that come as soon as the status says that the mission is over.
+        self._shown_at_the_end = ended
+        yield PublishSnapshot(shown, awaited=self._shown_at_the_end)
+        if before is None or before.revision != self.revision:
+            known = 0 if before is None else len(before.samples)
+            yield SendIfHeard(MAP_OVERVIEW, partial(overview, shown, known, self._belief.fits))
+
+    def _make(self, now: MissionTime, plan_ends: Callable[[MissionTime], MissionTime | None]) -> MapSnapshot:
+        """The snapshot of what was noted last: the one that was made last, if it shows that."""
         driven, planned = self._round_log.paths()
         before = self.snapshot
         if (
@@ -79,10 +126,7 @@ class MapPublisher:
             and before.driven_path_m is driven
             and before.planned_path_m is planned
         ):
-            if ended and not self._shown_at_the_end:
-                self._shown_at_the_end = True
-                yield PublishSnapshot(before, awaited=True)
-            return
+            return before
         current = self._belief.map
         self.snapshot = MapSnapshot(
             grid=self._belief.grid,
@@ -107,52 +151,48 @@ class MapPublisher:
                 for outline in outlines
             ),
         )
-        # Reports are made from queries that come as soon as the status says that the mission is over.
-        self._shown_at_the_end = ended
-        yield PublishSnapshot(self.snapshot, awaited=self._shown_at_the_end)
-        if before is None or before.revision != self.revision:
-            known = 0 if before is None else len(before.samples)
-            yield SendIfHeard(MAP_OVERVIEW, partial(overview, self.snapshot, known, self._belief.fits))
+        return self.snapshot
 
     def _note_changes(self, now: MissionTime) -> None:
-        """A new revision, with its score, if map or terrain are other objects than before."""
-        current, traversable = self._belief.map, self._terrain.traversable
-        if self._map is current and self._traversable is traversable:
+        """A new revision, with a score of the round, if the map has changed or the terrain is another object."""
+        changes, traversable = self._belief.changes, self._terrain.traversable
+        if self._noted == changes and self._traversable is traversable:
             return
-        self._map, self._traversable = current, traversable
+        self._noted, self._traversable = changes, traversable
         self.revision += 1
         self._map_time = now
-        self.mean_std_ppb = float(current.std_ppb.mean(dtype="f8"))
-        if self._scorer is not None:
-            self.score = self._scorer.score(current.mean_ppb, current.std_ppb, self.revision, len(self._samples), now)
-            if self._refits.rounds > self._rounds_scored:
-                self._history = (*self._history, self.score)
+        self._samples_noted = len(self._samples)
+        self._mean_std_ppb = self._score = None  # they follow from the map, which nobody may ask for
+        if self._use != "asked" and self._refits.rounds > self._rounds_scored and (score := self.score) is not None:
+            self._history = (*self._history, score)
         self._rounds_scored = self._refits.rounds
 
     def checkpoint(self) -> SavedState:
         """The whole state, as named parts."""
         return {
-            "map": self._map,
+            "noted": self._noted,
+            "samples_noted": self._samples_noted,
             "traversable": self._traversable,
             "map_time": self._map_time,
             "rounds_scored": self._rounds_scored,
             "history": self._history,
             "shown_at_the_end": self._shown_at_the_end,
             "revision": self.revision,
-            "mean_std_ppb": self.mean_std_ppb,
-            "score": self.score,
+            "mean_std_ppb": self._mean_std_ppb,
+            "score": self._score,
             "snapshot": self.snapshot,
         }
 
     def restore(self, state: SavedState) -> None:
         """Restore the publisher from this state."""
-        self._map = state["map"]
+        self._noted = state["noted"]
+        self._samples_noted = state["samples_noted"]
         self._traversable = state["traversable"]
         self._map_time = state["map_time"]
         self._rounds_scored = state["rounds_scored"]
         self._history = state["history"]
         self._shown_at_the_end = state["shown_at_the_end"]
         self.revision = state["revision"]
-        self.mean_std_ppb = state["mean_std_ppb"]
-        self.score = state["score"]
+        self._mean_std_ppb = state["mean_std_ppb"]
+        self._score = state["score"]
         self.snapshot = state["snapshot"]

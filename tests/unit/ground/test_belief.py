@@ -12,10 +12,10 @@ from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
-from he3.kernels import AUTO, KERNELS, Matern52
+from he3.kernels import AUTO, KERNELS
 from he3.mixture import ProcessMixture
 from he3.trend import CovariateTrend, orbital_trend
-from services.ground.belief import Belief, DeferredBelief
+from services.ground.belief import Belief
 from services.ground.fitting import fit, fit_kernel
 from services.ground.observation import Observation
 
@@ -38,6 +38,12 @@ def belief_of(samples: dict[str, Observation], kernel: str = "matern52", trend: 
     for name, observation in samples.items():
         belief.add(name, observation)
     return belief
+
+
+def fit_of(belief: Belief) -> Hyperparameters:
+    request = belief.fit_request(9, (1, 9))
+    assert request is not None
+    return fit(request)
 
 
 def refit(belief: Belief, up_to_round: int) -> None:
@@ -180,28 +186,27 @@ def test_an_orbital_prior_is_the_map_before_the_first_sample_and_survives_a_refi
     assert len(belief) == 10
 
 
-def test_a_deferred_map_is_the_one_of_a_belief_that_was_always_kept_up() -> None:
-    samples = observations(10)
-    kept_up, deferred = belief_of(samples), DeferredBelief(GRID, "matern52", NOISE)
-    before = deferred.map
-    for name, observation in samples.items():
-        assert deferred.add(name, observation)
-        assert not deferred.add(name, observation)
-    for belief in (kept_up, deferred):
-        belief.adopt(Hyperparameters(Matern52(0.9, 12.0), NOISE, 8.0, 0.8))
-    assert deferred.map is before
-    np.testing.assert_array_equal(deferred.last_map().mean_ppb, kept_up.map.mean_ppb)
-    np.testing.assert_array_equal(deferred.map.std_ppb, kept_up.map.std_ppb)
+def test_a_map_that_is_asked_for_once_is_to_the_byte_the_one_that_was_asked_for_after_each_sample() -> None:
+    fitted = fit_of(belief_of(observations(10)))
+    watched, asked = Belief(GRID, "matern52", NOISE), Belief(GRID, "matern52", NOISE)
+    for number, (name, observation) in enumerate(observations(14).items()):
+        for belief in (watched, asked):
+            if number == 10:
+                belief.adopt(fitted)
+            belief.add(name, observation)
+        assert watched.map.samples == number + 1
+    assert watched.changes == asked.changes == 15
+    np.testing.assert_array_equal(asked.map.mean_ppb, watched.map.mean_ppb)
+    np.testing.assert_array_equal(asked.map.std_ppb, watched.map.std_ppb)
+    np.testing.assert_array_equal(asked.process.factor, watched.process.factor)
 
 
-def test_a_deferred_map_is_not_made_when_its_state_is_restored_without_one() -> None:
-    kept_up, deferred = belief_of(observations(10)), DeferredBelief(GRID, "matern52", NOISE)
-    kept_up.adopt(Hyperparameters(Matern52(0.9, 12.0), NOISE, 8.0, 0.8))
-    before = deferred.map
-    deferred.restore({**kept_up.checkpoint(), "map": None})
-    assert deferred.map is before
-    assert deferred.places_m == pytest.approx(kept_up.places_m)
-    np.testing.assert_array_equal(deferred.last_map().std_ppb, kept_up.map.std_ppb)
+def test_a_state_without_its_map_restores_the_same_map() -> None:
+    belief, restored = belief_of(observations(10)), Belief(GRID, "matern52", NOISE)
+    belief.adopt(fit_of(belief))
+    belief.add("late", Observation((9, 1, 1), (20.0, 20.0), 8.0))
+    restored.restore({**belief.checkpoint(), "map": None})
+    np.testing.assert_array_equal(restored.map.std_ppb, belief.map.std_ppb)
 
 
 def test_a_map_on_coarser_cells_has_the_mean_standard_deviation_of_the_whole_but_for_a_hundredth() -> None:
