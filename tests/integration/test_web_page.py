@@ -151,7 +151,13 @@ def test_without_authority_nothing_is_commanded_and_the_reason_is_said(mission: 
     with Served(mission) as where:
         own = where.rstrip("/")
         before = len(mission.commands())
-        for path, document in (("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("interest", {})):
+        commanding = (
+            ("command", {"kind": "pause"}),
+            ("stack", {"text": "pause"}),
+            ("link", {"loss": 0.5}),
+            ("interest", {}),
+        )
+        for path, document in commanding:
             code, body = get(f"{own}/api/{path}", {**OUR_PAGE, "origin": own}, document)
             assert (code, b"--authority" in body) == (403, True)
         assert len(mission.commands()) == before
@@ -600,6 +606,34 @@ def test_a_command_is_sent_only_when_its_preview_was_read_and_enter_pressed(
     decide(browser, ESCAPE)
     until(lambda: not script(browser, "return document.getElementById('preview').open"), "the end of the preview")
     assert len(mission.commands()) == before
+
+
+def test_a_command_stack_is_checked_then_sent_step_by_step_and_outlives_a_reload(
+    browser: Any, address: str, mission: MissionClient
+) -> None:
+    browser.get(address)
+    until(lambda: shown(browser).get("layer") == "mean", "the map")
+    before = len(mission.commands())
+    write(browser, "#stack-text", "pause\nresume\nresume")
+    click(browser, "#stack-check")
+    refused = "line 3 (resume): expected a rover that is paused or in safe mode by then"
+    until(lambda: refused in written(browser, "#stack-failure"), "the rule that it breaks")
+    assert not browser.find_element("id", "stack-send").is_enabled()
+    write(browser, "#stack-text", "pause\nafter completed: resume")
+    click(browser, "#stack-check")
+    until(lambda: "stops at its next safe point" in written(browser, "#stack-lines"), "what it would do")
+    click(browser, "#stack-step")
+    click(browser, "#stack-send")
+    until(lambda: written(browser, "#stack-asks-title") == "Line 1 waits for your answer: pause", "the question")
+    assert len(mission.commands()) == before
+    click(browser, "#stack-yes")
+    until(lambda: "Line 2 waits" in written(browser, "#stack-asks-title"), "the next question")
+    browser.refresh()
+    until(lambda: "Line 2 waits" in written(browser, "#stack-asks-title"), "the question after a reload")
+    click(browser, "#stack-yes")
+    until(lambda: written(browser, "#stack-note") == "done, 2 of 2 completed", "the end of the stack")
+    sent = [status.command.kind.value for status in mission.commands()[before:]]
+    assert sent == ["pause", "resume"]
 
 
 def test_a_field_that_is_empty_or_out_of_range_sends_nothing(browser: Any, mission: MissionClient) -> None:

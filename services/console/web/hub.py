@@ -32,6 +32,7 @@ from services.console.client.alarms import Alarms, documents
 from services.console.client.contacts import contacts_ahead
 from services.console.client.liveness import Condition, Liveness, liveness
 from services.console.web.curves import NAMES, Curves
+from services.console.web.stacks import PageStacks
 from services.mission.mission_time import SECOND, MissionTime, seconds
 
 if TYPE_CHECKING:
@@ -107,6 +108,7 @@ class Hub:
         """recording: the mission, if it is a recorded one whose time can be set."""
         self.mission = mission
         self.recording = recording
+        self.stacks = PageStacks.of(mission, self._stack_changed)
         self._lock = threading.RLock()
         self._viewers: set[Viewer] = set()
         self._ended = threading.Event()
@@ -273,6 +275,10 @@ class Hub:
             self._link_events.setdefault((event.at, event.what), event)
         self._dirty |= {"link", "contacts"}
 
+    def _stack_changed(self) -> None:
+        with self._lock:
+            self._dirty.add("stack")
+
     def _commands_changed(self) -> None:
         for status in self._state.commands:
             name, stages = status.command.command_id, len(status.stages)
@@ -346,6 +352,8 @@ class Hub:
             case "interests":
                 fact = self._state.fact(INTERESTS)
                 return None if fact is None else _message("interests", fact.body.model_dump(mode="json"))
+            case "stack":
+                return _message("stack", {"stack": self.stacks.document()})
             case "commands":
                 return None  # they are among what is new
         document = self._documents()[name]() or {}
@@ -474,6 +482,7 @@ class Hub:
             "contacts": self._contacts_document(),
             "alarms": self._alarms_document(),
             "liveness": self._liveness_document(liveness(self._state)),
+            "stack": self.stacks.document(),
         }
 
 

@@ -61,6 +61,29 @@ class PlanRequest(PageRequest):
     """Samples that are not taken."""
 
 
+class StackRequest(PageRequest):
+    """A command stack that is checked, or sent."""
+
+    text: Annotated[str, Field(max_length=60_000)]
+    step: bool = False
+    """Whether each command waits for an answer."""
+
+
+class StackAnswer(PageRequest):
+    """The answer on a command that waits for one."""
+
+    number: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+    """Of the stack."""
+    line: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+    send: bool
+
+
+class StackStop(PageRequest):
+    """No further command of that stack is sent."""
+
+    number: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+
+
 class AlarmRequest(PageRequest):
     """What a person does about an alarm."""
 

@@ -49,6 +49,9 @@ from services.console.web.requests import (
     InterestRequest,
     PlanRequest,
     PlayRequest,
+    StackAnswer,
+    StackRequest,
+    StackStop,
     document,
     parsed,
 )
@@ -109,6 +112,10 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         post("/api/command", partial(_command, hub), COMMAND),
         get("/api/plan", partial(_plan, hub)),
         post("/api/plan", partial(_decide, hub), COMMAND),
+        post("/api/stack/check", partial(_check_stack, hub), READ),
+        post("/api/stack", partial(_send_stack, hub), COMMAND),
+        post("/api/stack/answer", partial(_answer_stack, hub), COMMAND),
+        post("/api/stack/stop", partial(_stop_stack, hub), COMMAND),
         post("/api/interest", partial(_interest, hub), COMMAND),
         post("/api/link", partial(_link, hub), CONTROL),
         post("/api/alarm", partial(_alarm, hub), ACT),
@@ -313,6 +320,31 @@ def _decide(hub: Hub, asked: Asked) -> Response:
     else:
         hub.mission.send_plan_back(wanted.proposal)
     return _plan(hub, asked)
+
+
+def _check_stack(hub: Hub, asked: Asked) -> Response:
+    return JSONResponse(hub.stacks.check(parsed(StackRequest, asked.body).text), headers=FRESH)
+
+
+def _send_stack(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(StackRequest, asked.body)
+    hub.stacks.start(wanted.text, wanted.step, asked.caller.name)
+    return _stack(hub)
+
+
+def _answer_stack(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(StackAnswer, asked.body)
+    hub.stacks.answer(wanted.number, wanted.line, wanted.send)
+    return _stack(hub)
+
+
+def _stop_stack(hub: Hub, asked: Asked) -> Response:
+    hub.stacks.stop(parsed(StackStop, asked.body).number, asked.caller.name)
+    return _stack(hub)
+
+
+def _stack(hub: Hub) -> Response:
+    return JSONResponse({"stack": hub.stacks.document()}, headers=FRESH)
 
 
 def _link(hub: Hub, asked: Asked) -> Response:

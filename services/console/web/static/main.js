@@ -18,6 +18,7 @@ import { showPlan } from "./planreview.js";
 import { showRecording, takeRecording } from "./recording.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
+import { takeStack } from "./stacks.js";
 import { showTimeline } from "./timeline.js";
 import { showView } from "./view.js";
 import { elapsed, grouped, utc } from "./words.js";
@@ -48,6 +49,7 @@ listen({
   command: takeCommand,
   curve: ({ name, points }) => charts[name].extend(points),
   interests: takeInterests,
+  stack: ({ stack }) => takeStack(stack),
   alarms: (alarms) => { state.alarms = alarms; redraw(showAlarms, showLog, showTimeline); },
 }, () => { state.connected = false; showLiveness(); });
 
@@ -81,6 +83,7 @@ function takeAll(all) {
   document.title = all.recording ? `${all.mission}: recording` : `${all.mission}: helium-3 live map`;
   for (const [name, chart] of Object.entries(charts)) chart.set(all.curves[name]);
   showStatus(); showRover(); showLink(); showCommands(); showAlarms(); showLog(); showTimeline();
+  takeStack(all.stack);
   heard(all.liveness);
   forgetMap();
   askJson("interest").then(takeInterests).catch(() => {}); // none before the ground answers

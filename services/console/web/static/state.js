@@ -8,6 +8,7 @@ export const state = {
   clock: null, received: 0, status: null, rover: null, link: null, commands: new Map(), revisions: [],
   alarms: { current: [], history: [] }, events: [], entries: [], modes: [], contacts: null, proposal: null, preview: null,
   past: null, interests: [], connected: false, liveness: null, heard: 0, pace: "–", recording: null,
+  stack: null,
 };
 
 // Mission time now [ns]; null before the clock is known.

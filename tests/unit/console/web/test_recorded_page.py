@@ -70,7 +70,8 @@ def test_the_time_is_set_for_everyone_and_the_map_is_of_that_time(app: Any, reco
     [
         ("command", {"kind": "pause"}), ("link", {"loss": 0.5}), ("interest", {}),
         ("alarm", {"kind": "stale", "action": "acknowledge"}),
-        ("plan", {"proposal": 1, "verdict": "approve"}),
+        ("plan", {"proposal": 1, "verdict": "approve"}), ("stack", {"text": "pause"}),
+        ("stack/answer", {"number": 1, "line": 1, "send": True}), ("stack/stop", {"number": 1}),
     ],
 )  # fmt: skip
 def test_whoever_would_command_is_told_that_it_is_a_recording(app: Any, path: str, document: object) -> None:
