@@ -92,7 +92,7 @@ def run(
 def coverage(flight: Flight) -> list[Row]:
     """A row for every kernel and kind of hyperparameters, fitted to the samples of that mission."""
     mission, truth = fly(flight), region_named(flight.region, flight.variation)
-    scorer, count = Scorer(truth.he3_ppb), len(mission.samples_m)
+    scorer, count = Scorer(truth.he3_ppb, truth.known), len(mission.samples_m)
     rows = []
     for kernel, how in ((kernel, how) for how in HYPERPARAMETERS for kernel in JUDGED):
         belief = Belief(truth.grid, kernel, flight.noise_std_ppb, likeliest=how == "ml")

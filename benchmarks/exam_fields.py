@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, SiteGrid
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
+from he3.nodata import filled_with_nearest
 from he3.reference import Region, orbital_view
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.regions import load_region
@@ -130,8 +130,7 @@ def _field(
     low, high = float(values[known].min()), float(values[known].max())
     if not high > low:
         raise InvalidInput(f"{path}: expected a field that varies, got {low:g} everywhere")
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    he3_ppb = (values[tuple(nearest)] - low) * (SPAN_PPB / (high - low))
+    he3_ppb = (filled_with_nearest(values)[0] - low) * (SPAN_PPB / (high - low))
     std = float(he3_ppb[known].std())
     if share is not None:
         noise_std_ppb = share * std
@@ -142,6 +141,7 @@ def _field(
     region = Region(
         name=name, title=title, provenance=path.name, grid=grid, he3_ppb=he3_ppb,
         orbital_ppb=orbital_view(he3_ppb, grid), elevation_m=flat, slope_deg=flat.copy(), traversable=known.copy(),
+        known=known,
     )  # fmt: skip
     return ExamField(name, title, region, known, noise_std_ppb)
 
@@ -183,7 +183,8 @@ def _npy(path: Path, _part: str) -> tuple[NDArray[Any], None]:
 
 def _npz(path: Path, _part: str) -> tuple[FloatArray, float]:
     region = load_region(path)
-    return region.he3_ppb, region.grid.resolution_m
+    field = region.he3_ppb if region.known is None else np.where(region.known, region.he3_ppb, np.nan)
+    return field, region.grid.resolution_m
 
 
 def _csv(path: Path, part: str) -> tuple[FloatArray, None]:

@@ -105,7 +105,7 @@ def run_mission(
     orbital = region.orbital_ppb if orbital_ppb is None else orbital_ppb
     trend = orbital_trend(region.grid, orbital) if prior == "orbital" else None
     belief = Belief(region.grid, kernel, noise_std_ppb, trend, likeliest=likeliest)
-    scorer = Scorer(region.he3_ppb)
+    scorer = Scorer(region.he3_ppb, region.known)
     start_m = start_of(region, terrain) if start_m is None else start_m
     log, here = _Log(), start_m
     for number in range(1, rounds + 1):

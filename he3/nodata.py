@@ -51,6 +51,22 @@ def expect_measured(name: str, values: FloatArray, low: float, high: float, unit
                 )
 
 
+def filled_with_nearest(values: FloatArray) -> tuple[FloatArray, BoolArray | None]:
+    """The values (rows, columns) with the nearest other for each NaN, and where there was none; None for no NaN.
+
+    Raises InvalidInput if all are NaN.
+    """
+    known = ~np.isnan(values)
+    if known.all():
+        return values, None
+    if not known.any():
+        raise InvalidInput("expected a value in some cell, got NaN in all")
+    from scipy import ndimage
+
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return values[tuple(nearest)], known
+
+
 def expect_no_walls(name: str, elevation_m: FloatArray, resolution_m: float) -> None:
     """Raises InvalidInput if an elevation (rows, columns) [m] has steps between cells higher than any real terrain.
 

@@ -84,8 +84,9 @@ class OrbitalWindow:
 class Region:
     """A finished region: the ground truth of a site. All maps are (rows, columns) over ``grid``, read-only.
 
-    he3_ppb is the reference field; orbital_ppb is the map of an orbiter: coarse, resampled, without the variation
-    within its pixels. seed and origin are None for a region given as finished arrays.
+    he3_ppb is the reference field. Where nothing is known of it, ``known`` is False, he3_ppb has the value of the
+    nearest known cell, no cell is traversable, and no map is scored. orbital_ppb is the map of an orbiter: coarse,
+    resampled, without the variation within its pixels. seed and origin are None for a region given as finished arrays.
     """
 
     name: str
@@ -107,6 +108,8 @@ class Region:
     origin_x_m: float | None = None
     """Of the south-west corner in that projection [m]."""
     origin_y_m: float | None = None
+    known: BoolArray | None = None
+    """Where the reference field is known; None where it is everywhere."""
     untraversable_fraction: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -115,6 +118,10 @@ class Region:
             if layer.shape != self.grid.shape:
                 raise InvalidInput(f"{self.name}: expected {name} of shape {self.grid.shape}, got {layer.shape}")
             layer.flags.writeable = False
+        if self.known is not None:
+            if self.known.shape != self.grid.shape or (self.traversable & ~self.known).any():
+                raise InvalidInput(f"{self.name}: expected no traversable cell without a reference")
+            self.known.flags.writeable = False
         object.__setattr__(self, "untraversable_fraction", float(1.0 - self.traversable.mean()))
 
 

@@ -61,6 +61,8 @@ class ClosedGroundReport(Wire):
     """Steeper than the rover, the planners or the region's rule admit."""
     rough: float
     """Not traversable in the region for another reason, such as hollows, hummocks and the gaps between."""
+    unknown: float = 0.0
+    """Without a value of the reference field, which only a simulated Moon has."""
     keep_outs: float
     margin: float
     """So near to closed ground that the rover's footprint would touch it."""

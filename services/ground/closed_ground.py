@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ClosedGround:
-    """Shares of the site; the first four reasons add up to what is closed."""
+    """Shares of the site; the first five reasons add up to what is closed."""
 
     too_steep: float
     """Steeper than the rover, the planners or the region's rule admit."""
     rough: float
     """Not traversable in the region for another reason than slope, such as hollows, hummocks and the gaps between."""
+    unknown: float
+    """Without a value of the reference field, and not too steep."""
     keep_outs: float
     """In a keep-out, and open otherwise."""
     margin: float
@@ -36,12 +38,13 @@ def closed_ground(region: Region, terrain: GroundTerrain, start_m: Place, slope_
     """The account of a region's ground as the ground station knows it. slope_limit_deg: of rover and planners."""
     impassable = ~region.traversable
     steep = (region.slope_deg > slope_limit_deg) | (impassable & (region.slope_deg > ROVER_SLOPE_NOMINAL_DEG))
-    rough = impassable & ~steep
+    unknown = np.zeros_like(steep) if region.known is None else ~region.known & ~steep
+    rough = impassable & ~steep & ~unknown
     kept_out = np.zeros_like(steep)
     for area in terrain.areas.values():
-        kept_out |= area & ~steep & ~rough
+        kept_out |= area & ~steep & ~rough & ~unknown
     open_cells = terrain.traversable
-    margin = ~open_cells & ~steep & ~rough & ~kept_out
+    margin = ~open_cells & ~steep & ~rough & ~unknown & ~kept_out
     reached = reachable(terrain.open_from(start_m), region.grid, start_m) & open_cells
-    shares = (float(cells.mean()) for cells in (steep, rough, kept_out, margin, open_cells & ~reached))
+    shares = (float(cells.mean()) for cells in (steep, rough, unknown, kept_out, margin, open_cells & ~reached))
     return ClosedGround(*shares)

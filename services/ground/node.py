@@ -406,7 +406,7 @@ def build_node(
     director = Director(
         scenario, belief, terrain, round_log, execution, refits, planning, budget, costs, interests, goal
     )
-    scorer = Scorer(region.he3_ppb) if ground.score else None
+    scorer = Scorer(region.he3_ppb, region.known) if ground.score else None
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
     publisher = MapPublisher(

@@ -14,25 +14,27 @@ from he3.errors import InvalidInput
 from schemas.maps import MapScore
 
 if TYPE_CHECKING:
-    from he3.frames import Float32Array
+    from he3.frames import BoolArray, Float32Array
     from services.mission.mission_time import MissionTime
 
 
 class Scorer:
-    """Compares maps with the reference field (rows, columns) [ppb] over all cells."""
+    """Compares maps with the reference field (rows, columns) [ppb] over all cells, or those where it is known."""
 
-    def __init__(self, reference_ppb: NDArray[np.floating]) -> None:
-        self._reference = np.ascontiguousarray(reference_ppb, dtype=np.float32)
+    def __init__(self, reference_ppb: NDArray[np.floating], known: BoolArray | None = None) -> None:
+        reference = np.ascontiguousarray(reference_ppb, dtype=np.float32)
+        self._shape = reference.shape
+        self._known: slice | BoolArray = slice(None) if known is None else known
+        self._reference = reference[self._known]
         self._miss = np.empty_like(self._reference)
 
     def score(
         self, mean_ppb: Float32Array, std_ppb: Float32Array, revision: int, samples: int, now: MissionTime
     ) -> MapScore:
         """RMSE [ppb], coverage at one and two standard deviations, and mean standard deviation [ppb] of that map."""
-        if mean_ppb.shape != self._reference.shape or std_ppb.shape != self._reference.shape:
-            raise InvalidInput(
-                f"score: expected maps of shape {self._reference.shape}, got {mean_ppb.shape} and {std_ppb.shape}"
-            )
+        if mean_ppb.shape != self._shape or std_ppb.shape != self._shape:
+            raise InvalidInput(f"score: expected maps of shape {self._shape}, got {mean_ppb.shape} and {std_ppb.shape}")
+        mean_ppb, std_ppb = mean_ppb[self._known], std_ppb[self._known]
         miss = self._miss
         np.subtract(mean_ppb, self._reference, out=miss)
         np.abs(miss, out=miss)

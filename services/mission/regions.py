@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from he3.constants import ELEVATION_MAX_M, ELEVATION_MIN_M, HELIUM3_MAX_PPB, RELIEF_WINDOW_M
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
-from he3.nodata import cells_where, expect_measured, expect_no_walls
+from he3.nodata import cells_where, expect_measured, expect_no_walls, filled_with_nearest
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
 from he3.terrain import relief_m, slope_deg, traversable
 from schemas.maps import MAX_CELLS
@@ -51,9 +51,10 @@ def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
     """The finished region of an embedded name (``t1``, ``t2``), of a region's folder or of an .npz file.
 
     seed: of the variation of a region of kind ``window``, such as an embedded one; None is the region's own, for which
-    its published figures hold. Others have one variation and take no seed. An .npz file contains
-    he3_ppb (rows, columns) with row 0 in the south, resolution_m, and elevation_m [m] or traversable (bool) or both;
-    orbital_ppb, provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner are optional.
+    its published figures hold. Others have one variation and take no seed. An .npz file contains he3_ppb (rows,
+    columns) with row 0 in the south, NaN where nothing is known of it, resolution_m, and elevation_m [m] or traversable
+    (bool) or both; orbital_ppb, provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner are
+    optional.
     Raises InvalidInput, in one line with file, key and expectation.
     """
     if is_region_folder(name_or_path):
@@ -131,6 +132,7 @@ def _region_from_file(path: Path) -> Region:
 
 def _region(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Region:
     """The region of checked arrays. path: what a refusal's line begins with."""
+    arrays, known = _without_unknown(path, arrays)
     he3 = _layer(path, arrays, "he3_ppb", None, (0.0, HELIUM3_MAX_PPB), "ppb")
     if he3 is None:
         raise InvalidInput(f"{path}: expected key he3_ppb, got {', '.join(sorted(arrays)) or 'no keys'}")
@@ -154,6 +156,10 @@ def _region(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Region:
             raise InvalidInput(f"{path}: expected key traversable, as elevation_m in cells of {RELIEF_WINDOW_M:g} m or "
                                f"more shows no hollow or hummock, got resolution_m {resolution_m:g}")  # fmt: skip
         open_cells = traversable(slope, relief_m(elevation, resolution_m))
+    if known is not None:
+        open_cells = open_cells & known
+        if not open_cells.any():
+            raise InvalidInput(f"{path}: key he3_ppb: expected a value in some open cell, got NaN in all of them")
     return Region(
         name=path.stem,
         title=path.stem,
@@ -166,7 +172,22 @@ def _region(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Region:
         traversable=open_cells,
         origin_lat_deg=latitude,
         origin_lon_deg=longitude,
+        known=known,
     )
+
+
+def _without_unknown(
+    path: Path, arrays: Mapping[str, NDArray[Any]]
+) -> tuple[Mapping[str, NDArray[Any]], NDArray[np.bool_] | None]:
+    """The arrays with he3_ppb everywhere, and where it was known; None if everywhere."""
+    field = arrays.get("he3_ppb")
+    if field is None or field.dtype.kind != "f" or field.ndim != 2:
+        return arrays, None
+    try:
+        he3, known = filled_with_nearest(field.astype(np.float64))
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: key he3_ppb: {error}") from None
+    return (arrays, None) if known is None else ({**arrays, "he3_ppb": he3}, known)
 
 
 def _read_layers(path: Path) -> dict[str, NDArray[Any]]:

@@ -69,6 +69,8 @@ def show(
         f"slope         median {figures['slope_median_deg']:.1f} deg, maximum {figures['slope_max_deg']:.1f} deg"
     )
     typer.echo(f"closed        {figures['untraversable_fraction']:.2%} of the ground is not traversable")
+    if loaded.known is not None:
+        typer.echo(f"unknown       {figures['unknown_fraction']:.2%} of it has no reference, is closed and not scored")
     if png is not None:
         typer.echo(f"written       {png}")
 
@@ -91,7 +93,7 @@ def _figures(region: Region) -> dict[str, Any]:
 
     import numpy as np
 
-    field = region.he3_ppb
+    field = region.he3_ppb if region.known is None else region.he3_ppb[region.known]
     return {
         "name": region.name,
         "title": region.title,
@@ -112,6 +114,7 @@ def _figures(region: Region) -> dict[str, Any]:
         "slope_median_deg": float(np.median(region.slope_deg)),
         "slope_max_deg": float(region.slope_deg.max()),
         "untraversable_fraction": region.untraversable_fraction,
+        "unknown_fraction": 0.0 if region.known is None else float(1.0 - region.known.mean()),
     }
 
 
@@ -177,7 +180,7 @@ def _build_file(region: str, out: Path, field_seed: int | None) -> None:
         with open_output(out) as stream:
             np.savez_compressed(
                 stream,
-                he3_ppb=loaded.he3_ppb,
+                he3_ppb=loaded.he3_ppb if loaded.known is None else np.where(loaded.known, loaded.he3_ppb, np.nan),
                 orbital_ppb=loaded.orbital_ppb,
                 elevation_m=loaded.elevation_m,
                 traversable=loaded.traversable,

@@ -164,7 +164,7 @@ def _pictures(outcome: Outcome, region: Region, folder: Path) -> Iterator[tuple[
     picture = MapPicture(
         title=_title(region, report),
         note=caption(report),
-        reference_ppb=region.he3_ppb,
+        reference_ppb=region.he3_ppb if region.known is None else np.where(region.known, region.he3_ppb, np.nan),
         mean_ppb=outcome.mean_ppb,
         std_ppb=outcome.std_ppb,
         traversable=region.traversable,

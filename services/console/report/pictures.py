@@ -143,7 +143,7 @@ def _panels(picture: MapPicture) -> list[_Panel]:
         return [map_panel, spread]
     truth = _Panel("Reference field", reference, ABUNDANCE, low, high, ppb, "", False)
     error = mean - reference
-    most = max(float(np.percentile(np.abs(error), 99.0)), 1e-6)
+    most = max(float(np.nanpercentile(np.abs(error), 99.0)), 1e-6)
     difference = _Panel("Error: map minus reference", error, ERROR, -most, most, "error [ppb]", "", False)
     return [truth, map_panel, spread, difference]
 
@@ -156,7 +156,7 @@ def _size(values: NDArray[Any], columns: int, beside: float, rows: int = 1) -> t
 
 def _scale(values: NDArray[Any], first: float, last: float) -> tuple[float, float]:
     """The ends of a scale at two percentiles of the values; at least 1 % of the upper end apart."""
-    low, high = (float(end) for end in np.percentile(values, (first, last)))
+    low, high = (float(end) for end in np.nanpercentile(values, (first, last)))
     if high - low >= 0.01 * abs(high) and high > low:
         return low, high
     return (0.0, high) if high > 0 else (low - 0.5, high + 0.5)
@@ -279,6 +279,8 @@ def region_figure(region: Region) -> Figure:
     """The reference field of a region, its terrain, and where the rover may not go."""
     nothing = np.empty((0, 2))
     he3, height, cell = region.he3_ppb, region.elevation_m, region.grid.resolution_m
+    if region.known is not None:
+        he3 = np.where(region.known, he3, np.nan)
     picture = MapPicture("", "", None, he3, height, region.traversable, cell, nothing, nothing, (0.0, 0.0))
     (low, high), base, top = _scale(he3, *ABUNDANCE_PERCENTILES), float(height.min()), float(height.max())
     panels = (

@@ -68,6 +68,7 @@ def _closed(report: MissionReport) -> list[tuple[str, str]]:
     reasons = {
         "too steep": ground.too_steep,
         "rough": ground.rough,
+        "without a reference": ground.unknown,
         "keep-outs": ground.keep_outs,
         "beside closed ground": ground.margin,
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,6 +31,12 @@ def test_each_cell_is_closed_for_one_reason_and_what_lies_behind_is_cut_off() ->
     account = closed_ground(region, terrain, (4.5, 4.5), 20.0)
     assert (account.too_steep, account.rough, account.keep_outs, account.margin) == (0.1, 0.01, 0.01, 0.0)
     assert account.cut_off == pytest.approx(0.2)
+    assert account.unknown == 0.0
+    known = np.ones(GRID.shape, dtype=np.bool_)
+    known[0, :3] = False
+    part = replace(region, known=known, traversable=traversable & known)
+    account = closed_ground(part, GroundTerrain(GRID, part.traversable, 0.0, keep_out), (4.5, 4.5), 20.0)
+    assert (account.unknown, account.rough) == (0.03, 0.0)
     wide = closed_ground(region, GroundTerrain(GRID, region.traversable, 0.5, keep_out), (4.5, 4.5), 20.0)
     assert wide.margin > 0.2
     assert wide.too_steep == 0.1

@@ -236,7 +236,12 @@ HOLE[7, 9] = np.nan
         ({"he3_ppb": None}, "he3_ppb", "expected key"),
         ({"resolution_m": None}, "resolution_m", "expected key"),
         ({"elevation_m": None}, "elevation_m or traversable", "expected key"),
-        ({"he3_ppb": HOLE}, "he3_ppb", "got NaN or infinity in 1 cell, at row 7, column 9"),
+        ({"he3_ppb": np.full((30, 40), np.nan)}, "he3_ppb", "expected a value in some cell, got NaN in all"),
+        (
+            {"he3_ppb": HOLE, "traversable": np.isnan(HOLE)},
+            "he3_ppb",
+            "expected a value in some open cell, got NaN in all of them",
+        ),
         ({"elevation_m": HOLE}, "elevation_m", "NaN or infinity in 1 cell, at row 7"),
         (
             {"he3_ppb": -np.ones((30, 40))},
@@ -408,9 +413,13 @@ def test_a_field_seed_with_a_region_file_is_refused(tmp_path: Path) -> None:
         load_region(tmp_path / "x.npz", 7)
 
 
-@pytest.mark.parametrize("key", ["he3_ppb", "elevation_m", "orbital_ppb"])
+MARKS = (np.nan, np.inf, -9999.0, -32768.0, 32767.0, 65535.0, -3.4028226550889045e38, 1e20, 9999.0, -999.0)
+
+
 @pytest.mark.parametrize(
-    "value", [np.nan, np.inf, -9999.0, -32768.0, 32767.0, 65535.0, -3.4028226550889045e38, 1e20, 9999.0, -999.0]
+    ("key", "value"),
+    [(key, value) for key in ("elevation_m", "orbital_ppb") for value in MARKS]
+    + [("he3_ppb", value) for value in MARKS[1:]],
 )
 def test_a_missing_value_is_not_taken_for_a_value(tmp_path: Path, key: str, value: float) -> None:
     layer = np.random.default_rng(1).uniform(4, 9, (30, 40))
@@ -421,6 +430,20 @@ def test_a_missing_value_is_not_taken_for_a_value(tmp_path: Path, key: str, valu
     layer[20:, 3] = value
     with pytest.raises(InvalidInput, match=f"key {key}: expected .* 11 cells, the first at row 7, column 9$"):
         load_region(saved(tmp_path / "holed.npz", **{key: layer}))
+
+
+def test_a_cell_without_a_reference_is_known_as_such_closed_and_kept_in_a_copy(tmp_path: Path) -> None:
+    he3 = np.random.default_rng(1).uniform(4, 9, (30, 40))
+    he3[5:9, 6:10] = np.nan
+    region = load_region(saved(tmp_path / "holed.npz", he3_ppb=he3))
+    build(str(tmp_path / "holed.npz"), tmp_path / "copy.npz")
+    for read in (region, load_region(tmp_path / "copy.npz")):
+        assert read.known is not None
+        assert np.array_equal(read.known, np.isfinite(he3))
+        assert np.array_equal(read.traversable, np.isfinite(he3))
+        assert np.array_equal(read.he3_ppb[read.known], he3[read.known])
+        assert read.he3_ppb[5, 7] == he3[4, 7]
+    assert load_region(saved(tmp_path / "whole.npz")).known is None
 
 
 def test_what_resampling_leaves_of_a_missing_height_is_refused(tmp_path: Path) -> None:

@@ -146,6 +146,18 @@ def test_the_score_agrees_with_direct_arithmetic() -> None:
     assert (got.revision, got.samples, got.mission_time_ns) == (3, 11, 99)
 
 
+def test_cells_without_a_reference_are_not_scored() -> None:
+    shown, random = snapshot(), np.random.default_rng(5)
+    truth = shown.mean_ppb + random.normal(0.0, 1.0, shown.mean_ppb.shape)
+    known = random.random(truth.shape) < 0.7
+    wrong = np.where(known, truth, 1e5)
+    got = Scorer(wrong, known).score(shown.mean_ppb, shown.std_ppb, 3, 11, 99)
+    miss = np.abs(shown.mean_ppb - truth)[known]
+    assert got.rmse_ppb == pytest.approx(float(np.sqrt((miss**2).mean())), rel=1e-5)
+    assert got.coverage_68 == pytest.approx(float((miss <= shown.std_ppb[known]).mean()))
+    assert got.mean_std_ppb == pytest.approx(float(shown.std_ppb[known].mean()), rel=1e-6)
+
+
 def test_a_score_of_maps_of_another_shape_is_refused() -> None:
     with pytest.raises(InvalidInput, match="expected maps of shape"):
         Scorer(np.zeros((3, 3))).score(np.zeros((4, 4), np.float32), np.zeros((4, 4), np.float32), 1, 0, 0)
