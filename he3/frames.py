@@ -7,6 +7,7 @@ cell (0, 0) of a 1 m grid is centred at (0.5, 0.5).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +54,12 @@ class SiteGrid:
     @property
     def x_m(self) -> FloatArray:
         """Eastward coordinate of the cell centres, (columns,) [m]."""
-        return (np.arange(self.columns, dtype=np.float64) + 0.5) * self.resolution_m
+        return _centres(self.columns, self.resolution_m)
 
     @property
     def y_m(self) -> FloatArray:
         """Northward coordinate of the cell centres, (rows,) [m]."""
-        return (np.arange(self.rows, dtype=np.float64) + 0.5) * self.resolution_m
+        return _centres(self.rows, self.resolution_m)
 
     def points(self) -> FloatArray:
         """All cell centres as (rows * columns, 2) of (x, y) [m], in the order of ``array.ravel()``."""
@@ -94,6 +95,14 @@ class SiteGrid:
         columns = np.minimum((xy[:, 0] / self.resolution_m).astype(np.intp), self.columns - 1)
         rows = np.minimum((xy[:, 1] / self.resolution_m).astype(np.intp), self.rows - 1)
         return rows, columns
+
+
+@lru_cache(maxsize=16)
+def _centres(count: int, resolution_m: float) -> FloatArray:
+    """Coordinates (count,) of the centres of that many cells [m]: read only, as all who ask for them share them."""
+    centres: FloatArray = (np.arange(count, dtype=np.float64) + 0.5) * resolution_m
+    centres.flags.writeable = False
+    return centres
 
 
 def as_points(points_m: FloatArray) -> FloatArray:

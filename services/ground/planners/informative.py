@@ -57,7 +57,7 @@ from services.ground.planners.rounds import (
     places_along,
     planned_round,
 )
-from services.ground.planners.traversability import OpenGround
+from services.ground.planners.traversability import open_ground
 from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def informative(request: PlanningRequest) -> PlannedRound:
     settings = DEFAULTS | options.extra
     request = on_gentle_ground(request)
     share_m = budget_share_m(request)
-    ground = OpenGround(request.grid, request.traversable)
+    ground = open_ground(request.grid, request.traversable)
     start = ground.footing(request.start_m)
     lead_m = lead_cost(request, start)
     growth = GrowthSettings(rewire_scale_m=settings["rewire_scale_m"]).coarser(options.step_m)

@@ -13,6 +13,7 @@ not depend on the leg's direction.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property, lru_cache
 from math import floor
 
 import numpy as np
@@ -68,11 +69,17 @@ class OpenGround:
 
     def connected_to(self, start_m: tuple[float, float]) -> BoolArray:
         """(rows, columns): the open cells connected to the place [m] over shared edges; all False if it is closed."""
-        labels, _ = ndimage.label(self.open)
+        labels = self._components
         row, column = self.grid.cells_of(np.array([start_m]))
         label = labels[row[0], column[0]]
         connected: BoolArray = (labels == label) if label else np.zeros(self.grid.shape, dtype=np.bool_)
         return connected
+
+    @cached_property
+    def _components(self) -> NDArray[np.int32]:
+        """(rows, columns): a number above 0 for each set of open cells that are connected over shared edges."""
+        labels: NDArray[np.int32] = ndimage.label(self.open)[0]
+        return labels
 
     def segments_free(self, a_m: FloatArray, b_m: FloatArray) -> BoolArray:
         """Whether each leg from a (N, 2) to b (N, 2) [m] is free, (N,)."""
@@ -90,6 +97,21 @@ class OpenGround:
     def segment_check(self) -> SegmentCheck:
         """A function that checks one leg, for planners that make tens of thousands of checks per second."""
         return _scalar_check(self.grid, self.clearance.tobytes(), self._by_column.tobytes())
+
+
+def open_ground(grid: SiteGrid, traversable: BoolArray) -> OpenGround:
+    """The open ground of those cells (rows, columns). It is kept: planners and checks ask for the same one each round.
+
+    Raises InvalidInput for another shape than the grid's.
+    """
+    if traversable.shape != grid.shape:
+        raise InvalidInput(f"open ground: expected traversable of shape {grid.shape}, got {traversable.shape}")
+    return _open_ground(grid, np.ascontiguousarray(traversable, dtype=np.bool_).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _open_ground(grid: SiteGrid, traversable: bytes) -> OpenGround:
+    return OpenGround(grid, np.frombuffer(traversable, dtype=np.bool_).reshape(grid.shape))
 
 
 def _march(clearance: NDArray[np.uint8], p: FloatArray, q: FloatArray) -> BoolArray:

@@ -13,7 +13,7 @@ import numpy as np
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, as_points, path_length
 from services.ground.planners.interface import PlannedRound, PlanningRequest
-from services.ground.planners.traversability import OpenGround
+from services.ground.planners.traversability import open_ground
 
 START_TOLERANCE_M = 0.5  # between where a round was asked to begin and where it begins
 MAX_VERTICES = 4096  # of a path, as the message admits
@@ -67,7 +67,7 @@ def _points(name: str, which: str, values: object) -> FloatArray:
 
 def _check_legs(name: str, request: PlanningRequest, path: FloatArray) -> None:
     """Every leg is free, but for the step by which a rover on the edge of a cell finds its footing."""
-    ground = OpenGround(request.grid, request.traversable)
+    ground = open_ground(request.grid, request.traversable)
     inside = request.grid.contains(path)
     if not inside.all():
         raise InvalidInput(f"planner {name}: expected a path within the region, got {tuple(path[~inside][0].tolist())}")
