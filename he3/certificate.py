@@ -75,7 +75,8 @@ class Targets:
         if self.points_m.shape[1] == 1:
             return np.full(len(self), kernel.prior_variance)
         apart = self.points_m[:, :, None] - self.points_m[:, None]
-        variance: FloatArray = kernel.of_squared_distance((apart * apart).sum(axis=-1)).mean(axis=(1, 2))
+        covariances = kernel.of_squared_distance(kernel.squared_length(apart[..., 0], apart[..., 1]))
+        variance: FloatArray = covariances.mean(axis=(1, 2))
         return variance
 
     def moments(self, process: GaussianProcess) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,8 @@ with one another and leave no gaps. A request without an outlook is planned from
 A mission without a budget is given one: metres beyond those of a tour through an even lattice gain almost nothing.
 Length scales so short that a sample informs about its own place only, or so long that it informs about the whole site,
 do not guide a design: they are clamped.
+
+A mission with a goal is planned as the shortest tour after which the goal holds (``tour.covering``), if one is found.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
 from services.ground.planners.rounds import lead_cost, path_prefix, planned_round
+from services.ground.planners.tour.covering import covering
 from services.ground.planners.tour.design import (
     FIRST_STEP_M,
     design_from_outlook,
@@ -93,18 +96,23 @@ def tour(request: PlanningRequest) -> PlannedRound:
     budget_m = request.budget_m - lead_cost(request, (float(site.start_m[0]), float(site.start_m[1])))
     if not budget_m > 0:
         raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")
-    places = site.snap_to_cell_centres(_design(request, site, budget_m, extra))
+    for_goal = None if request.goal is None else covering(request, request.goal, site, budget_m)
+    if for_goal is not None and for_goal.places_m is not None:
+        places = site.snap_to_cell_centres(for_goal.places_m)
+    else:
+        places = site.snap_to_cell_centres(_design(request, site, budget_m, extra))
     route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed)
     affordable_m = budget_m * (1.0 - BUDGET_ROUNDING)
     if site.cost is not None and isfinite(budget_m):
         affordable_m = site.cost.metres_for(route.path_m, affordable_m)
     route = route.truncated(affordable_m)
     now, later = route.places_m[: request.samples], route.places_m[request.samples :]
-    path = path_prefix(route.path_m, float(route.at_m[request.samples - 1]))
+    path = path_prefix(route.path_m, float(route.at_m[len(now) - 1]))
     path[-1] = now[-1]
     if site.cost is not None:
-        path = cheapest_ways(site.ground, site.cost, path, route.at_m[: request.samples], request.seed)
-    return replace(planned_round(request, path, now), outlook_m=later)
+        path = cheapest_ways(site.ground, site.cost, path, route.at_m[: len(now)], request.seed)
+    forecast = None if for_goal is None else for_goal.forecast
+    return replace(planned_round(request, path, now), outlook_m=later, forecast=forecast)
 
 
 def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[str, float]) -> FloatArray:
