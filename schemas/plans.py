@@ -86,6 +86,8 @@ class PlanReview(Wire):
 class PlanVerdict(StrEnum):
     APPROVE = "approve"
     SEND_BACK = "send_back"
+    REVISE = "revise"
+    """Sample other places: the ground finds the ways, and the plan waits once more under another number."""
 
 
 class PlanDecision(Wire):
@@ -98,11 +100,15 @@ class PlanDecision(Wire):
     """Who decides; in a mission with keys, the signer of the request."""
     drop: Annotated[tuple[Identifier, ...], Field(max_length=256)] = ()
     """Samples that are not taken (`approve` only); the rover drives by their places."""
+    places_m: Annotated[tuple[Waypoint, ...], Field(max_length=256)] = ()
+    """Places to sample in place of those proposed, in the order in which they are reached (`revise` only)."""
     why: Text = ""
     """A note for the log."""
 
     @model_validator(mode="after")
-    def _drops_of_what_is_approved(self) -> PlanDecision:
+    def _changes_fit_the_verdict(self) -> PlanDecision:
         if self.drop and self.verdict is not PlanVerdict.APPROVE:
-            raise ValueError("expected samples to drop with approve only, got some with send_back")
+            raise ValueError(f"expected samples to drop with approve only, got some with {self.verdict.value}")
+        if bool(self.places_m) != (self.verdict is PlanVerdict.REVISE):
+            raise ValueError("expected places to sample with revise and only there")
         return self

@@ -256,6 +256,13 @@ class Director:
         self._planning.send_back()
         return self._advance(now)
 
+    def revise_plan(self, proposed: ProposedRound, places_m: Sequence[Place], now: MissionTime) -> None:
+        """Replace the proposed round by one that samples these places [m]; it waits for approval in its place.
+
+        Raises InvalidInput, and changes nothing, for a round that cannot be driven.
+        """
+        self._planning.revised(proposed, places_m, self._remaining(now), now)
+
     # --- plans ------------------------------------------------------------------------------------------------------
 
     def _follow(self, outcome: Outcome, now: MissionTime) -> list[Effect]:
@@ -328,12 +335,16 @@ class Director:
         """Samples of the mission that are neither measured nor planned."""
         return max(0, self._samples_missing - len(self._round_log.pending))
 
-    def _next_plan(self, now: MissionTime) -> list[Effect]:
-        log = self._round_log
-        driven_m = self._execution.driven_m
-        remaining = self._budget.left(
+    def _remaining(self, now: MissionTime) -> RemainingBudget:
+        """What may be planned beside the rounds that were sent."""
+        log, driven_m = self._round_log, self._execution.driven_m
+        return self._budget.left(
             now, driven_m, self._costs.committed(log), self._samples_wanted, self._costs.spent(log, driven_m)
         )
+
+    def _next_plan(self, now: MissionTime) -> list[Effect]:
+        log = self._round_log
+        remaining = self._remaining(now)
         why = self._why_no_more_rounds(remaining)
         if why is not None:
             self._end.give_up_planning(why)

@@ -40,6 +40,11 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.runtime.node import SavedState
 
+_DECIDED = {
+    PlanVerdict.APPROVE: "approved",
+    PlanVerdict.SEND_BACK: "sent back",
+    PlanVerdict.REVISE: "revised",
+}
 _DONE = {AlarmAction.ACKNOWLEDGE: "acknowledged", AlarmAction.SHELVE: "shelved", AlarmAction.UNSHELVE: "unshelved"}
 
 
@@ -121,7 +126,9 @@ class OperationsLog:
 
     def decision(self, decision: PlanDecision, now: MissionTime) -> Effect:
         """Log what an operator decided on a plan."""
-        done = "approved" if decision.verdict is PlanVerdict.APPROVE else "sent back"
+        done = _DECIDED[decision.verdict]
+        if decision.places_m:
+            done += f": {len(decision.places_m)} places to sample"
         dropped = f" without {', '.join(decision.drop)}" if decision.drop else ""
         why = f": {decision.why}" if decision.why else ""
         text = f"proposal {decision.proposal} {done}{dropped}{why}"

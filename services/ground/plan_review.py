@@ -63,18 +63,21 @@ class PlanReviewer:
         return PlanReview(proposal=proposal)
 
     def decide(self, decision: PlanDecision, token: int, now: MissionTime) -> Iterable[Effect]:
-        """Answer the operator's decision, and send the plan as it is, edited, or plan the round again."""
+        """Answer the operator's decision, and send the plan as it is or edited, revise it, or plan the round again."""
         try:
             proposed = self._proposed(decision)
+            if decision.verdict is PlanVerdict.REVISE:
+                self._director.revise_plan(proposed, decision.places_m, now)
             plan = self._planning.edited(proposed, decision.drop)
         except InvalidInput as error:
             yield RefuseQuery(token, str(error))
             return
         fields = {"proposal": decision.proposal, "by": decision.by, "dropped": len(decision.drop), "why": decision.why}
         yield LogRecord(Level.INFO, f"plan of round {proposed.task.number}: {decision.verdict.value}", fields)
+        effects: list[Effect] = []
         if decision.verdict is PlanVerdict.SEND_BACK:
             effects = self._director.send_back(now)
-        else:
+        elif decision.verdict is PlanVerdict.APPROVE:
             effects = self._director.send_plan(proposed, plan, now)
         yield SendReply(token, self.shown())
         yield from effects

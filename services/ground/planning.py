@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from he3.errors import InvalidInput
+from he3.errors import InvalidInput, NoRoute
 from he3.information import information_gain
 from he3.posterior.grid import GridPosterior
 from services.ground.bounded_task import BoundedTask
 from services.ground.planners import planner_named
 from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningGoal, PlanningRequest
 from services.ground.planners.validation import checked_answer
+from services.ground.planners.visiting import visiting
 from services.ground.round_plans import PlanningTask, ProposedRound, round_plan, sample_id
 from services.runtime.node import Compute
 
@@ -168,11 +169,16 @@ class RoundPlanning:
 
     def propose(self, task: PlanningTask, planned: PlannedRound, now: MissionTime) -> ProposedRound:
         """The planned round as a proposal: it waits in `proposed` for approval."""
+        return self._proposed_of(task, planned, planned.outlook_m, now)
+
+    def _proposed_of(
+        self, task: PlanningTask, planned: PlannedRound, outlook_m: FloatArray | None, now: MissionTime
+    ) -> ProposedRound:
         # The first plan of a round has the plain ids; they are never used for another place.
         known = self._round_log.of_sample(sample_id(task.number, "", 1)) is not None
         version = f"v{self.revision + 1}" if known else ""
         plan = round_plan(task.number, planned, version, self._scenario.sample_depth_m)
-        self.proposed = ProposedRound(self._tasks, task, plan, planned.outlook_m, now)
+        self.proposed = ProposedRound(self._tasks, task, plan, outlook_m, now)
         return self.proposed
 
     def edited(self, proposed: ProposedRound, drop: Sequence[str]) -> RoundPlan:
@@ -190,6 +196,40 @@ class RoundPlanning:
         noise = self._belief.hyperparameters.noise_variance_ppb2
         nats = information_gain(known.posterior_covariance(_places(kept)), noise)
         return proposed.plan.model_copy(update={"samples": kept, "information_nats": max(0.0, nats)})
+
+    def revised(
+        self, proposed: ProposedRound, places_m: Sequence[Place], remaining: RemainingBudget, now: MissionTime
+    ) -> ProposedRound:
+        """A new proposal in place of that one, which samples these places [m] in this order; it waits in `proposed`.
+
+        remaining: the budget of the rest of the mission, this round included. Raises InvalidInput for places that are
+        too many, outside, or not to be reached, and for a path beyond the budget; the proposal then stays as it is.
+        """
+        places, most = np.array(places_m, dtype=np.float64).reshape(-1, 2), remaining.samples
+        if not 1 <= len(places) <= most:
+            raise InvalidInput(f"plan: expected 1 to {most} places to sample, as many as are left, got {len(places)}")
+        inside = self._grid.contains(places)
+        if not inside.all():
+            x, y = places[int(np.argmin(inside))]
+            raise InvalidInput(f"plan: expected places within the region, got ({x:g}, {y:g}) m")
+        pending, number = self._round_log.pending, proposed.task.number
+        request = self._request(number, proposed.plan.path_m[0], len(places), remaining, pending)
+        try:
+            planned = visiting(request, places)
+        except NoRoute as error:
+            raise InvalidInput(f"plan: {error}") from None
+        cost = planned.length_m if self._cost is None else self._cost.of_path(planned.path_m)
+        if cost > remaining.metres:
+            level = "" if self._cost is None else " level"
+            raise InvalidInput(f"plan: expected{level} {remaining.metres:,.1f} m at most, got {cost:,.1f} m")
+        self._tasks += 1
+        task = replace(
+            proposed.task,
+            samples_left=remaining.samples,
+            known=len(self._belief),
+            pending=tuple(sample.sample_id for sample in pending),
+        )
+        return self._proposed_of(task, planned, proposed.outlook_m, now)
 
     def approve(self, proposed: ProposedRound) -> int:
         """Note that this round is sent; returns the new plan's revision."""

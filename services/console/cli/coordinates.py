@@ -41,10 +41,19 @@ def polygon(texts: list[str]) -> tuple[tuple[float, float], ...]:
 
 def corner(text: str) -> tuple[float, float]:
     """The place [m] from a text such as 100,-5; raises typer.BadParameter for anything else."""
+    return _place(text, "corner")
+
+
+def points(texts: list[str]) -> tuple[tuple[float, float], ...]:
+    """The places [m] from texts such as 100,-5; raises typer.BadParameter for anything else."""
+    return tuple(_place(text, "place") for text in texts)
+
+
+def _place(text: str, what: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"expected a corner as X,Y in metres, got '{text}'") from None
+        raise typer.BadParameter(f"expected a {what} as X,Y in metres, got '{text}'") from None
     _metres([x, y])
     return x, y
 

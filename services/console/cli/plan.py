@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from services.console.cli.coordinates import NEGATIVE_NUMBERS, points
 from services.console.cli.flag_groups import with_flags
 from services.console.cli.options import AsJson
 from services.console.cli.session import NamedSession, Session
@@ -20,6 +21,7 @@ Examples:
   he3 plan show
   he3 plan approve                             send the plan that waits to the rover
   he3 plan approve --drop r07s2 --drop r07s3   without these samples; the rover drives by
+  he3 plan revise 120,340 150,322 181,300      sample these places, in this order; it waits again
   he3 plan send-back --why "too close to the rim"
 """
 
@@ -66,6 +68,30 @@ def approve(
         client.approve_plan(number, drop or (), why)
     dropped = f" without {', '.join(drop)}" if drop else ""
     typer.echo(f"mission '{client.mission}': {about} approved{dropped}")
+
+
+@app.command(epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
+@with_flags
+def revise(
+    session: NamedSession,
+    places: Annotated[
+        list[str], typer.Argument(metavar="X,Y", help="Places to sample [m], in the order in which they are reached.")
+    ],
+    proposal: Number = None,
+    why: Why = "",
+    json: AsJson = False,
+) -> None:
+    """Let the ground make the plan that waits anew, through places of yours; it waits for approval once more."""
+    from schemas.plans import PlanReview
+
+    places_m = points(places)
+    with session.join() as client:
+        number, about = _waiting(client, proposal)
+        revised = client.revise_plan(number, places_m, why)
+    if json:
+        typer.echo(PlanReview(proposal=revised).model_dump_json(indent=2))
+    else:
+        typer.echo("\n".join((f"mission '{client.mission}': {about} revised", *plan_lines(revised))))
 
 
 @app.command("send-back", epilog=EXAMPLES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -15,6 +15,7 @@ from schemas.validation import one_line
 from services.console.client.commands import Commanding
 
 if TYPE_CHECKING:
+    from he3.frames import Place
     from schemas.plans import PlanProposal
 
 
@@ -31,15 +32,27 @@ class PlanReviewing(Commanding):
 
         Raises InvalidInput, in one line, for a proposal that does not wait, and for samples that are not in it.
         """
-        self._decide(proposal, PlanVerdict.APPROVE, tuple(drop), why)
+        self._decide(proposal, PlanVerdict.APPROVE, why, drop=tuple(drop))
+
+    def revise_plan(self, proposal: int, places_m: Sequence[Place], why: str = "") -> PlanProposal:
+        """Let the ground make that plan anew, to sample these places [m] in this order; returns what waits then.
+
+        Nothing is sent to the rover. Raises InvalidInput, in one line, for a proposal that does not wait, and for
+        places that are too many, closed, not to be reached, or beyond the budget; the proposal then waits on.
+        """
+        places = tuple((float(x), float(y)) for x, y in places_m)
+        review = self._decide(proposal, PlanVerdict.REVISE, why, places_m=places)
+        assert review.proposal is not None, "a plan that is revised waits"
+        return review.proposal
 
     def send_plan_back(self, proposal: int, why: str = "") -> None:
         """Let the ground plan that round again. Raises InvalidInput for a proposal that does not wait."""
-        self._decide(proposal, PlanVerdict.SEND_BACK, (), why)
+        self._decide(proposal, PlanVerdict.SEND_BACK, why)
 
-    def _decide(self, proposal: int, verdict: PlanVerdict, drop: tuple[str, ...], why: str) -> None:
+    def _decide(self, proposal: int, verdict: PlanVerdict, why: str, **changes: Any) -> PlanReview:
         try:
-            decision = PlanDecision(proposal=proposal, verdict=verdict, by=self.person, drop=drop, why=why)
+            decision = PlanDecision(proposal=proposal, verdict=verdict, by=self.person, why=why, **changes)
         except ValidationError as error:
             raise InvalidInput(f"plan: {one_line(error)}") from None
-        self._session.query(DECIDE_PLAN, decision)
+        review: PlanReview = self._session.query(DECIDE_PLAN, decision)
+        return review

@@ -59,6 +59,8 @@ class PlanRequest(PageRequest):
     verdict: PlanVerdict
     drop: Annotated[tuple[Identifier, ...], Field(max_length=256)] = ()
     """Samples that are not taken."""
+    places_m: Annotated[tuple[Place, ...], Field(max_length=256)] = ()
+    """Places to sample in place of those proposed (`revise` only)."""
 
 
 class StackRequest(PageRequest):

@@ -317,6 +317,8 @@ def _decide(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(PlanRequest, asked.body)
     if wanted.verdict is PlanVerdict.APPROVE:
         hub.mission.approve_plan(wanted.proposal, wanted.drop)
+    elif wanted.verdict is PlanVerdict.REVISE:
+        hub.mission.revise_plan(wanted.proposal, wanted.places_m)
     else:
         hub.mission.send_plan_back(wanted.proposal)
     return _plan(hub, asked)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -967,8 +968,8 @@ class Reviewed(Mission):
         review: PlanReview = self.simulation.ask(SHOW_PLAN, NoParameters())
         return review.proposal
 
-    def decide(self, proposal: PlanProposal, verdict: str = "approve", drop: tuple[str, ...] = ()) -> PlanReview:
-        decision = PlanDecision(proposal=proposal.proposal, verdict=PlanVerdict(verdict), by="anna", drop=drop)
+    def decide(self, proposal: PlanProposal, verdict: str = "approve", **changes: Any) -> PlanReview:
+        decision = PlanDecision(proposal=proposal.proposal, verdict=PlanVerdict(verdict), by="anna", **changes)
         review: PlanReview = self.simulation.ask(DECIDE_PLAN, decision)
         return review
 
@@ -1018,6 +1019,45 @@ def test_dropped_samples_are_not_taken_and_others_replace_them_in_later_rounds()
             mission.decide(following)
     taken = [sample.sample_id for sample in mission.snapshot.samples]
     assert (len(taken), dropped in taken, rounds) == (12, False, 5)
+
+
+def test_a_revised_plan_samples_the_places_that_the_operator_chose_and_waits_for_approval_again() -> None:
+    mission = Reviewed(budget_m=300.0)
+    mission.waits()
+    corner = ((0.2, 0.2), (2.8, 0.2), (2.8, 2.8), (0.2, 2.8))
+    mission.simulation.ask(ISSUE_COMMAND, command(CommandKind.SET_KEEP_OUT, area_id="corner", polygon_m=corner))
+    proposal = mission.waits()
+    first, second, third = ((sample.x_m, sample.y_m) for sample in proposal.plan.samples)
+    start, grid = proposal.plan.path_m[0], mission.snapshot.grid
+    far = ((grid.width_m - 0.5, grid.height_m - 0.5), (grid.width_m - 0.5, 0.5))
+    for places, complaint in (
+        (((1e3, 1.0),), r"plan: expected places within the region, got \(1000, 1\) m"),
+        (((1.5, 1.5),), r"plan: expected a place on open ground, got \(1.5, 1.5\) m"),
+        ((first,) * 13, "plan: expected 1 to 12 places to sample, as many as are left, got 13"),
+        (far * 6, r"plan: expected [\d.]+ m at most, got"),
+    ):
+        with pytest.raises(He3Error, match=complaint):
+            mission.decide(proposal, "revise", places_m=places)
+        assert mission.shown() == proposal
+    added = (start[0] + 1.0, start[1])
+    chosen = (added, third, first, second)
+    revised = mission.decide(proposal, "revise", places_m=chosen).proposal
+    assert revised is not None
+    assert revised.proposal > proposal.proposal
+    assert [(sample.x_m, sample.y_m) for sample in revised.plan.samples] == [pytest.approx(place) for place in chosen]
+    assert revised.plan.path_m[0] == start
+    assert revised.plan.information_nats > 0
+    assert revised.length_m > proposal.length_m
+    assert mission.rover.plans == []
+    with pytest.raises(He3Error, match="got a decision on proposal"):
+        mission.decide(proposal)
+    mission.decide(revised)
+    mission.simulation.run_for(10.0)
+    assert mission.rover.plans[0][1].rounds[0] == revised.plan
+    waits = mission.waits()
+    assert {sample.sample_id for sample in waits.plan.samples}.isdisjoint(
+        sample.sample_id for sample in revised.plan.samples
+    )
 
 
 def test_a_plan_that_is_sent_back_is_made_again_and_a_decision_on_the_former_one_is_refused() -> None:

@@ -16,6 +16,7 @@ from he3.kernels import Matern52, SmoothPlusRough
 from services.ground.planners import PLANNERS, plan, planner_named
 from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
 from services.ground.planners.rounds import arc_lengths, path_prefix, places_along
+from services.ground.planners.visiting import visiting
 
 NAMES = sorted(PLANNERS)
 SIZE = 28
@@ -291,3 +292,18 @@ def test_the_information_of_a_round_is_that_of_its_places_given_what_is_known():
     full = kernel.covariance(places, places) + (0.1 / 2.0) ** 2 * np.eye(4)
     joint = np.linalg.slogdet(full)[1] - np.log(full[0, 0]) - 3 * np.log((0.1 / 2.0) ** 2)
     assert answer.information_nats == pytest.approx(0.5 * joint, rel=1e-9)
+
+
+def test_a_round_through_chosen_places_goes_round_obstacles_and_stops_at_each_in_its_order() -> None:
+    mask = np.ones((SIZE, SIZE), dtype=bool)
+    mask[4:28, 14] = False  # a wall with a gap in the south
+    request = request_over(mask, samples=4)
+    places = np.array([[9.5, 20.5], [20.5, 20.5], [20.5, 20.5], [5.2, 5.2]])
+    answer = visiting(request, places)
+    expect_sound(request, answer)
+    np.testing.assert_array_equal(answer.samples_m, places)
+    straight = path_length(np.vstack((request.start_m, places)))
+    assert straight < answer.length_m < 2.2 * straight
+    mask[:4, 14] = False
+    with pytest.raises(NoRoute, match=r"no traversable path leads from \(9.5, 20.5\) to \(20.5, 20.5\) m"):
+        visiting(request_over(mask, samples=4), places)
