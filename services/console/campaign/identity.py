@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,9 +56,15 @@ def _version(distribution: str) -> str:
 @cache
 def region_checksum(name: str) -> str:
     """SHA-256 of the data of a region in its own variation, in hexadecimal; raises InvalidInput as its loading does."""
+    return checksum_of(kept_region(name, None))
+
+
+@lru_cache(maxsize=4)
+def kept_region(name: str, field_seed: int | None) -> Region:
+    """The region as `load_region` loads it, kept for the missions that follow."""
     from services.mission.regions import load_region
 
-    return checksum_of(load_region(name))
+    return load_region(name, field_seed)
 
 
 def checksum_of(region: Region) -> str:

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from functools import cache
+from typing import Any, Final
 
 from he3.errors import InvalidInput
 from schemas.commands import NoParameters
 from schemas.maps import MapLayer, MapLayerQuery
 from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
-from services.console.campaign.identity import planner_checksum, region_checksum
+from services.console.campaign.identity import kept_region, planner_checksum, region_checksum
 from services.console.report.mission_report import Run, array_of, build_report
 from services.ground.pure_tasks import MissionExecutor
 from services.mission.in_process import InProcessMission, build_nodes
-from services.mission.regions import load_region
 from services.mission.scenario import checked_scenario
-
-if TYPE_CHECKING:
-    from he3.reference import Region
 
 _TAKEN: Final = (
     "completed", "detail", "rounds", "samples", "samples_wanted", "rmse_ppb", "coverage_68", "coverage_95",
@@ -37,7 +33,7 @@ def fly(arguments: Mapping[str, Any]) -> dict[str, Any]:
     _expect("region", scenario.region, arguments["region_sha256"], region_checksum(scenario.region))
     planner = scenario.ground.planner
     _expect("planner", planner, arguments["planner_sha256"], planner_checksum(planner))
-    region = _region(scenario.region, scenario.field.field_seed)
+    region = kept_region(scenario.region, scenario.field.field_seed)
     mission = InProcessMission(scenario, _executor(), None, build_nodes(scenario, region, map_use="asked"))
     mission.run()
     assert mission.status is not None, "the run ends only after the ground has reported its status"
@@ -61,11 +57,6 @@ def _expect(what: str, name: str, wanted: str, found: str) -> None:
         raise InvalidInput(
             f"{what} {name}: expected the campaign's, with the checksum {wanted[:12]}, got {found[:12]} on this host"
         )
-
-
-@lru_cache(maxsize=4)
-def _region(name: str, field_seed: int | None) -> Region:
-    return load_region(name, field_seed)
 
 
 @cache
