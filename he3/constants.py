@@ -50,6 +50,10 @@ CORRELATION_LENGTH_M: Final = 25.0  # m, e-folding length of that variation, PAP
 REGOLITH_BULK_DENSITY_KG_M3: Final = 1660.0  # kg/m^3, SOURCEBOOK
 
 ROVER_SLOPE_NOMINAL_DEG: Final = 15.0  # deg, what a VIPER-like rover is planned on, ASSUMED
+ROVER_WIDTH_M: Final = 2.0  # m, length and width of such a rover, with a margin, ASSUMED
+ROVER_STEP_M: Final = 0.25  # m, half of a wheel of 0.5 m, ASSUMED
+ROVER_ROUGHNESS_M: Final = 0.1  # m, standard deviation of heights below such a rover, half of its clearance, ASSUMED
+ROVER_ROCK_ABUNDANCE: Final = 0.05  # 1, share of the ground under rocks; 0.004 on average, young craters above, ASSUMED
 RELIEF_WINDOW_M: Final = 100.0  # m, side of the moving mean that relief is measured against, PAPER
 RELIEF_SIGMAS: Final = 1.5  # standard deviations of relief beyond which a hollow or hummock is an obstacle, PAPER
 HUMMOCK_MAX_FRACTION: Final = 0.05  # 1, share of the region from which on a rise is landscape, not an obstacle, PAPER

@@ -60,7 +60,7 @@ class ClosedGroundReport(Wire):
     too_steep: float
     """Steeper than the rover, the planners or the region's rule admit."""
     rough: float
-    """Not traversable in the region for another reason, such as hollows, hummocks and the gaps between."""
+    """Not traversable in the region for another reason: steps, roughness or rocks, or by the paper's rule of relief."""
     unknown: float = 0.0
     """Without a value of the reference field, which only a simulated Moon has."""
     keep_outs: float

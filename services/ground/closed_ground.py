@@ -23,7 +23,7 @@ class ClosedGround:
     too_steep: float
     """Steeper than the rover, the planners or the region's rule admit."""
     rough: float
-    """Not traversable in the region for another reason than slope, such as hollows, hummocks and the gaps between."""
+    """Not traversable in the region, and not too steep: steps, roughness or rocks, or relief by the paper's rule."""
     unknown: float
     """Without a value of the reference field, and not too steep."""
     keep_outs: float

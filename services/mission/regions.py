@@ -15,12 +15,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.constants import ELEVATION_MAX_M, ELEVATION_MIN_M, HELIUM3_MAX_PPB, RELIEF_WINDOW_M
+from he3.constants import ELEVATION_MAX_M, ELEVATION_MIN_M, HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.nodata import cells_where, expect_measured, expect_no_walls, filled_with_nearest
 from he3.reference import OrbitalWindow, Region, orbital_view, reference
-from he3.terrain import relief_m, slope_deg, traversable
+from he3.terrain import slope_deg
+from he3.vehicle_ground import VehicleLimits, judged
 from schemas.maps import MAX_CELLS
 from schemas.wire import MAX_POSITION_M
 from services.mission.embedded_regions import EMBEDDED
@@ -34,10 +35,11 @@ from services.mission.region_folder import (
     read_layer,
 )
 
+ROCK_ABUNDANCE: Final = "rock_abundance"
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
 MAX_LATITUDE_DEG: Final = 90.0  # deg; beyond 65 deg a site lies in a polar projection, and may hold the pole
 MAX_PROVENANCE: Final = 500  # characters
-_LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable")
+_LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable", ROCK_ABUNDANCE)
 _FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_deg")
 
 _UNREADABLE: Final = (
@@ -54,8 +56,9 @@ def load_region(name_or_path: str | Path, seed: int | None = None) -> Region:
     its published figures hold. Others have one variation and take no seed. An .npz file contains he3_ppb (rows,
     columns) with row 0 in the south, NaN where nothing is known of it, resolution_m, and elevation_m [m] or traversable
     (bool) or both; orbital_ppb, provenance (text), and origin_lat_deg and origin_lon_deg of its south-west corner are
-    optional.
-    Raises InvalidInput, in one line with file, key and expectation.
+    optional. Without traversable, elevation is judged by a vehicle's limits (``he3.vehicle_ground``), with
+    rock_abundance (rows, columns), 0 to 1, where it is given. Raises InvalidInput, in one line with file, key and
+    expectation.
     """
     if is_region_folder(name_or_path):
         return _region_from_folder(folder_of(name_or_path), seed)
@@ -150,12 +153,10 @@ def _region(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Region:
     if elevation is None and open_cells is None:
         raise InvalidInput(f"{path}: expected key elevation_m or traversable, got {', '.join(sorted(arrays))}")
     slope = np.zeros(he3.shape) if elevation is None else slope_deg(elevation, resolution_m)
+    rocks = _rock_abundance(path, arrays, he3.shape)
     if open_cells is None:
         assert elevation is not None  # checked above
-        if resolution_m >= RELIEF_WINDOW_M:
-            raise InvalidInput(f"{path}: expected key traversable, as elevation_m in cells of {RELIEF_WINDOW_M:g} m or "
-                               f"more shows no hollow or hummock, got resolution_m {resolution_m:g}")  # fmt: skip
-        open_cells = traversable(slope, relief_m(elevation, resolution_m))
+        open_cells = judged(elevation, resolution_m, VehicleLimits(), slope=slope, rock_abundance=rocks).open_cells
     if known is not None:
         open_cells = open_cells & known
         if not open_cells.any():
@@ -244,6 +245,24 @@ def _open_cells(path: Path, arrays: Mapping[str, NDArray[Any]], shape: tuple[int
     if not bool(values.any()):
         raise InvalidInput(f"{path}: key traversable: expected at least one open cell, got none")
     return values.astype(np.bool_)
+
+
+def _rock_abundance(path: Path, arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> FloatArray | None:
+    """Share of each cell under rocks, NaN where it is not known; None if the file does not contain it."""
+    values = arrays.get(ROCK_ABUNDANCE)
+    if values is None:
+        return None
+    if values.dtype.kind not in "fiu":
+        raise InvalidInput(f"{path}: key {ROCK_ABUNDANCE}: expected real numbers, got dtype {values.dtype}")
+    _expect_shape(path, ROCK_ABUNDANCE, values.shape, shape)
+    rocks = values.astype(np.float64)
+    off = ~(np.isnan(rocks) | ((rocks >= 0.0) & (rocks <= 1.0)))
+    if off.any():
+        raise InvalidInput(
+            f"{path}: key {ROCK_ABUNDANCE}: expected 0 to 1, or NaN where it is not known, got {rocks[off][0]:g} in "
+            f"{cells_where(off)}"
+        )
+    return rocks
 
 
 def _expect_shape(path: Path, key: str, got: tuple[int, ...], wanted: tuple[int, ...] | None) -> None:

@@ -16,6 +16,7 @@ from he3.frames import BoolArray, FloatArray, SiteGrid
 from he3.nodata import expect_measured, expect_no_walls
 from he3.provenance import LayerOrigin, OriginKind, summary
 from he3.terrain import relief_m, slope_deg, traversable
+from he3.vehicle_ground import VehicleLimits, judged
 from services.mission.region_build.chemistry import chemistry_of, laid_over
 from services.mission.region_build.projection import SitePlane, site_plane
 from services.mission.region_build.recipe import Recipe
@@ -28,8 +29,11 @@ from services.mission.regions import load_window
 _DESCRIPTIONS = {
     "he3_ppb": "helium-3, reference field [ppb]", "orbital_ppb": "helium-3 as an orbiter maps it [ppb]",
     "elevation_m": "height above the sphere of 1737.4 km [m]", "traversable": "1: a rover may drive here",
-    "iron_wt": "FeO [wt %]", "maturity": "OMAT", "titanium_wt": "TiO2 [wt %]", "filled": "1: a hole was filled here",
+    "iron_wt": "FeO [wt %]", "maturity": "OMAT", "titanium_wt": "TiO2 [wt %]",
+    "rock_abundance": "share of the ground under rocks", "filled": "1: a hole was filled here",
 }  # fmt: skip
+_GROUND = ("elevation_m", "rock_abundance")
+_OVERSHOOT = 0.2  # 1, how far cubic splines may lead beyond 0 and 1 beside a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +54,6 @@ def build_region(
     """
     grid = SiteGrid(recipe.rows, recipe.columns, recipe.resolution_m)
     plane = site_plane(recipe.centre_lat_deg, recipe.centre_lon_deg, grid, recipe.projection)
-    relief = grid.resolution_m < constants.RELIEF_WINDOW_M
     margin = margin_cells(recipe)
     sampled: dict[str, Sampled] = {}
     origins: list[LayerOrigin] = []
@@ -66,11 +69,12 @@ def build_region(
                 product_id=source.product_id, citation=table.citation,
                 source=f"{table.source}, pixels of {found.pixel_m:.4g} m{holes}",
             ))  # fmt: skip
-    terrain = _terrain(recipe, sampled["elevation_m"], margin, relief)
-    measured: dict[str, FloatArray] = {name: found.values for name, found in sampled.items() if name != "elevation_m"}
+    rocks = _rock_abundance(sampled.get("rock_abundance"))
+    terrain = _terrain(recipe, sampled["elevation_m"], margin, rocks)
+    measured: dict[str, FloatArray] = {name: found.values for name, found in sampled.items() if name not in _GROUND}
     for name, values in measured.items():
         expect_measured(f"layer {name}", values, -1e3, constants.HELIUM3_MAX_PPB)
-    pixel_m = max((found.pixel_m for name, found in sampled.items() if name != "elevation_m"), default=0.0)
+    pixel_m = max((found.pixel_m for name, found in sampled.items() if name not in _GROUND), default=0.0)
     if recipe.chemistry.lay_over is not None:
         layers, over, pixel_m = laid_over(load_window(recipe.chemistry.lay_over), grid)
         measured |= layers
@@ -83,6 +87,8 @@ def build_region(
         "he3_ppb": chemistry.he3_ppb, "orbital_ppb": chemistry.orbital_ppb, "elevation_m": terrain.elevation_m,
         "traversable": terrain.traversable, **chemistry.layers,
     }  # fmt: skip
+    if rocks is not None:
+        maps["rock_abundance"] = rocks
     filled = _filled(sampled, margin)
     if filled.any():
         maps["filled"] = filled
@@ -100,25 +106,48 @@ def margin_cells(recipe: Recipe) -> int:
     return math.ceil(constants.RELIEF_WINDOW_M / 2 / recipe.resolution_m)
 
 
-def _terrain(recipe: Recipe, sampled: Sampled, margin: int, with_relief: bool) -> Terrain:
-    """Elevation, and where a rover may drive: by the site's slopes and relief, and by the raster's own slopes."""
+def _rock_abundance(sampled: Sampled | None) -> FloatArray | None:
+    """Share of each cell under rocks, 0 to 1; None without the layer."""
+    if sampled is None:
+        return None
+    expect_measured("layer rock_abundance", sampled.values, -_OVERSHOOT, 1.0 + _OVERSHOOT)
+    return np.clip(sampled.values, 0.0, 1.0)
+
+
+def _terrain(recipe: Recipe, sampled: Sampled, margin: int, rocks: FloatArray | None) -> Terrain:
+    """Elevation, and where a rover may drive: by the recipe's rule, and by the raster's own slopes."""
     cell, limit = recipe.resolution_m, recipe.slope_limit_deg
     heights = sampled.values
     expect_measured("layer elevation_m", heights, constants.ELEVATION_MIN_M, constants.ELEVATION_MAX_M, "m")
     expect_no_walls("layer elevation_m", heights, cell)
     cut = slice(margin, -margin)
-    slope = slope_deg(heights, cell)[cut, cut]
     assert sampled.source_slope_deg is not None  # elevation is sampled with slopes
-    steep = np.maximum(slope, sampled.source_slope_deg[cut, cut])
-    relief = relief_m(heights, cell)[cut, cut] if with_relief else np.zeros_like(slope)
+    steep = np.maximum(slope_deg(heights, cell), sampled.source_slope_deg)
+    whole_rocks = None
+    if rocks is not None:
+        whole_rocks = np.full(heights.shape, np.nan)
+        whole_rocks[cut, cut] = rocks
+    if recipe.terrain_rule == "vehicle":
+        limits = VehicleLimits(limit, recipe.step_limit_m, recipe.roughness_limit_m, recipe.rock_limit)
+        ground = judged(
+            heights, cell, limits, slope=steep, rock_abundance=whole_rocks, pixel_m=sampled.pixel_m, margin=margin
+        )
+        open_cells, rule = ground.open_cells, f"{ground.rule}; slopes also in the raster's own pixels"
+    else:
+        open_cells, rule = _by_relief(heights, steep[cut, cut], cell, limit, cut)
+    if not open_cells.any():
+        raise InvalidInput(f"expected ground to drive on somewhere in the site, got none by the rule: {rule}")
+    return Terrain(heights[cut, cut].copy(), open_cells, rule)
+
+
+def _by_relief(heights: FloatArray, steep: FloatArray, cell: float, limit: float, cut: slice) -> tuple[BoolArray, str]:
+    """Open cells and a line on it by the paper's rule, where cells are small enough for relief."""
+    with_relief = cell < constants.RELIEF_WINDOW_M
+    relief = relief_m(heights, cell)[cut, cut] if with_relief else np.zeros_like(steep)
     rule = f"slope of at most {limit:g} deg in the site and in its raster" + (", and relief" if with_relief else
            ", without relief, as cells are too large for it")  # fmt: skip
-    open_cells = traversable(steep, relief, limit)
     # The closing of the paper's rule closes gaps; it opens nothing, but at the edge a steep cell must stay closed.
-    open_cells &= steep <= limit
-    if not open_cells.any():
-        raise InvalidInput(f"expected ground of at most {limit:g} deg somewhere in the site, got none")
-    return Terrain(heights[cut, cut].copy(), open_cells, rule)
+    return traversable(steep, relief, limit) & (steep <= limit), rule
 
 
 def _filled(sampled: dict[str, Sampled], margin: int) -> BoolArray:

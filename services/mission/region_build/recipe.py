@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from he3 import constants
 from services.mission.region_folder import Latitude, Longitude, Name, Table, Words, checked, load_toml
 
-Layer = Literal["elevation_m", "iron_wt", "maturity", "titanium_wt", "he3_ppb"]
+Layer = Literal["elevation_m", "iron_wt", "maturity", "titanium_wt", "he3_ppb", "rock_abundance"]
 Cells = Annotated[int, Field(ge=4, le=4000)]
 
 
@@ -81,6 +81,12 @@ class Recipe(Table):
     projection: Annotated[str, Field(max_length=1000)] = ""
     """A PROJ string or a code such as IAU_2015:30135; by default local, see docs/regions.md."""
     slope_limit_deg: Annotated[float, Field(gt=0, le=45)] = constants.ROVER_SLOPE_NOMINAL_DEG
+    terrain_rule: Literal["vehicle", "paper"] = "vehicle"
+    """By the following limits as well; or by hollows and hummocks, as the paper does."""
+    step_limit_m: Annotated[float, Field(gt=0, le=10)] = constants.ROVER_STEP_M
+    roughness_limit_m: Annotated[float, Field(gt=0, le=10)] = constants.ROVER_ROUGHNESS_M
+    rock_limit: Annotated[float, Field(ge=0, le=1)] = constants.ROVER_ROCK_ABUNDANCE
+    """Share of the ground under rocks, where there is a layer rock_abundance."""
     chemistry: ChemistryTable = ChemistryTable()
     layers: Annotated[dict[Layer, SourceTable], Field(min_length=1)]
 

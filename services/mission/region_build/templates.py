@@ -16,6 +16,10 @@ columns = 500
 resolution_m = 1.0
 # projection = "IAU_2015:30135"  # local by default: equirectangular, beyond 65 deg polar stereographic
 # slope_limit_deg = 15.0         # ground that is steeper, in the site or in the raster itself, is closed
+# step_limit_m = 0.25            # so are higher steps and rougher ground, where cells and pixels are 2 m or less
+# roughness_limit_m = 0.1
+# rock_limit = 0.05              # and ground with more rocks, with a layer rock_abundance (share of the ground, 0 to 1)
+# terrain_rule = "vehicle"       # or "paper": hollows and hummocks by 1.5 standard deviations of relief
 """
 _LAY_OVER: Final = """
 [chemistry]

@@ -337,6 +337,33 @@ def plain(folder: Path, values: Array | None = None, per_degree: int = 1516, **o
     return values
 
 
+def test_ground_under_many_rocks_is_closed_and_the_rule_says_so(tmp_path: Path) -> None:
+    plain(tmp_path)
+    rocks = np.full((96, 96), 0.004)
+    rocks[:, :48] = 0.2
+    plain(tmp_path, rocks, name="rocks.tif")
+    document = recipe(LAT, LON)
+    document["layers"]["rock_abundance"] = {"file": "rocks.tif", "source": "made"}
+    region = build(document, tmp_path)
+    open_share = region.traversable.mean(axis=0)
+    assert open_share[0] == 0.0
+    assert open_share[-1] == 1.0
+    rule = next(origin.source for origin in region.layers if origin.layer == "traversable")
+    assert "rock abundance of at most 0.05 (" in rule
+    assert build(document | {"rock_limit": 0.5}, tmp_path).traversable.all()
+    plain(tmp_path, 50.0 * rocks, name="rocks.tif")
+    with pytest.raises(InvalidInput, match=r"layer rock_abundance: expected -0\.2 to 1\.2, got"):
+        build(document, tmp_path)
+
+
+def test_the_rule_of_the_paper_can_be_asked_for(tmp_path: Path) -> None:
+    plain(tmp_path)
+    region = build(recipe(LAT, LON, terrain_rule="paper"), tmp_path)
+    rule = next(origin.source for origin in region.layers if origin.layer == "traversable")
+    assert rule == "slope of at most 30 deg in the site and in its raster, and relief"
+    assert region.traversable.sum() < build(recipe(LAT, LON), tmp_path).traversable.sum()
+
+
 @pytest.mark.parametrize("missing", [NO_DATA, math.nan, -math.inf, -32768.0, 0.0])
 def test_a_hole_is_refused_with_its_place_or_filled_and_marked(tmp_path: Path, missing: float) -> None:
     values = plain(tmp_path, nodata=NO_DATA)
@@ -456,7 +483,7 @@ def source(**changes: Any) -> dict[str, Any]:
         (source(unit="ppb"), "expected a unit of length, got 'ppb'"),
         ({"projection": "nonsense"}, "expected a projection, got 'nonsense'"),
         ({"projection": "IAU_2015:30110"}, "expected metres of the ground"),
-        ({"slope_limit_deg": 0.001}, "expected ground of at most 0.001 deg"),
+        ({"slope_limit_deg": 0.001}, "got none by the rule: slope of at most 0.001 deg"),
     ],
 )
 def test_a_wrong_recipe_is_refused_in_one_line_and_nothing_is_written(
