@@ -23,7 +23,7 @@ from services.console.campaign.statistics import (
     summary_of,
     variance_share,
 )
-from services.console.campaign.table import KINDS, SEED, Kind, Table
+from services.console.campaign.table import SEED, Kind, Table, kind_of
 
 ALL: Final = "all"
 """The group of a report that compares nothing."""
@@ -191,7 +191,7 @@ def _pairs(table: Table, compare: str | None, members: dict[str, Any]) -> dict[t
 def _figure(
     table: Table, name: str, compare: str | None, members: dict[str, Any], partners: dict[tuple[str, str], Any]
 ) -> FigureFindings:
-    kind = KINDS.get(name, Kind(name))
+    kind = kind_of(name)
     values = table.figures[name] / kind.scale
     there = {group: rows[~np.isnan(values[rows])] for group, rows in members.items()}
     comparisons = []

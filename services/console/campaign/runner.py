@@ -14,6 +14,7 @@ from typing import Final
 from he3.errors import He3Error, InvalidInput
 from services.console.campaign.engines import AHEAD, Engine
 from services.console.campaign.store import Store
+from services.console.campaign.table import kind_of
 from services.console.campaign.task import DONE, FAILED, LOST, REFUSED, Reply, Task
 from services.console.client.time_format import duration
 
@@ -87,7 +88,7 @@ class Progress:
             parts.append(f"{duration(left)} left")
         failed = self.failed + self.failed_before
         parts.append(f"{failed} failed" if failed else "none failed")
-        parts += [f"{name} {mean:.4g}" for name, mean in self.means(names).items()][:MAX_SHOWN]
+        parts += [kind_of(name).words(mean) for name, mean in self.means(names).items()][:MAX_SHOWN]
         return "  ".join(parts)
 
 

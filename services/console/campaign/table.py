@@ -33,6 +33,10 @@ class Kind:
     """What a value is divided by to be in that unit."""
     high_is_bad: bool = True
 
+    def words(self, value: float) -> str:
+        """The figure with its name and unit: map RMSE 0.717 ppb."""
+        return f"{self.title} {value / self.scale:,.4g} {self.unit}".rstrip()
+
 
 KINDS: Final = {
     "rmse_ppb": Kind("map RMSE", "ppb"),
@@ -47,6 +51,11 @@ KINDS: Final = {
     "messages_lost": Kind("messages lost"),
 }
 """Figures of a mission, in the order of their interest. Others are shown under their own name."""
+
+
+def kind_of(figure: str) -> Kind:
+    """How the figure of that name is shown."""
+    return KINDS.get(figure) or Kind(figure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -71,6 +71,7 @@ def run(
     from services.console.campaign.runner import run as compute
     from services.console.campaign.store import Store
     from services.console.campaign.study import load_study
+    from services.console.campaign.table import kind_of
     from services.console.client.time_format import duration
     from services.console.interruption import ending_in_time
 
@@ -94,7 +95,9 @@ def run(
                 f"flown        {flown} in {duration(done.elapsed_s)}, {done.computed_s / flown:.2f} s each, "
                 f"{done.workers} at once, {done.busy:.0%} of their time at work"
             )
-            typer.echo(f"on average   {', '.join(_average(name, mean) for name, mean in done.means(SHOWN).items())}")
+            typer.echo(
+                f"on average   {', '.join(kind_of(name).words(mean) for name, mean in done.means(SHOWN).items())}"
+            )
         typer.echo(f"store        {path}")
     if failed:
         raise He3Error(
@@ -102,14 +105,6 @@ def run(
             + (f", the last: {done.last_error}" if done.last_error else "")
             + "; --retry-failed flies them again"
         )
-
-
-def _average(name: str, mean: float) -> str:
-    """The mean of a figure in words, with its unit."""
-    from services.console.campaign.table import KINDS
-
-    kind = KINDS[name]
-    return f"{kind.title} {mean / kind.scale:,.4g} {kind.unit}".rstrip()
 
 
 def _document(study: str, path: Path, done: Progress) -> dict[str, Any]:

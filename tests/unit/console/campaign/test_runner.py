@@ -149,7 +149,7 @@ def test_progress_says_rate_time_left_failures_and_means() -> None:
     progress.elapsed_s = 8.0
     assert progress.left == 4
     assert progress.busy == 0.75
-    assert progress.line(["rmse_ppb"]) == "6/10  30.0 a minute  8 s left  1 failed  rmse_ppb 2"
+    assert progress.line(["rmse_ppb"]) == "6/10  30.0 a minute  8 s left  1 failed  map RMSE 2 ppb"
 
 
 @pytest.mark.parametrize(
