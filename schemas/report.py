@@ -70,6 +70,20 @@ class ClosedGroundReport(Wire):
     """Open, but not connected to the start."""
 
 
+class LearnedReport(Wire):
+    """What the samples showed of the instrument's noise and of a field that is longer one way than the other."""
+
+    noise_std_ppb: float
+    """Standard deviation of the noise that the map counts, over all kernels of the mixture."""
+    stated_noise_std_ppb: float
+    stretched_weight: float
+    """Weight of the kernels with two lengths, 0 to 1."""
+    stretch: float | None
+    """Ratio of the lengths of the heaviest of these; None if there are none."""
+    bearing_deg: float | None
+    """Of its longer axis, clockwise from north, 0 to 180."""
+
+
 class MissionReport(Wire):
     """The course of a mission and the quality of its map. Equal runs differ in `wall_time_s` and `host` only."""
 
@@ -101,6 +115,8 @@ class MissionReport(Wire):
     path_length_m: float
     driving: DrivingReport | None = None
     closed_ground: ClosedGroundReport | None = None
+    learned: LearnedReport | None = Field(default=None, exclude_if=is_none)
+    """None where the samples spoke for the stated noise and one length."""
     goal: GoalStatus | None = Field(default=None, exclude_if=is_none)
     """The goal and its certificate at the mission's end; None for a mission without a goal."""
     drilled_m: float

@@ -18,6 +18,7 @@ from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore, RegionLayer
 from schemas.report import ClosedGroundReport, DrivingReport, MessageCounts, MissionReport, ReportSample
+from services.console.report.learned import learned
 from services.mission.mission_time import SECOND
 from services.runtime.files.output import write_output
 from services.runtime.heartbeat import software_version
@@ -122,6 +123,7 @@ def build_report(
         path_length_m=status.driven_m,
         driving=_driving(scenario, run, track),
         closed_ground=None if run.closed is None else ClosedGroundReport(**asdict(run.closed)),
+        learned=learned(status.kernel, scenario.field.noise_std_ppb),
         goal=status.goal,
         drilled_m=round(sum(sample.depth_m for sample in track.samples), 9),
         mission_time_s=run.mission_time_s,

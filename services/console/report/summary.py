@@ -22,6 +22,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
         ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
         *_goal(report),
         *_accuracy(report),
+        *_learned(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
         *_driving(report),
         *_closed(report),
@@ -84,4 +85,21 @@ def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
         return [("RMSE", "not known: the map was not compared with a reference field")]
     one, two = f"{report.coverage_68:.1%} within 1 std", f"{report.coverage_95:.1%} within 2 std"
     within = f"{one} (nominal 68.3 %), {two} (nominal 95.4 %)"
-    return [("RMSE", f"{report.rmse_ppb:.4f} ppb over all cells"), ("coverage", within)]
+    unknown = report.closed_ground is not None and report.closed_ground.unknown > 0
+    cells = "all cells with a reference" if unknown else "all cells"
+    return [("RMSE", f"{report.rmse_ppb:.4f} ppb over {cells}"), ("coverage", within)]
+
+
+def _learned(report: MissionReport) -> list[tuple[str, str]]:
+    found = report.learned
+    if found is None:
+        return []
+    parts = []
+    if found.noise_std_ppb > found.stated_noise_std_ppb:
+        parts.append(f"noise of {found.noise_std_ppb:.3g} ppb, stated {found.stated_noise_std_ppb:g}")
+    if found.stretch is not None and found.bearing_deg is not None:
+        parts.append(
+            f"the field is {found.stretch:.1f} times longer along {found.bearing_deg:03.0f} deg than across it "
+            f"({found.stretched_weight:.0%} of the mixture)"
+        )
+    return [("learned", "; ".join(parts))]

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from he3.errors import He3Error
-from schemas.ground import GroundStatus, MissionPhase, MissionTrack
+from schemas.ground import GroundStatus, KernelParameters, MissionPhase, MissionTrack, WeightedKernel
 from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
 from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MissionReport
 from schemas.telemetry import SampleReport
+from services.console.report.learned import learned
 from services.console.report.mission_report import Run, array_of, build_report
 from services.console.report.outputs import caption
 from services.console.report.summary import summary_lines
@@ -111,6 +112,29 @@ def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None
     assert (made.rmse_ppb, made.coverage_68, made.coverage_95) == (None, None, None)
     assert any("not known" in line for line in summary_lines(made))
     assert "RMSE" not in caption(made)
+
+
+def kernel(noise_ppb: float, *alternatives: WeightedKernel) -> KernelParameters:
+    return KernelParameters(
+        name="matern52", parameters={"variance": 1.0, "length_scale_m": 60.0}, noise_std_ppb=noise_ppb, mean_ppb=7.0,
+        scale_ppb=1.5, alternatives=alternatives or None,
+    )  # fmt: skip
+
+
+def test_the_report_tells_what_was_learned_of_noise_and_lengths_and_nothing_where_nothing_was() -> None:
+    round_one = WeightedKernel(weight=0.25, parameters={"variance": 1.0, "length_scale_m": 60.0})
+    two = round_one.model_copy(update={"weight": 0.75, "parameters": {"stretch": 4.46, "bearing_deg": 41.2}})
+    assert learned(None, 0.1) is None
+    assert learned(kernel(0.1, round_one), 0.1) is None
+    account = learned(kernel(0.3, round_one, two), 0.1)
+    assert account is not None
+    made = report().model_copy(update={"learned": account})
+    assert MissionReport.model_validate_json(made.model_dump_json()) == made
+    assert (
+        "learned       noise of 0.3 ppb, stated 0.1; the field is 4.5 times longer along 041 deg than across it "
+        "(75% of the mixture)"
+    ) in summary_lines(made)
+    assert not any(line.startswith("learned") for line in summary_lines(report()))
 
 
 def test_the_report_is_one_json_document_that_reads_back_equal() -> None:
