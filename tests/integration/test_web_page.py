@@ -213,6 +213,8 @@ def test_bad_requests_are_answered_with_one_line_and_change_nothing(address: str
         ("interest", {"area_id": "a", "polygon_m": 3}, "polygon_m"),
         ("alarm", {"kind": {"a": 1}, "action": "acknowledge"}, "kind"),
         ("alarm", {"kind": "stale", "action": "shelve"}, "shelve_s"),
+        ("rehearsal", {"draws": 1}, "draws"),
+        ("rehearsal", {"draws": 2, "against": "pause"}, "expected a command after which the mission goes on"),
     ):
         code, body = get(f"{own}/api/{path}", ours, document)
         assert (code, why in json.loads(body)["error"]) == (400, True), (path, document, body)
@@ -1093,6 +1095,37 @@ def test_a_plan_waits_on_the_page_until_it_is_approved_without_a_sample(browser:
         until(lambda: script(browser, "return document.getElementById('plan-card').hidden"), "the end of the review")
         dropped = proposal.plan.samples[1].sample_id
         assert f"Plan approved without {dropped}" in written(browser, "#toast")
+
+
+@pytest.mark.exhaustive
+def test_the_rest_of_the_mission_is_rehearsed_on_the_page_against_an_alternative(browser: Any, tmp_path: Path) -> None:
+    endpoints = free_endpoints()
+    scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "short.toml"
+    with (
+        Launcher(scenario, endpoints, ("--rate", "5"), logs=tmp_path) as launcher,
+        MissionClient.when_up(endpoints.earth, "short", launcher.check) as other,
+        Served(other) as where,
+    ):
+        browser.get(where)
+        until(lambda: "no status yet" not in written(browser, "#phase"), "the mission on the page")
+        write(browser, "#rehearsal-draws", "2" + ENTER)
+        until(lambda: "Samples" in written(browser, "#rehearsal-table"), "the forecast")
+        assert len(browser.find_elements("css selector", "#rehearsal-table thead th")) == 1
+        browser.find_element("id", "rehearsal-against").send_keys("in words")
+        write(browser, "#rehearsal-words", "planner informative; abort-round" + ENTER)
+        until(lambda: "Difference" in written(browser, "#rehearsal-table"), "the two forecasts")
+        assert "planner informative; abort-round" in written(browser, "#rehearsal-table thead")
+        assert re.search(r"Samples.*9", written(browser, "#rehearsal-table")), written(browser, "#rehearsal-table")
+        assert len(browser.find_elements("css selector", "#rehearsal-charts svg[aria-label]")) == 2
+        size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        assert script(browser, "return document.documentElement.scrollWidth") <= 390
+        assert barriers(browser) == []
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        write(browser, "#rehearsal-draws", "100" + ENTER)
+        until(lambda: not script(browser, "return document.getElementById('rehearsal-stop').hidden"), "its begin")
+        browser.find_element("id", "rehearsal-stop").send_keys(ENTER)
+        until(lambda: "it was stopped" in written(browser, "#rehearsal-note"), "its end")
 
 
 def test_the_page_fits_a_phone_in_light_and_dark(browser: Any, address: str) -> None:

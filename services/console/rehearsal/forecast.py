@@ -37,6 +37,7 @@ MIN_DRAWS: Final = 2
 MAX_DRAWS: Final = 200
 CURVE_POINTS: Final = 60
 """Moments of a curve over the time of the flights."""
+NICENESS: Final = 5
 STOPPED_EVERY_S: Final = 0.2
 """Wall time between two looks at whether to stop."""
 FIGURES: Final = ("lasts_s", "driven_m", "samples", "mean_std_ppb", "charge_wh", "lowest_wh")
@@ -245,6 +246,7 @@ def _begin(start: Start) -> None:
     """Leave Ctrl-C to the parent, end with it, and keep what every flight begins with."""
     signal(SIGINT, SIG_IGN)
     end_with_parent()
+    os.nice(NICENESS)  # a live mission may run on this machine
     scenario = scenario_of(start.fork)
     _beginnings.append(_Beginning(start, load_region(scenario.region, scenario.field.field_seed)))
 

@@ -32,6 +32,7 @@ from services.console.client.alarms import Alarms, documents
 from services.console.client.contacts import contacts_ahead
 from services.console.client.liveness import Condition, Liveness, liveness
 from services.console.web.curves import NAMES, Curves
+from services.console.web.rehearsals import Rehearsals
 from services.console.web.stacks import PageStacks
 from services.mission.mission_time import SECOND, MissionTime, seconds
 
@@ -109,6 +110,7 @@ class Hub:
         self.mission = mission
         self.recording = recording
         self.stacks = PageStacks.of(mission, self._stack_changed)
+        self.rehearsals = Rehearsals(mission, recording is not None)
         self._lock = threading.RLock()
         self._viewers: set[Viewer] = set()
         self._ended = threading.Event()
@@ -157,8 +159,9 @@ class Hub:
                 self._whole = True
 
     def close(self) -> None:
-        """End every browser's stream."""
+        """End every browser's stream, and the rehearsal under way."""
         self._ended.set()
+        self.rehearsals.stop()
         with self._lock:
             for viewer in self._viewers:
                 viewer.loop.call_soon_threadsafe(viewer.put, None)

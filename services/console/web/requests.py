@@ -18,6 +18,9 @@ from services.console.client.commands import MAX_EXPIRY_S
 MAX_SHELVED_S = 30 * 86_400.0
 """Longest time for which an alarm may be shelved [s]."""
 
+MAX_DRAWS = 100
+"""Most draws of a rehearsal for the page."""
+
 Place = tuple[PositionM, PositionM]
 Corners = Annotated[tuple[Place, ...], Field(min_length=3, max_length=256)]
 Request = TypeVar("Request", bound="PageRequest")
@@ -109,6 +112,14 @@ class PlayRequest(PageRequest):
     """Seconds since its beginning."""
     pace: Annotated[float, Field(ge=0, le=1e6)] | None = None
     """Mission seconds a second; 0 stops it."""
+
+
+class RehearsalRequest(PageRequest):
+    """A rehearsal of the rest of the mission."""
+
+    draws: Annotated[int, Field(ge=2, le=MAX_DRAWS)]
+    against: Annotated[str, Field(min_length=1, max_length=2_000)] | None = None
+    """An alternative that is rehearsed beside it, in words."""
 
 
 def parsed(kind: type[Request], body: bytes) -> Request:

@@ -49,6 +49,7 @@ from services.console.web.requests import (
     InterestRequest,
     PlanRequest,
     PlayRequest,
+    RehearsalRequest,
     StackAnswer,
     StackRequest,
     StackStop,
@@ -120,6 +121,9 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         post("/api/link", partial(_link, hub), CONTROL),
         post("/api/alarm", partial(_alarm, hub), ACT),
         post("/api/recording", partial(_play, hub), READ),
+        get("/api/rehearsal", partial(_rehearsal, hub)),
+        post("/api/rehearsal", partial(_rehearse, hub), READ),
+        post("/api/rehearsal/stop", partial(_stop_rehearsal, hub), READ),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     return Starlette(
@@ -390,6 +394,24 @@ def _alarm(hub: Hub, asked: Asked) -> Response:
 def _play(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(PlayRequest, asked.body)
     return JSONResponse(hub.play(wanted.at_s, wanted.pace), headers=FRESH)
+
+
+def _rehearsal(hub: Hub, asked: Asked) -> Response:
+    known = asked.parameters.get("known", "0")
+    if not known.isdecimal() or len(known) > 9:
+        raise InvalidInput(f"rehearsal: expected the number of one in known, got {known[:40]!r}")
+    return JSONResponse(hub.rehearsals.document(int(known)), headers=FRESH)
+
+
+def _rehearse(hub: Hub, asked: Asked) -> Response:
+    wanted = parsed(RehearsalRequest, asked.body)
+    hub.rehearsals.begin(wanted.draws, wanted.against, asked.caller.name)
+    return JSONResponse(hub.rehearsals.document(), headers=FRESH)
+
+
+def _stop_rehearsal(hub: Hub, _: Asked) -> Response:
+    hub.rehearsals.stop()
+    return JSONResponse(hub.rehearsals.document(), headers=FRESH)
 
 
 def _session(hub: Hub, warning: str | None, asked: Asked) -> Response:

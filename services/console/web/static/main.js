@@ -16,6 +16,7 @@ import "./picture.js";
 import { placeIsAt } from "./place.js";
 import { showPlan } from "./planreview.js";
 import { showRecording, takeRecording } from "./recording.js";
+import "./rehearsal.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
 import { takeStack } from "./stacks.js";

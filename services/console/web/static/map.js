@@ -31,6 +31,7 @@ export class SiteMap {
     this.legs = [];             // corners of the line that is measured
     this.preview = null;        // the way of a command that is not sent yet
     this.pointed = null;        // where the rover was at the moment that is pointed at on the timeline
+    this.rehearsed = null;      // [{ tracks, colour }] of the flights of a rehearsal
     this.proposal = null;       // { path, samples, dropped } of the plan that waits for approval
     this.drawing = false;
     this.measuring = false;
@@ -214,6 +215,7 @@ export class SiteMap {
     if (this.track && this.show.samples) marks.samples(context, projection, colour, this.track.samples, this.sample);
     if (this.draft.length) marks.corners(context, projection, this.draft.length > 2 ? [...this.draft, this.draft[0]] : this.draft, colour("--accent"));
     if (this.legs.length) marks.measured(context, projection, this.legs, colour("--planned"));
+    if (this.rehearsed && this.show.rehearsed) marks.rehearsed(context, projection, colour, this.rehearsed);
     if (this.proposal) marks.proposed(context, projection, colour, this.proposal);
     if (this.preview?.length) {
       marks.undecided(context, projection, colour, this.preview);

@@ -91,6 +91,16 @@ export function undecided(context, projection, colour, path) {
   line(context, projection, path, 2.6, colour("--preview"), [3, 4]);
 }
 
+// The tracks of all flights of a rehearsal: the more of them go one way, the denser it is.
+export function rehearsed(context, projection, colour, forecasts) {
+  context.save();
+  for (const [index, { tracks, colour: name }] of forecasts.entries()) {
+    context.globalAlpha = Math.min(.8, Math.max(.12, 4 / tracks.length));
+    for (const track of tracks) line(context, projection, track, 1.6, colour(name), index ? [5, 3] : []);
+  }
+  context.restore();
+}
+
 export function proposed(context, projection, colour, proposal) {
   undecided(context, projection, colour, proposal.path);
   for (const { sample_id, x_m, y_m } of proposal.samples) {

@@ -1,0 +1,51 @@
+"""The page's rehearsals: what is refused before one begins, and what is said of one that comes to nothing."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from he3.errors import Busy, InvalidInput, PeerUnreachable
+from schemas.commands import CommandStatus
+from services.console.client.mission_client import MissionClient
+from services.console.web.rehearsals import Rehearsals
+from tests.waiting import until
+
+
+class Away(MissionClient):
+    """A mission whose ground does not answer before it is let."""
+
+    def __init__(self) -> None:
+        self.asked = threading.Event()
+
+    def commands(self) -> tuple[CommandStatus, ...]:
+        self.asked.wait()
+        raise PeerUnreachable("expected an answer from the ground, got none")
+
+
+def test_a_rehearsal_that_comes_to_nothing_says_why_and_the_next_one_can_begin() -> None:
+    mission = Away()
+    rehearsals = Rehearsals(mission, recorded=False)
+    assert rehearsals.document() == {"number": 0, "running": False}
+    rehearsals.begin(20, "abort-round", "anna")
+    assert rehearsals.document() == {
+        "number": 1, "running": True, "done": 0, "of": 40, "by": "anna", "why": "", "result": None,
+    }  # fmt: skip
+    with pytest.raises(Busy, match="a rehearsal of anna is under way, 0 of 40 done"):
+        rehearsals.begin(20, None, "ben")
+    mission.asked.set()
+    until(lambda: not rehearsals.document()["running"], "the end of the rehearsal")
+    assert rehearsals.document()["why"] == "expected an answer from the ground, got none"
+    rehearsals.begin(2, None, "ben")
+    assert rehearsals.document()["number"] == 2
+
+
+def test_what_cannot_be_rehearsed_is_refused_and_leaves_the_last_one() -> None:
+    with pytest.raises(InvalidInput, match="got a recording, which cannot be rehearsed"):
+        Rehearsals(Away(), recorded=True).begin(2, None, "anna")
+    rehearsals = Rehearsals(Away(), recorded=False)
+    with pytest.raises(InvalidInput, match="expected a planner among"):
+        rehearsals.begin(2, "planner x", "anna")
+    rehearsals.stop()
+    assert rehearsals.document() == {"number": 0, "running": False}
