@@ -73,6 +73,9 @@ class PeerEnvironment:
 
 
 SGPTOOLS = PeerEnvironment("SGP-Tools", "place_with_sgptools.py", "requirements.txt", ".venv-peers", "HE3_PEERS_PYTHON")
+SGPTOOLS_COVERS = PeerEnvironment(
+    "SGP-Tools", "cover_with_sgptools.py", "requirements.txt", ".venv-peers", "HE3_PEERS_PYTHON"
+)
 PYPOLO = PeerEnvironment(
     "PyPolo", "survey_with_pypolo.py", "requirements-pypolo.txt", ".venv-pypolo", "HE3_PYPOLO_PYTHON"
 )

@@ -178,6 +178,11 @@ class CoverProblem:
         excess: FloatArray = np.max([part.excess(places_m) for part in self._parts], axis=0)
         return excess
 
+    @property
+    def size(self) -> int:
+        """Number of variances that are to be lowered."""
+        return len(self.targets) * len(self._parts)
+
     def holds(self, places_m: FloatArray) -> bool:
         """Whether the goal holds with samples at places (n, 2) [m]."""
         return bool(self.excess(places_m).max() <= _NOTHING)

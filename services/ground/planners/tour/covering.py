@@ -23,10 +23,10 @@ from he3.cover import CoverProblem
 from he3.mixture import alternatives_of, heaviest_of
 from he3.tsp import short_tour
 from services.ground.planners.foresight import forecast_of
-from services.ground.planners.tour.design import length_gradient
+from services.ground.planners.tour.design import length_gradient, shorter_order
 
 if TYPE_CHECKING:
-    from he3.frames import FloatArray, IntArray
+    from he3.frames import FloatArray
     from he3.gp import Hyperparameters
     from schemas.ground import GoalForecast
     from services.ground.planners.interface import PlanningGoal, PlanningRequest
@@ -48,6 +48,8 @@ REORDER_EVERY = 8
 ROW_SPACINGS = (1.15, 0.8, 0.55)
 """Distances of the places of a row in distances of rows: from an even lattice to dense rows, whose tour is shorter."""
 HALVINGS = 8
+MOST_WORK = 4e7
+"""Bound on the work of a search: steps times places times targets times kernels, about 5 s of one processor."""
 FAILURES = 3
 """Places that are left out in vain, one after the other, before the search ends."""
 WEIGHT_CHANGE = 1.25
@@ -150,13 +152,17 @@ def shortest_of(site: Site, problem: CoverProblem, places_m: FloatArray, most: i
     starts = [in_order(site, places_m)]
     if thorough:
         starts += [in_order(site, lattice) for lattice in lattice_covers(site, problem, most)]
+    descents = max(2, int(MOST_WORK / (STEPS * len(places_m) * problem.size)))
+    starts = sorted(starts, key=lambda start: tour_metres(site, start))[: max(1, descents // 2)]
     found = []
     for start in starts:
         moved = descended(site, problem, start, STEPS)
         found += [(tour_metres(site, each), each) for each in (start, moved) if each is not None]
     best_m, best = min(found, key=lambda one: one[0])
+    descents -= len(starts)
     failures, tried = 0, 0
-    while failures < (FAILURES if thorough else 1) and len(best) > 2:
+    while descents > 0 and failures < (FAILURES if thorough else 1) and len(best) > 2:
+        descents -= 1
         fewer = np.delete(best, _least_needed(site, problem, best, tried), axis=0)
         moved = descended(site, problem, fewer, STEPS)
         if moved is not None and (metres := tour_metres(site, moved)) < best_m:
@@ -229,7 +235,7 @@ def descended(site: Site, problem: CoverProblem, places_m: FloatArray, steps: in
     corners = np.full(places.shape, np.nan)
     for step in range(steps):
         if step % REORDER_EVERY == 0:
-            order, corners = _ordered(site, places)
+            order, corners = shorter_order(site, places)
             places, momentum = places[order], momentum[order]
         excess, _, gradient = problem.with_gradient(places)
         pull, length = length_gradient(site.start_m, places, corners)
@@ -274,13 +280,6 @@ def tour_metres(site: Site, places_m: FloatArray) -> float:
     stops = np.vstack((site.start_m, places_m))
     legs = np.arange(len(stops))
     return float(site.legs(stops).lengths_m[legs[:-1], legs[1:]].sum())
-
-
-def _ordered(site: Site, places: FloatArray) -> tuple[IntArray, FloatArray]:
-    stops = np.vstack((site.start_m, places))
-    legs = site.legs(stops)
-    order = short_tour(legs.lengths_m, np.arange(len(stops)))
-    return order[1:] - 1, legs.corners_m[order[:-1], order[1:]]
 
 
 def _rms(vectors: FloatArray) -> float:

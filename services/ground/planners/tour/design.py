@@ -126,7 +126,7 @@ def optimise_places(
     terrain: TerrainPull | None = None
     for step in range(steps):
         if step % REORDER_EVERY == 0:
-            order, corners = _shorter_order(site, places)
+            order, corners = shorter_order(site, places)
             places, momentum = places[order], momentum[order]
             terrain = None if site.cost is None else terrain_pull(site, site.cost, places, corners)
         _, gradient = variance.with_gradient(places)
@@ -149,7 +149,7 @@ def optimise_places(
         move = -rate * (momentum + lam * pull)
         move *= np.minimum(1.0, max_step_m / np.maximum(np.hypot(*move.T), 1e-9))[:, None]
         places = site.snap_to_reachable(places + move)
-    order, _ = _shorter_order(site, places)
+    order, _ = shorter_order(site, places)
     return places[order]
 
 
@@ -232,7 +232,7 @@ def _bent_lengths(a_m: FloatArray, corners_m: FloatArray, b_m: FloatArray) -> Fl
     return lengths
 
 
-def _shorter_order(site: Site, places: FloatArray) -> tuple[IntArray, FloatArray]:
+def shorter_order(site: Site, places: FloatArray) -> tuple[IntArray, FloatArray]:
     """An order (n,) of the places that is no longer than their own, and the corners (n, 2) [m] of its legs."""
     stops = np.vstack((site.start_m, places))
     legs = site.legs(stops)

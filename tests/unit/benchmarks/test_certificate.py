@@ -1,0 +1,90 @@
+"""The certificate's benchmark: designs of one small field, tables, pieces of fields, and what is promised of blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks import certificate
+from benchmarks.covers import CoverTask, rows_of
+from benchmarks.exam_fields import load_field
+from benchmarks.promises import GRID, Promise, errors_of, piece, scenario_of
+from he3.errors import InvalidInput
+from services.console.cli.benchmarks import described
+from services.ground.planners.tour import covering
+
+
+@pytest.fixture
+def data(tmp_path):
+    """A folder with one small field of two waves."""
+    x, y = np.meshgrid(np.arange(70.0), np.arange(60.0))
+    np.save(tmp_path / "waves.npy", np.sin(x / 16.0) + 0.7 * np.cos(y / 13.0))
+    return tmp_path
+
+
+def row(method, metres, holds=True):
+    return {"field": "f", "ratio": 0.7, "method": method, "samples": 9, "metres": metres, "holds": holds, "note": ""}
+
+
+def test_the_benchmark_is_a_command_and_knows_its_names():
+    assert "certificate" in described()
+    with pytest.raises(InvalidInput, match="expected names among t1, t2; got mars"):
+        certificate.run(fields=("mars",))
+    with pytest.raises(InvalidInput, match="expected ratios and a share between 0 and 1"):
+        certificate.run(fields=("t1",), ratios=(1.2,))
+
+
+def test_our_design_holds_and_is_shorter_than_the_greedy_one_and_what_is_done_is_not_done_again(data, monkeypatch):
+    monkeypatch.setattr(covering, "ROW_SPACINGS", (0.8,))
+    monkeypatch.setattr(covering, "FAILURES", 1)
+    task = CoverTask(load_field("waves.npy", data))
+    ours, greedy = rows_of(task, [0.6], [])
+    assert ours["holds"]
+    assert greedy["holds"]
+    assert ours["metres"] < greedy["metres"]
+    kept = data / "kept.json"
+    said = []
+    certificate._keep({"designs": [ours, greedy], "missions": []}, kept)
+    found = certificate.run(data, ["waves.npy"], [0.6], (), json=kept, say=said.append)
+    assert found["designs"] == [ours, greedy]
+    assert f"{ours['metres'] / greedy['metres']:.3f}" in "\n".join(said)
+
+
+def test_ours_is_compared_with_the_best_whose_certificate_holds():
+    cells = {one["method"]: one for one in (row("tour", 80.0), row("a", 60.0, False), row("b", 100.0),
+                                            row("b loosened", 90.0))}  # fmt: skip
+    assert certificate.compared(cells, False) == pytest.approx(0.8)
+    assert certificate.compared(cells, True) == pytest.approx(80.0 / 90.0)
+    assert certificate.compared({"tour": row("tour", 80.0)}, False) is None
+    assert certificate.compared(cells | {"tour": row("tour", 80.0, False)}, False) is None
+
+
+def test_a_piece_has_the_spread_of_soils_and_follows_from_its_seed(data):
+    first, again, other = (piece("waves.npy", data, seed).he3_ppb for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert first.shape == GRID.shape
+    assert (first.mean(), first.std()) == pytest.approx((7.5, 1.7))
+
+
+def test_what_is_promised_of_blocks_is_the_error_of_their_means(data):
+    region = piece("waves.npy", data, 1)
+    aside = np.where(np.arange(50) % 2, 1.0, -1.0)[None, :] + np.zeros((50, 1))
+    aside[:10, :10] += 0.5
+    blocks = scenario_of(Promise(data, "waves.npy", 1, "tour", 0.5, 100.0, 0.95, 4))
+    missed = errors_of(region, region.he3_ppb + aside, blocks)
+    assert missed.shape == (25,)
+    assert missed[0] == pytest.approx(0.5)
+    assert missed[1:].max() == pytest.approx(0.0, abs=1e-9)
+    everywhere = scenario_of(Promise(data, "waves.npy", 1, "tour", 0.5, None, 0.95, 4))
+    assert errors_of(region, region.he3_ppb + aside, everywhere).min() >= 0.5
+
+
+def test_the_table_counts_only_promises_of_missions_that_reached_their_goal():
+    common = {"field": "f", "samples": 40, "metres": 900.0}
+    rows = [
+        common | {"reached": True, "within": 0.97, "kept": True},
+        common | {"reached": True, "within": 0.93, "kept": False},
+        common | {"reached": False, "within": None, "kept": False},
+    ]
+    assert certificate.promise_table(rows)[-1].split() == ["all", "3", "2", "1", "93.0%", "40.0", "900"]
