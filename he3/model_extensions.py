@@ -89,7 +89,7 @@ def _stretches() -> list[FloatArray]:
 def _cost(extension: Extension, u: FloatArray) -> float:
     """Minus the log likelihood and the log prior of the further parameters."""
     further = u[len(extension.likelihood.default.parameters()) :]
-    return extension.likelihood.cost(extension.medians + extension.factors * u)[0] + 0.5 * float(further @ further)
+    return extension.likelihood.value(extension.medians + extension.factors * u) + 0.5 * float(further @ further)
 
 
 def _extension(

@@ -106,7 +106,8 @@ def test_the_gradient_is_that_of_the_likelihood(noise: bool, stretch: bool, cent
         kernel, squared_distances(places, places), values - 7.0, None, 0.01, np.empty((0, 2)), places, noise, stretch
     )
     theta = np.array([*np.log(list(kernel.parameters().values())), *[-1.5] * noise, *centre[: 2 * stretch]])
-    _, gradient = problem.cost(theta)
+    cost, gradient = problem.cost(theta)
+    assert problem.value(theta) == pytest.approx(cost)
     for number in range(len(theta)):
         step = np.zeros(len(theta))
         step[number] = 1e-5
