@@ -63,13 +63,15 @@ def build_region(
         with opened(name, table, base) as source:
             found = sample(source, plane, margin if name == "elevation_m" else 0, slopes=name == "elevation_m")
             sampled[name] = found
-            holes = f"; {found.filled.mean():.2%} of it filled" if found.filled.any() else ""
+            how = "not known" if table.mask_holes else "filled"
+            holes = f"; {found.filled.mean():.2%} of it {how}" if found.filled.any() else ""
             origins.append(LayerOrigin(
                 layer=name, kind=OriginKind(table.kind), file=source.name, sha256=found.sha256, window=found.window,
                 product_id=source.product_id, citation=table.citation,
                 source=f"{table.source}, pixels of {found.pixel_m:.4g} m{holes}",
             ))  # fmt: skip
-    rocks = _rock_abundance(sampled.get("rock_abundance"))
+    masked = {str(layer): sampled[layer].filled for layer, table in recipe.layers.items() if table.mask_holes}
+    rocks = _rock_abundance(sampled.get("rock_abundance"), masked.pop("rock_abundance", None))
     terrain = _terrain(recipe, sampled["elevation_m"], margin, rocks)
     measured: dict[str, FloatArray] = {name: found.values for name, found in sampled.items() if name not in _GROUND}
     for name, values in measured.items():
@@ -89,7 +91,16 @@ def build_region(
     }  # fmt: skip
     if rocks is not None:
         maps["rock_abundance"] = rocks
-    filled = _filled(sampled, margin)
+    if masked:
+        unknown = np.logical_or.reduce(list(masked.values()))
+        if unknown.all():
+            raise InvalidInput("expected values of the field somewhere in the site, got missing ones alone")
+        maps["he3_ppb"] = np.where(unknown, np.nan, chemistry.he3_ppb)
+        maps["traversable"] = terrain.traversable & ~unknown
+        maps |= {name: np.where(holes, np.nan, maps[name]) for name, holes in masked.items() if name in maps}
+    filled = _filled(
+        {str(name): sampled[name] for name, table in recipe.layers.items() if not table.mask_holes}, margin
+    )
     if filled.any():
         maps["filled"] = filled
         origins.append(LayerOrigin(layer="filled", kind=OriginKind.DERIVED, source="cells that rest on filled holes"))
@@ -106,12 +117,13 @@ def margin_cells(recipe: Recipe) -> int:
     return math.ceil(constants.RELIEF_WINDOW_M / 2 / recipe.resolution_m)
 
 
-def _rock_abundance(sampled: Sampled | None) -> FloatArray | None:
-    """Share of each cell under rocks, 0 to 1; None without the layer."""
+def _rock_abundance(sampled: Sampled | None, unknown: BoolArray | None) -> FloatArray | None:
+    """Share of each cell under rocks, 0 to 1, NaN where it is not known; None without the layer."""
     if sampled is None:
         return None
     expect_measured("layer rock_abundance", sampled.values, -_OVERSHOOT, 1.0 + _OVERSHOOT)
-    return np.clip(sampled.values, 0.0, 1.0)
+    rocks: FloatArray = np.clip(sampled.values, 0.0, 1.0)
+    return rocks if unknown is None else np.where(unknown, np.nan, rocks)
 
 
 def _terrain(recipe: Recipe, sampled: Sampled, margin: int, rocks: FloatArray | None) -> Terrain:

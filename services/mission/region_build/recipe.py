@@ -42,6 +42,8 @@ class SourceTable(Table):
     zero_is_missing: bool = False
     fill_holes: bool = False
     """Whether missing values are filled from those around them; the region marks such cells."""
+    mask_holes: bool = False
+    """Whether nothing is known where values are missing: the field has no reference there, or rocks close nothing."""
     kind: Literal["real", "synthetic", "derived"] = "real"
     source: Annotated[Words, Field(min_length=1)]
     """Short description of the source, for reports."""
@@ -95,6 +97,11 @@ class Recipe(Table):
         layers, chemistry = self.layers, self.chemistry
         if "elevation_m" not in layers:
             raise ValueError("expected a layer elevation_m, got none")
+        if layers["elevation_m"].mask_holes:
+            raise ValueError("expected heights everywhere, got mask_holes of layer elevation_m; fill_holes fills them")
+        for name, table in layers.items():
+            if table.mask_holes and table.fill_holes:
+                raise ValueError(f"expected fill_holes or mask_holes of layer {name}, got both")
         if "he3_ppb" in layers:
             return self
         measured = "iron_wt" in layers or "titanium_wt" in layers

@@ -32,7 +32,7 @@ class Sampled:
 
     values: FloatArray
     filled: BoolArray
-    """Cells that rest on filled holes."""
+    """Cells that rest on holes, which are filled."""
     source_slope_deg: FloatArray | None
     """For elevation: the slope [deg] of the raster itself in the pixels that each cell touches."""
     pixel_m: float
@@ -62,7 +62,7 @@ def sample(source: Source, plane: SitePlane, margin: int = 0, *, slopes: bool = 
     touched = ndimage.binary_dilation(missing, np.ones((4, 4), dtype=np.bool_), origin=(-1, -1))
     near = np.clip(np.floor(rows).astype(np.intp), 0, None), np.clip(np.floor(columns).astype(np.intp), 0, None)
     holes: BoolArray = touched[np.minimum(near[0], touched.shape[0] - 1), np.minimum(near[1], touched.shape[1] - 1)]
-    if holes.any() and not source.table.fill_holes:
+    if holes.any() and not (source.table.fill_holes or source.table.mask_holes):
         raise InvalidInput(
             f"{source.name}: layer {source.layer}: expected values everywhere in the site, got missing ones below "
             f"{cells_where(holes)}; fill_holes = true fills and marks them"

@@ -379,6 +379,32 @@ def test_a_hole_is_refused_with_its_place_or_filled_and_marked(tmp_path: Path, m
     assert "of it filled" in document.layers["elevation_m"].source
 
 
+def test_a_hole_that_is_masked_has_no_reference_is_closed_and_says_so(tmp_path: Path) -> None:
+    plain(tmp_path)
+    field = np.full((96, 96), 8.0) + 0.01 * np.arange(96)
+    field[46:49, 47:50] = np.nan
+    plain(tmp_path, field, name="field.tif")
+    rocks = np.full((96, 96), 0.004)
+    rocks[:, :48] = np.nan
+    plain(tmp_path, rocks, name="rocks.tif")
+    document = recipe(LAT, LON)
+    document["layers"] |= {
+        name: {"file": f"{file}.tif", "source": "made", "mask_holes": True}
+        for name, file in (("he3_ppb", "field"), ("rock_abundance", "rocks"))
+    }
+    region = build(document, tmp_path)
+    assert region.known is not None
+    assert 0.01 < 1.0 - region.known.mean() < 0.1
+    assert np.array_equal(region.traversable, region.known)
+    assert np.isfinite(region.orbital_ppb).all()
+    layers = read_document(tmp_path / "out").layers
+    assert "of it not known" in layers["he3_ppb"].source
+    assert "filled" not in layers
+    document["layers"]["elevation_m"] = document["layers"]["elevation_m"] | {"mask_holes": True}
+    with pytest.raises(InvalidInput, match="expected heights everywhere, got mask_holes of layer elevation_m"):
+        build(document, tmp_path)
+
+
 @pytest.mark.parametrize("offset", [(60, 0), (0, 60), (-60, 0), (0, -60)])
 def test_ground_beyond_the_edge_of_a_raster_is_not_invented(tmp_path: Path, offset: tuple[int, int]) -> None:
     plain(tmp_path)
