@@ -21,7 +21,7 @@ from services.console.campaign.task import DONE, FAILED, LOST, Reply, Task
 
 WORK = '''
 """Work of a test."""
-import os, pathlib, signal
+import os, pathlib, signal, weakref
 from he3.errors import He3Error
 
 def work(arguments):
@@ -37,6 +37,18 @@ def work(arguments):
     print("heard by nobody")
     env = {name: os.environ[name] for name in ("PYTHONHASHSEED", "LC_ALL", "OPENBLAS_NUM_THREADS")}
     return {"square": number**2, "hash": hash("he3"), "text": f"{1.5:n}", **env}
+
+class Circle:
+    made = []
+
+    def __init__(self):
+        self.itself = self
+        Circle.made.append(weakref.ref(self))
+
+def circle(arguments):
+    left = sum(each() is not None for each in Circle.made)
+    Circle()
+    return {"left": left}
 
 def nan(arguments):
     return {"figure": float("nan")}
@@ -57,6 +69,12 @@ def tasks_of(work: Path, numbers: Iterator[int] | range | list[int], function: s
         Task(f"work_of_a_test:{function}", {"number": n, "folder": str(work / "log")}, software, {"seed": n})
         for n in numbers
     ]
+
+
+def test_a_worker_keeps_nothing_of_the_tasks_before(work: Path) -> None:
+    with Store(work / "s.sqlite", write=True) as store, LocalEngine(1) as engine:
+        run(tasks_of(work, range(4), "circle"), store, engine)
+        assert [row.result for row in store.rows()] == [{"left": 0}] * 4
 
 
 def test_every_task_has_its_row_although_workers_die_and_none_is_computed_twice(
