@@ -1077,7 +1077,7 @@ def test_the_page_says_who_is_silent_and_greys_what_is_no_longer_known(browser: 
 
 
 @pytest.mark.exhaustive
-def test_a_plan_waits_on_the_page_until_it_is_approved_without_a_sample(browser: Any, tmp_path: Path) -> None:
+def test_a_plan_waits_on_the_page_until_it_is_approved_with_other_samples(browser: Any, tmp_path: Path) -> None:
     endpoints = free_endpoints()
     scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "short.toml"
     flags = ("--rate", str(RATE), "--set", "ground.approval=operator")
@@ -1089,6 +1089,37 @@ def test_a_plan_waits_on_the_page_until_it_is_approved_without_a_sample(browser:
         proposal = until(other.proposed_plan, "a plan")
         browser.get(where)
         until(lambda: "waits for approval" in written(browser, "#plan-title"), "the plan on the page")
+        places = "it.map.proposal.samples.map(({x_m, y_m}) => [x_m, y_m])"
+        before = in_module(browser, "layers.js", places)
+        assert before == [pytest.approx([each.x_m, each.y_m], abs=0.05) for each in proposal.plan.samples]
+        # The first one is dragged, as an operator drags; one more is set by keyboard, where the cross-hair is.
+        chains = pytest.importorskip("selenium.webdriver").ActionChains(browser)
+        map_ = browser.find_element("id", "map")
+        script(browser, "arguments[0].scrollIntoView({block: 'center'})", map_)
+        width, height = script(
+            browser, "const b = arguments[0].getBoundingClientRect(); return [b.width, b.height]", map_
+        )
+        x, y = in_module(browser, "layers.js", f"it.map.at({before[0][0]}, {before[0][1]})")
+        chains.move_to_element_with_offset(map_, round(x - width / 2), round(y - height / 2)).click_and_hold()
+        chains.move_by_offset(8, -6).move_by_offset(12, -9).release().perform()
+        until(lambda: in_module(browser, "layers.js", places)[0] != before[0], "the sample elsewhere")
+        press(browser, "a")
+        in_module(browser, "layers.js", f"(it.map.cross = [{before[1][0]}, {before[1][1]} - 1]) && null")
+        press(browser, "Enter")
+        until(lambda: len(in_module(browser, "layers.js", places)) == len(before) + 1, "one sample more")
+        for axis, value in zip(("x", "y"), before[0], strict=True):
+            write(browser, f"#plan-samples li:nth-child(1) .{axis}", f"{value + 1:.1f}")
+            browser.switch_to.active_element.send_keys(ENTER)
+        assert not browser.find_element("id", "plan-approve").is_enabled()
+        wanted = in_module(browser, "layers.js", places)
+        click(browser, "#plan-check")
+        until(lambda: written(browser, "#plan-note").startswith("Checked"), "the ways that the ground has found")
+        revised = other.proposed_plan()
+        assert revised is not None
+        assert [[each.x_m, each.y_m] for each in revised.plan.samples] == wanted
+        assert ", was " in written(browser, "#plan-facts")
+        assert other.commands() == ()
+        proposal = revised
         click(browser, "#plan-samples li:nth-child(2) input")
         click(browser, "#plan-approve")
         until(lambda: other.proposed_plan() is None, "the decision")

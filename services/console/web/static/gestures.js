@@ -4,10 +4,11 @@ const SLOP_PX = { mouse: 4, pen: 6, touch: 10 }; // how far a pointer may move a
 const WHEEL = .0016, PINCH = .012;               // of ln(zoom) a pixel of the wheel; of a pinch on a touchpad
 const LINE_PX = 16, CLICK_AFTER_MS = 400;
 
-// `target` has zoomBy(factor, px, py), panBy(dx, dy), take(px, py, event), hover(px, py, event) and isWhole().
+// `target` has zoomBy(factor, px, py), panBy(dx, dy), take(px, py, event), hover(px, py, event) and isWhole(); and
+// grab(px, py, kind), which gives what a drag from there moves (null: the map), and dragStop(grabbed, px, py).
 export function follow(canvas, target) {
   const pointers = new Map();
-  let dragging = false, draggedAt = -Infinity, pinched = null;
+  let dragging = false, draggedAt = -Infinity, pinched = null, grabbed = null;
 
   const inside = (event) => {
     const box = canvas.getBoundingClientRect();
@@ -24,8 +25,15 @@ export function follow(canvas, target) {
     if (!pointers.size) { dragging = false; draggedAt = -Infinity; }
     const at = inside(event);
     pointers.set(event.pointerId, { at, began: at, kind: event.pointerType });
+    grabbed = pointers.size === 1 ? target.grab(...at, event.pointerType) : null;
     if (pointers.size === 2) { pinched = pinch(); dragging = true; }
   });
+
+  // A finger on something that can be moved does not scroll the page.
+  canvas.addEventListener("touchstart", (event) => {
+    const at = event.touches.length === 1 ? inside(event.touches[0]) : null;
+    if (at && target.grab(...at, "touch") !== null) event.preventDefault();
+  }, { passive: false });
 
   canvas.addEventListener("pointermove", (event) => {
     const at = inside(event), pointer = pointers.get(event.pointerId);
@@ -42,8 +50,9 @@ export function follow(canvas, target) {
         dragging = true;
         target.hover(null);
         canvas.setPointerCapture?.(event.pointerId);
-        target.panBy(at[0] - pointer.began[0], at[1] - pointer.began[1]);
-      } else if (dragging) target.panBy(at[0] - x, at[1] - y);
+        if (grabbed === null) target.panBy(at[0] - pointer.began[0], at[1] - pointer.began[1]);
+      } else if (dragging && grabbed === null) target.panBy(at[0] - x, at[1] - y);
+      if (dragging && grabbed !== null) target.dragStop(grabbed, ...at);
     }
     canvas.classList.toggle("dragging", dragging);
   });
@@ -51,7 +60,9 @@ export function follow(canvas, target) {
   const release = (event) => {
     if (!pointers.delete(event.pointerId) || pointers.size) return;
     if (dragging) draggedAt = performance.now();
+    else if (grabbed !== null && event.pointerType === "touch" && event.type === "pointerup") target.take(...inside(event), event); // it gets no click
     dragging = false;
+    grabbed = null;
     canvas.classList.remove("dragging");
   };
   canvas.addEventListener("pointerup", release);

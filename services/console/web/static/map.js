@@ -32,7 +32,9 @@ export class SiteMap {
     this.preview = null;        // the way of a command that is not sent yet
     this.pointed = null;        // where the rover was at the moment that is pointed at on the timeline
     this.rehearsed = null;      // [{ tracks, colour }] of the flights of a rehearsal
-    this.proposal = null;       // { path, samples, dropped } of the plan that waits for approval
+    this.proposal = null;       // { path, checked, samples, selected, editable } of the plan that waits for approval
+    this.onStop = () => {};     // called with the number of a stop of that plan, and where it was dragged to; null: it was chosen
+    this.adding = false;        // whether a place that is taken is a further stop of that plan
     this.drawing = false;
     this.measuring = false;
     this.show = { paths: true, samples: true };
@@ -120,17 +122,39 @@ export class SiteMap {
   hover(px, py, event) {
     if (px === null) { this.onHover(null); return; }
     const sample = this.sampleNear(px, py, NEAR_PX.mouse);
-    this.canvas.classList.toggle("on-sample", sample !== null && !this.drawing && !this.measuring);
+    this.canvas.classList.toggle("on-sample", sample !== null && !this.picks);
+    this.canvas.classList.toggle("on-stop", this.grab(px, py) !== null);
     this.onHover(this.place(px, py), [px, py], event, sample);
+  }
+
+  // The number of the plan's stop under a pointer, which a drag then moves; null if there is none.
+  grab(px, py, kind) {
+    if (!this.proposal?.editable || this.drawing || this.measuring || this.adding) return null;
+    let nearest = null, best = NEAR_PX[kind] ?? NEAR_PX.mouse;
+    this.proposal.samples.forEach(({ x_m, y_m }, index) => {
+      const [x, y] = this.at(x_m, y_m), away = Math.hypot(x - px, y - py);
+      if (away <= best) { best = away; nearest = index; }
+    });
+    return nearest;
+  }
+
+  dragStop(index, px, py) {
+    const { left, right, top, bottom } = this.projection.box, place = this.place(clamp(px, left, right), clamp(py, top, bottom));
+    if (place && this.proposal) this.onStop(index, place);
   }
 
   take(px, py, event) {
     const place = this.place(px, py);
     if (!place) return;
     this.cross = null;
-    const near = this.drawing || this.measuring ? null : this.sampleNear(px, py, NEAR_PX[event.pointerType] ?? NEAR_PX.mouse);
+    const stop = this.grab(px, py, event.pointerType);
+    if (stop !== null) this.onStop(stop, null);
+    const near = this.picks ? null : this.sampleNear(px, py, NEAR_PX[event.pointerType] ?? NEAR_PX.mouse);
     this.choose(near ? [near.x_m, near.y_m] : place, near?.sample_id ?? null);
   }
+
+  // Whether places are picked for something, so that no sample is selected.
+  get picks() { return this.drawing || this.measuring || this.adding; }
 
   sampleNear(px, py, within) {
     let nearest = null, best = within;
@@ -142,10 +166,10 @@ export class SiteMap {
   }
 
   choose(place, sample = null) {
-    const what = this.drawing ? "corner" : this.measuring ? "leg" : "place";
+    const what = this.drawing ? "corner" : this.measuring ? "leg" : this.adding ? "stop" : "place";
     if (what === "corner") this.draft.push(place);
     else if (what === "leg") this.legs.push(place);
-    else { this.chosen = place; this.sample = sample; }
+    else if (what === "place") { this.chosen = place; this.sample = sample; }
     for (const callback of this.onPlace) callback(place, what);
     this.draw();
   }
@@ -174,7 +198,7 @@ export class SiteMap {
       this.onSay("whole site");
     } else if (event.key === "Enter" || event.key === " ") {
       const place = this.cursor, [px, py] = this.at(...place);
-      const near = this.drawing || this.measuring ? null : this.sampleNear(px, py, NEAR_PX.mouse);
+      const near = this.picks ? null : this.sampleNear(px, py, NEAR_PX.mouse);
       this.choose(near ? [near.x_m, near.y_m] : place, near?.sample_id ?? null);
     } else return;
     event.preventDefault();

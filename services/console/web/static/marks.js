@@ -101,16 +101,32 @@ export function rehearsed(context, projection, colour, forecasts) {
   context.restore();
 }
 
-export function proposed(context, projection, colour, proposal) {
-  undecided(context, projection, colour, proposal.path);
-  for (const { sample_id, x_m, y_m } of proposal.samples) {
-    const [x, y] = projection.at(x_m, y_m), dropped = proposal.dropped.has(sample_id);
-    context.fillStyle = dropped ? "rgb(0 0 0 / 70%)" : colour("--preview");
-    context.strokeStyle = dropped ? colour("--preview") : "#000";
-    context.lineWidth = 1.4;
-    context.fillRect(x - 4.5, y - 4.5, 9, 9);
-    context.strokeRect(x - 4.5, y - 4.5, 9, 9);
+// The plan that waits: its way, straight and thin while the ground has not found it, and its numbered stops.
+export function proposed(context, projection, colour, { path, checked, samples: stops, selected, editable }) {
+  if (checked) undecided(context, projection, colour, path);
+  else {
+    line(context, projection, path, 3, "rgb(0 0 0 / 60%)", [2, 6]);
+    line(context, projection, path, 1.6, colour("--preview"), [2, 6]);
   }
+  const half = editable ? 8 : 4.5;
+  stops.forEach(({ x_m, y_m, taken }, index) => {
+    const [x, y] = projection.at(x_m, y_m);
+    context.fillStyle = taken ? colour("--preview") : "rgb(0 0 0 / 70%)";
+    context.strokeStyle = taken ? "#000" : colour("--preview");
+    context.lineWidth = 1.4;
+    context.fillRect(x - half, y - half, 2 * half, 2 * half);
+    context.strokeRect(x - half, y - half, 2 * half, 2 * half);
+    if (index === selected) {
+      context.strokeStyle = "#fff";
+      context.lineWidth = 2.2;
+      context.strokeRect(x - half - 3, y - half - 3, 2 * half + 6, 2 * half + 6);
+    }
+    if (!editable) return;
+    context.fillStyle = taken ? "#000" : colour("--preview");
+    context.font = "700 11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.fillText(`${index + 1}`, x, y + 4);
+  });
 }
 
 export function area(context, projection, colour, { corners, kind, name, selected }) {
