@@ -1,7 +1,8 @@
 """Take the pictures of the operator's page in docs/images: `.venv/bin/python scripts/page_pictures.py`.
 
 Runs the mission t1 in lockstep to its 75th sample, sends a few telecommands, and takes the page on a laptop and on a
-phone, dark and light. Needs a Chromium and its driver (Debian: chromium, chromium-driver).
+phone, dark and light, with a command stack; then t1 with approval by an operator, for the review of a plan. Needs a
+Chromium and its driver (Debian: chromium, chromium-driver).
 """
 
 from __future__ import annotations
@@ -111,12 +112,13 @@ def take(
         print(path.relative_to(ROOT), f"{whole.width} x {whole.height}", file=sys.stderr)
 
 
-def main() -> None:
-    """Fly, serve, take the pictures."""
+@contextmanager
+def page(*mission: str, fly: Callable[[], None]) -> Iterator[webdriver.Chrome]:
+    """The page of that mission in a browser, once it is flown."""
     chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
     if chromium is None or chromedriver is None:
         raise SystemExit("page_pictures: expected chromium and chromedriver on the path")
-    with running("up", "t1", "--lockstep", "--quiet"), tempfile.TemporaryDirectory() as profile:
+    with running("up", *mission, "--quiet"), tempfile.TemporaryDirectory() as profile:
         wait_for(lambda: samples() >= 0, "a mission")
         with running("web", "--port", "0", "--authority") as server:
             assert server.stderr is not None
@@ -138,18 +140,73 @@ def main() -> None:
                 driver.get(address[0])
                 wait_for(lambda: driver.find_element("id", "rover-facts").text, "the page")
                 driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", LAPTOP)
-                take(driver, "web-laptop-dark", LAPTOP, "dark", "sample=r08s2", LAPTOP_PIXELS)
-                take(driver, "web-laptop-light", LAPTOP, "light", "layer=std&at=330,120", LAPTOP_PIXELS)
-                swipe, measured = (
-                    "compare=swipe&with=error&relief=1",
-                    "zoom=2.6&centre=130,240&measure=60,190,90,300,190,320",
-                )
-                take(driver, "web-map-swipe", LAPTOP, "dark", swipe, LAPTOP_PIXELS, ".map-card")
-                take(driver, "web-map-zoom", LAPTOP, "light", f"{measured}&relief=1", LAPTOP_PIXELS, ".map-card")
-                take(driver, "web-phone-dark", PHONE, "dark", "zoom=2&centre=150,250&sample=r08s2", PHONE_PIXELS)
-                take(driver, "web-phone-light", PHONE, "light", "layer=exceedance&threshold=8.5", PHONE_PIXELS)
+                yield driver
             finally:
                 driver.quit()
+
+
+STACK = """# The boulders are closed before the rover drives on.
+pause
+after accepted: keep-out boulders-2 420,380 450,390 430,410
+at next contact: resume
+"""
+
+
+def fly_under_review() -> None:
+    """Approve plans until the map has some samples; the next plan then waits."""
+    wait_for(lambda: approved_until(12), "samples")
+    wait_for(lambda: "proposal" in he3("plan", "show"), "a plan that waits")
+    he3("time", "rate", f"{SPEED}")
+
+
+def approved_until(count: int) -> bool:
+    """Approve the plan that waits, if one does; returns whether the map has that many samples."""
+    if "proposal" in he3("plan", "show"):
+        he3("plan", "approve")
+    return samples() >= count
+
+
+EDIT = """
+const done = arguments[0];
+import('/static/layers.js').then(async ({map}) => {
+  const [x, y] = [map.proposal.samples[1].x_m, map.proposal.samples[1].y_m];
+  map.onStop(1, [x - 3, y + 3]);
+  document.getElementById('plan-add').click();
+  map.choose([x - 20, y - 12]);
+  document.getElementById('plan-add').click();
+  done();
+});
+"""
+
+
+def main() -> None:
+    """Fly, serve, take the pictures."""
+    with page("t1", "--lockstep", fly=fly) as driver:
+        views(driver)
+    with page("t1", "--rate", "2000", "--set", "ground.approval=operator", fly=fly_under_review) as driver:
+        wait_for(lambda: driver.find_element("id", "plan-samples").text, "the plan on the page")
+        driver.execute_async_script(EDIT)
+        take(driver, "web-plan-review", LAPTOP, "dark", "", 1000)
+
+
+def views(driver: webdriver.Chrome) -> None:
+    """The page's views of a mission under way."""
+    driver.execute_script(
+        "const t = document.getElementById('stack-text'); t.value = arguments[0];"
+        "t.dispatchEvent(new Event('input')); document.getElementById('stack-check').click()",
+        STACK,
+    )
+    take(driver, "web-laptop-dark", LAPTOP, "dark", "sample=r08s2", LAPTOP_PIXELS)
+    take(driver, "web-laptop-light", LAPTOP, "light", "layer=std&at=330,120", LAPTOP_PIXELS)
+    swipe, measured = (
+        "compare=swipe&with=error&relief=1",
+        "zoom=2.6&centre=130,240&measure=60,190,90,300,190,320",
+    )
+    take(driver, "web-map-swipe", LAPTOP, "dark", swipe, LAPTOP_PIXELS, ".map-card")
+    take(driver, "web-map-zoom", LAPTOP, "light", f"{measured}&relief=1", LAPTOP_PIXELS, ".map-card")
+    take(driver, "web-phone-dark", PHONE, "dark", "zoom=2&centre=150,250&sample=r08s2", PHONE_PIXELS)
+    take(driver, "web-phone-light", PHONE, "light", "layer=exceedance&threshold=8.5", PHONE_PIXELS)
+    take(driver, "web-stack", LAPTOP, "light", "", LAPTOP_PIXELS, "section:has(#stack-text)")
 
 
 if __name__ == "__main__":

@@ -1089,6 +1089,15 @@ def test_a_plan_waits_on_the_page_until_it_is_approved_with_other_samples(browse
         proposal = until(other.proposed_plan, "a plan")
         browser.get(where)
         until(lambda: "waits for approval" in written(browser, "#plan-title"), "the plan on the page")
+        two = "it.stopsOf({samples: [{sample_id: 'a', x_m: 10, y_m: 0}, {sample_id: 'b', x_m: 20, y_m: 0}]})"
+        for change, names in (
+            ("it.inserted(stops, [0, 0], [15, 1])", ["a", "new 1", "b"]),  # where it makes the way the least longer
+            ("it.inserted(stops, [0, 0], [29, 1])", ["a", "b", "new 1"]),
+            ("it.shifted(stops, 1, -1)", ["b", "a"]),
+            ("it.taken(it.ticked(stops, 0, false))", ["b"]),
+        ):
+            found = in_module(browser, "planstops.js", f"((stops) => {change})({two}).map(({{name}}) => name)")
+            assert found == names
         places = "it.map.proposal.samples.map(({x_m, y_m}) => [x_m, y_m])"
         before = in_module(browser, "layers.js", places)
         assert before == [pytest.approx([each.x_m, each.y_m], abs=0.05) for each in proposal.plan.samples]
