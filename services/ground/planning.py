@@ -285,8 +285,14 @@ def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) 
         ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values)
         request = replace(request, std_ppb=ahead.std_ppb)
     if isinstance(planner, str):
-        return planner_named(planner)(request)
-    return checked_answer(getattr(planner, "__name__", type(planner).__name__), planner(request), request)
+        planned = planner_named(planner)(request)
+    else:
+        planned = checked_answer(getattr(planner, "__name__", type(planner).__name__), planner(request), request)
+    if request.goal is None or planned.forecast is not None:
+        return planned
+    from services.ground.planners.tour.covering import foreseen
+
+    return replace(planned, forecast=foreseen(request, request.goal))
 
 
 def _places(samples: Sequence[PlannedSample]) -> FloatArray:

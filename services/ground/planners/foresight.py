@@ -8,12 +8,18 @@ from schemas.ground import GoalForecast
 
 
 def forecast_of(
-    samples: int, metres: float, worst_ppb: float, std_ppb: float, samples_left: int, budget_m: float
+    samples: int,
+    metres: float,
+    worst_ppb: float,
+    std_ppb: float,
+    samples_left: int,
+    budget_m: float,
+    unit: str = "m",
 ) -> GoalForecast:
     """What a planner foresees, in words, too.
 
     samples, metres: what its design for the goal takes; worst_ppb: the greatest standard deviation that it leaves
-    [ppb], above the goal `std_ppb` if all samples that are left do not suffice.
+    [ppb], above the goal `std_ppb` if all samples that are left do not suffice; unit: of metres and budget.
     """
     enough = worst_ppb <= std_ppb
     reachable = enough and samples <= samples_left and metres <= budget_m
@@ -21,9 +27,9 @@ def forecast_of(
     if not enough:
         text = f"with the {samples_left} samples left the greatest std is about {worst_ppb:.3f} ppb"
     elif metres > budget_m:
-        text = f"it takes about {takes} and {metres:,.0f} m, of {budget_m:,.0f} m left"
+        text = f"it takes about {takes} and {metres:,.0f} {unit}, of {budget_m:,.0f} {unit} left"
     else:
-        text = f"it takes about {takes} and {metres:,.0f} m"
+        text = f"it takes about {takes} and {metres:,.0f} {unit}"
     return GoalForecast(
         samples=samples if enough else None,
         metres=metres if enough else None,

@@ -12,6 +12,7 @@ import numpy as np
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, as_points, path_length
+from schemas.ground import GoalForecast
 from services.ground.planners.interface import PlannedRound, PlanningRequest
 from services.ground.planners.traversability import open_ground
 
@@ -45,6 +46,9 @@ def checked_answer(name: str, answer: object, request: PlanningRequest) -> Plann
     outlook = None if answer.outlook_m is None else _points(name, "outlook_m", answer.outlook_m)
     if outlook is not None and not request.grid.contains(outlook).all():
         raise InvalidInput(f"planner {name}: expected outlook_m within the region, got places outside")
+    forecast: object = answer.forecast  # a plug-in may have put anything there
+    if forecast is not None and not isinstance(forecast, GoalForecast):
+        raise InvalidInput(f"planner {name}: expected a forecast of the goal or None, got {type(forecast).__name__}")
     nats = answer.information_nats
     if not (isinstance(nats, (float, int, np.floating)) and isfinite(nats) and nats >= -ROUNDING_NATS):
         raise InvalidInput(f"planner {name}: expected information_nats of 0 or more, got {nats!r}")

@@ -10,13 +10,20 @@ import pytest
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.reference import Region
+from schemas.commands import NoParameters
 from schemas.ground import MissionPhase
+from schemas.mission_log import LogKind
+from schemas.topics import SHOW_LOG
 from services.ground.belief import Belief
 from services.ground.fitting import fit
 from services.ground.goal import MissionGoal
 from services.ground.observation import Observation
+from services.ground.planners.foresight import forecast_of
+from services.ground.planners.interface import PlannedRound
+from services.ground.state_types import STATE_TYPES
 from services.mission.in_process import InProcessMission, build_nodes
 from services.mission.scenario import Scenario, checked_scenario
+from services.runtime.state_codec import StateCodec
 
 GRID = SiteGrid(30, 40, 5.0)
 
@@ -78,6 +85,20 @@ def test_the_goal_holds_when_the_greatest_std_of_the_map_is_below_it_and_the_hyp
     assert 0.0 < (below.share or 0.0) < 1.0
 
 
+def test_what_a_checkpoint_keeps_of_it_is_restored() -> None:
+    belief = sampled(4)
+    goal, again = (MissionGoal(scenario({"std_ppb": 0.9}), GRID, belief) for _ in range(2))
+    goal.holds()
+    planned = PlannedRound(np.zeros((1, 2)), np.zeros((1, 2)), 0.0, None, forecast_of(9, 50.0, 0.8, 0.9, 9, 40.0))
+    assert [note.text for note in goal.planned(planned, 0)] == goal.checkpoint()["news"][-1:]
+    codec = StateCodec(STATE_TYPES)
+    again.restore(codec.decode(codec.encode(goal.checkpoint())))
+    assert again.status() == goal.status()
+    assert again.news() == goal.news()
+    told = codec.decode(codec.encode(goal.for_planners))
+    assert told.std_ppb == 0.9
+
+
 def test_before_the_first_refit_nothing_holds() -> None:
     goal = MissionGoal(scenario({"std_ppb": 900.0}), GRID, Belief(GRID, "se", 0.1))
     assert not goal.holds()
@@ -136,4 +157,6 @@ def test_a_mission_ends_as_soon_as_its_goal_holds() -> None:
     assert status.goal is not None
     assert status.goal.holds
     assert 4 <= status.samples < 32
+    forecast = [entry for entry in mission.ask(SHOW_LOG, NoParameters()).entries if entry.kind is LogKind.GOAL]
+    assert forecast[-1].text == status.goal.text
     assert status.detail.startswith(f"{status.samples} of 32 samples are in the map; the goal holds: std at most 0.8")

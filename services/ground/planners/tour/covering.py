@@ -20,10 +20,12 @@ import numpy as np
 
 from he3.certificate import Targets
 from he3.cover import CoverProblem
+from he3.i_optimal_design import field_nodes
 from he3.mixture import alternatives_of, heaviest_of
 from he3.tsp import short_tour
 from services.ground.planners.foresight import forecast_of
 from services.ground.planners.tour.design import length_gradient, shorter_order
+from services.ground.planners.tour.site import reachable_site
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -72,13 +74,28 @@ def covering(request: PlanningRequest, goal: PlanningGoal, site: Site, budget_m:
     places, worst = cover(kernels, goal, site, sampled, left, _former(request))
     found = worst <= 1.0
     metres = tour_metres(site, places) if found else 0.0
-    forecast = forecast_of(len(places), metres, worst * goal.std_ppb, goal.std_ppb, left, budget_m)
+    unit = "m" if request.cost is None else "level m"
+    forecast = forecast_of(len(places), metres, worst * goal.std_ppb, goal.std_ppb, left, budget_m, unit)
     if not found and len(kernels) > 1:
         places, worst_of_one = cover([heaviest_of(request.hyperparameters)], goal, site, sampled, left, None)
         found = worst_of_one <= 1.0
     if not found or tour_metres(site, places) > budget_m:
         return Covering(None, forecast)
     return Covering(places, forecast)
+
+
+def foreseen(request: PlanningRequest, goal: PlanningGoal) -> GoalForecast:
+    """What a greedy cover takes, for planners that foresee nothing. Raises NoRoute for a rover that is walled in."""
+    nodes = field_nodes(request.grid, request.interest)
+    site = reachable_site(request.grid, request.traversable, request.start_m, nodes, request.cost)
+    kernels = kernels_to_satisfy(request.hyperparameters, goal, request.observed_m)
+    problem = CoverProblem(kernels, request.observed_m, _thinned(goal.targets, TARGETS), goal.std_ppb)
+    places = problem.added(np.zeros((0, 2)), _candidates(site, goal.targets), request.samples_left)
+    worst = float(np.sqrt(max(0.0, 1.0 + problem.excess(places).max())))
+    metres = tour_metres(site, in_order(site, places)) if len(places) and worst <= 1.0 + _ALMOST else 0.0
+    unit = "m" if request.cost is None else "level m"
+    worst_ppb = goal.std_ppb * (1.0 if worst <= 1.0 + _ALMOST else worst)
+    return forecast_of(len(places), metres, worst_ppb, goal.std_ppb, request.samples_left, request.budget_m, unit)
 
 
 def kernels_to_satisfy(
