@@ -140,13 +140,24 @@ def _mapped(asked: Asked, places: FloatArray, metres: float, seconds: float) -> 
     return Survey(places, values, metres, mean, std, seconds + time.perf_counter() - began)
 
 
-def _sklearn(asked: Asked) -> Survey:
+def _sklearn_of_tour(asked: Asked) -> Survey:
     """The samples of `tour` under scikit-learn's best Gaussian process."""
     assert asked.tour is not None
+    return _with_sklearn(asked, asked.tour)
+
+
+def _sklearn_of_cover(asked: Asked, pattern: Callable[[Asked, BoolArray], FloatArray]) -> Survey:
+    """The samples of a cover under scikit-learn's best Gaussian process."""
+    return _with_sklearn(asked, _cover(asked, pattern))
+
+
+def _with_sklearn(asked: Asked, survey: Survey) -> Survey:
     began = time.perf_counter()
-    tour, grid = asked.tour, asked.field.region.grid
-    mean, std, kernel = sklearn_map(grid, tour.places_m, tour.values_ppb, asked.field.noise_std_ppb, asked.seed)
-    return replace(tour, mean_ppb=mean, std_ppb=std, seconds=time.perf_counter() - began, note=kernel)
+    field = asked.field
+    mean, std, kernel = sklearn_map(
+        field.region.grid, survey.places_m, survey.values_ppb, field.noise_std_ppb, asked.seed
+    )
+    return replace(survey, mean_ppb=mean, std_ppb=std, seconds=time.perf_counter() - began, note=kernel)
 
 
 def sklearn_map(
@@ -229,13 +240,15 @@ def with_our_map(asked: Asked, survey: Survey) -> Survey:
 
 METHODS = {
     "tour": Method(partial(_planner, name="tour")),
-    "tour+sklearn": Method(_sklearn, needs_tour=True),
+    "tour+sklearn": Method(_sklearn_of_tour, needs_tour=True),
     "informative": Method(partial(_planner, name="informative")),
     "rrtstar": Method(partial(_planner, name="rrtstar", kernel=PAPER_KERNEL)),
     "rrtstar-own-kernel": Method(partial(_planner, name="rrtstar")),
     "boustrophedon": Method(partial(_cover, pattern=_rows)),
     "hexagonal": Method(partial(_cover, pattern=_lattice)),
     "random": Method(partial(_cover, pattern=_chance)),
+    "hexagonal+sklearn": Method(partial(_sklearn_of_cover, pattern=_lattice)),
+    "random+sklearn": Method(partial(_sklearn_of_cover, pattern=_chance)),
     "sgptools": Method(partial(_sgptools, online=False), needs_tour=True, peer=SGPTOOLS),
     "sgptools-online": Method(partial(_sgptools, online=True), needs_tour=True, peer=SGPTOOLS),
     "pypolo-myopic": Method(partial(_pypolo, strategy="myopic"), peer=PYPOLO, open_ground=True),

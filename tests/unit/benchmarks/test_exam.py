@@ -103,6 +103,18 @@ def test_a_budget_holds_for_a_cover_too(data):
     assert 1 < len(survey.places_m) < 10
 
 
+@pytest.mark.exhaustive
+def test_scikit_learn_maps_the_very_samples_of_a_cover(data):
+    settings = Settings(samples=10, kernel="matern52", likeliest=True, start_m=(20.5, 15.5))
+    asked = Asked(load_field("waves.npy", data), settings, seed=1)
+    for pattern in ("hexagonal", "random"):
+        own, theirs = METHODS[pattern].fly(asked), METHODS[f"{pattern}+sklearn"].fly(asked)
+        assert np.array_equal(own.places_m, theirs.places_m)
+        assert np.array_equal(own.values_ppb, theirs.values_ppb)
+        assert own.metres == theirs.metres
+        assert not np.allclose(own.mean_ppb, theirs.mean_ppb)
+
+
 @pytest.mark.parametrize(
     ("wrong", "why"),
     [
