@@ -156,11 +156,10 @@ def _pictures(outcome: Outcome, region: Region, folder: Path) -> Iterator[tuple[
     """Each picture's file, and what writes it."""
     import numpy as np
 
-    from services.console.report.pictures import MapPicture, map_figure, rmse_figure, save
+    from services.console.report.pictures import MapPicture, map_figure, places_and_path, rmse_figure, save
 
     report = outcome.report
-    samples = np.array([(sample.x_m, sample.y_m) for sample in report.sample_table], dtype=np.float64).reshape(-1, 2)
-    path = np.array(report.path_m, dtype=np.float64).reshape(-1, 2)
+    samples, path = places_and_path(report.sample_table, report.path_m)
     picture = MapPicture(
         title=_title(region, report),
         note=caption(report),

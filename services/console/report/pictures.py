@@ -31,8 +31,11 @@ from services.console.report.mission_report import array_of, remove_part
 from services.runtime.files.output import open_output
 
 if TYPE_CHECKING:
+    from he3.frames import Place
     from he3.reference import Region
     from schemas.ground import MissionTrack
+    from schemas.report import ReportSample
+    from schemas.telemetry import SampleReport
 
 ABUNDANCE = "viridis"
 UNCERTAINTY = "magma"
@@ -246,11 +249,18 @@ LAYER_LABELS = {
 """What the colours of each layer mean, with the unit."""
 
 
+def places_and_path(
+    samples: Sequence[SampleReport | ReportSample], path_m: Sequence[Place]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places of the samples (n, 2) and the path (K, 2) [m], as pictures take them."""
+    places = np.array([(sample.x_m, sample.y_m) for sample in samples], dtype=np.float64).reshape(-1, 2)
+    return places, np.array(path_m, dtype=np.float64).reshape(-1, 2)
+
+
 def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
     """One layer of the live map, with the path driven and the samples."""
     values = array_of(raster)
-    samples = np.array([(sample.x_m, sample.y_m) for sample in track.samples], dtype=np.float64).reshape(-1, 2)
-    path = np.array(track.driven_path_m, dtype=np.float64).reshape(-1, 2)
+    samples, path = places_and_path(track.samples, track.driven_path_m)
     uncertain = raster.layer is MapLayer.STD
     low, high = _scale(values, *STD_PERCENTILES) if uncertain else (float(values.min()), float(values.max()))
     panel = _Panel(
