@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.missions import run_mission
+from benchmarks.missions import START_M, run_mission
 from he3.frames import BoolArray, FloatArray, SiteGrid
 from he3.kernels import AUTO, KERNELS
 from he3.reference import Region
@@ -105,6 +105,6 @@ def test_after_five_equal_values_a_planner_explores_all_the_same(planner: str) -
 def test_on_real_terrain_uniform_ground_round_the_start_does_not_make_the_rest_known() -> None:
     """Steep ground closes in the default start: no sample beyond 6 km can be had, and the map must say so."""
     region = load_region(Path(os.environ["HE3_REAL_DATA"]) / "real/regions/gld_taurus.npz")
-    mission = run_mission(region, "tour", "smooth+rough", 1, rounds=2, samples=5, likeliest=False)
+    mission = run_mission(region, "tour", "smooth+rough", 1, rounds=2, samples=5, likeliest=False, start_m=START_M)
     assert np.ptp(mission.values_ppb) < 1.0, "the ground is uniform"
     assert mission.std_ppb[200:, 200:].min() > 0.5
