@@ -7,8 +7,10 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from multiprocessing import get_context
 from signal import SIG_IGN, SIGINT, signal
 from typing import TYPE_CHECKING, Any, Final
@@ -195,8 +197,8 @@ def rehearse(
             if stop is not None and stop.is_set():
                 raise Stopped("rehearsal: it was stopped")
             for each in done:
-                flights[waiting[each]].append(each.result())
-                on_flight(each.result())
+                flights[waiting[each]].append(_result(each))
+                on_flight(_result(each))
     wall_s = time.monotonic() - began
     return tuple(
         Forecast(
@@ -208,6 +210,13 @@ def rehearse(
         )
         for number, alternative in enumerate(alternatives)
     )
+
+
+def _result(done: Future[Flight]) -> Flight:
+    try:
+        return done.result()
+    except BrokenProcessPool:
+        raise He3Error("rehearsal: expected its processes to go on, got one that has ended") from None
 
 
 @contextmanager
@@ -231,30 +240,29 @@ def _pool(processes: int, start: Start) -> Iterator[ProcessPoolExecutor]:
                 os.environ[name] = value
 
 
-@dataclass(slots=True)
-class _Beginning:
-    """What the flights of a child process begin with."""
-
-    start: Start
-    region: Region
-
-
-_beginnings: list[_Beginning] = []
+_starts: list[Start] = []
+"""In a child process, where its flights begin."""
 
 
 def _begin(start: Start) -> None:
-    """Leave Ctrl-C to the parent, end with it, and keep what every flight begins with."""
+    """Leave Ctrl-C to the parent, end with it, and keep where the flights begin."""
     signal(SIGINT, SIG_IGN)
     end_with_parent()
     os.nice(NICENESS)  # a live mission may run on this machine
-    scenario = scenario_of(start.fork)
-    _beginnings.append(_Beginning(start, load_region(scenario.region, scenario.field.field_seed)))
+    _starts.append(start)
 
 
 def _flown(draw: int, alternative: Alternative) -> Flight:
-    beginning = _beginnings[-1]
+    start = _starts[-1]
+    scenario = scenario_of(start.fork)
+    region = _region(scenario.region, scenario.field.field_seed)
     with MissionExecutor() as executor:  # as in the live mission, no plan depends on those before it
-        return fly(beginning.start, beginning.region, draw, executor, alternative)
+        return fly(start, region, draw, executor, alternative)
+
+
+@cache
+def _region(name: str, field_seed: int) -> Region:
+    return load_region(name, field_seed)
 
 
 def _band(band: Band, text: Callable[[float], str]) -> str:
