@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,8 +28,9 @@ from he3.cover import CoverProblem
 from he3.errors import NoRoute
 from he3.frames import BoolArray, FloatArray, path_length
 from he3.gp import fit_hyperparameters
-from he3.hyperparameters import Hyperparameters
+from he3.hyperparameters import EXTENT_M, Hyperparameters
 from he3.i_optimal_design import field_nodes
+from he3.kernels import SquaredExponential
 from services.ground.planners.interface import PlanningGoal
 from services.ground.planners.tour.covering import cover
 from services.ground.planners.tour.route import route_through
@@ -79,9 +80,16 @@ class CoverTask:
         region = self.field.region
         places = moved_onto(hexagonal(TRAINING, region.grid.width_m, region.grid.height_m), region.grid, self.reached)
         values = region.he3_ppb[region.grid.cells_of(places)] + noise_of(self.seed, TRAINING, self.field.noise_std_ppb)
-        return fit_hyperparameters(
-            places, values, KERNEL, rng=np.random.default_rng(self.seed), noise_std_ppb=self.field.noise_std_ppb,
-            extent_m=max(region.grid.width_m, region.grid.height_m),
+        # On a site of the width for which the search's bounds and starts are made.
+        scale = max(region.grid.width_m, region.grid.height_m) / EXTENT_M
+        fitted = fit_hyperparameters(
+            places / scale, values, KERNEL, rng=np.random.default_rng(self.seed),
+            noise_std_ppb=self.field.noise_std_ppb,
+        )  # fmt: skip
+        learned = fitted.kernel.parameters()
+        return replace(
+            fitted, kernel=SquaredExponential(learned["variance"], scale * learned["length_scale_m"]),
+            log_likelihood=float("nan"),
         )  # fmt: skip
 
     @cached_property
