@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from schemas.wire import MAX_COUNT, Count, Identifier, MissionTimeNs, PersonName, PositionM, Text, Wire
+from schemas.wire import MAX_COUNT, Count, Identifier, MissionTimeNs, PersonName, PositionM, Text, Wire, is_none
 
 Waypoint = tuple[PositionM, PositionM]
 
@@ -74,6 +74,8 @@ class PlanProposal(Wire):
     cost_unit: Literal["m", "h", "Wh"] = "m"
     last: bool
     """Whether no round follows it."""
+    goal: Text | None = Field(default=None, exclude_if=is_none)
+    """How far the map is from the mission's goal, and what that takes from this round on; None without a goal."""
     proposed_at: MissionTimeNs
 
 

@@ -432,7 +432,7 @@ def build_node(
         interests=interests,
         telecommands=TelecommandHandler(scenario, NAME, history, director, authority),
         previews=CommandPreviews(history, terrain, round_log, execution, budget, costs),
-        reviewer=PlanReviewer(planning, budget, costs, director, authority),
+        reviewer=PlanReviewer(planning, budget, costs, director, authority, goal),
         forking=Forking(scenario, terrain, round_log, execution, planning, STATE_TYPES),
         authority=authority,
         operations=OperationsLog(round_log, budget, scenario.link.up.one_way_light_time_s),

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from services.ground.budget import Budget
     from services.ground.director import Director
     from services.ground.driving_costs import DrivingCosts
+    from services.ground.goal import MissionGoal
     from services.ground.planning import RoundPlanning
     from services.ground.round_plans import ProposedRound
     from services.mission.mission_time import MissionTime
@@ -33,12 +34,14 @@ class PlanReviewer:
         costs: DrivingCosts,
         director: Director,
         authority: CommandAuthority,
+        goal: MissionGoal,
     ) -> None:
         self._planning = planning
         self._budget = budget
         self._costs = costs
         self._director = director
         self._authority = authority
+        self._goal = goal
 
     def shown(self) -> PlanReview:
         """The plan that waits, if there is one."""
@@ -48,6 +51,7 @@ class PlanReviewer:
         length_m, count = path_length_m(proposed.plan), len(proposed.plan.samples)
         figures = self._costs.figures(proposed.plan.path_m)
         lasts_s = self._budget.lasts_s(Committed(0.0, count, 1, figures))
+        goal = self._goal.status()
         proposal = PlanProposal(
             proposal=proposed.number,
             plan=proposed.plan,
@@ -58,6 +62,7 @@ class PlanReviewer:
             cost=self._costs.unit.of(figures),
             cost_unit=self._costs.unit.unit,
             last=proposed.task.samples_left <= count,
+            goal=None if goal is None else goal.text,
             proposed_at=proposed.proposed_at,
         )
         return PlanReview(proposal=proposal)

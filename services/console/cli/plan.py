@@ -133,5 +133,6 @@ def plan_lines(proposal: PlanProposal) -> list[str]:
         f"proposal {proposal.proposal}  round {plan.round}{last}, waits since {utc(proposal.proposed_at, 0)}",
         f"    {proposal.length_m:,.1f} m, {len(plan.samples)} samples, {plan.information_nats:.2f} nat, takes {lasts}",
         f"    in motion {duration(proposal.drive_s)}, {proposal.energy_wh:,.1f} Wh with the base load{cost}",
+        *([] if proposal.goal is None else [f"    goal: {proposal.goal}"]),
         *(f"    {sample.sample_id:<10} ({sample.x_m:.1f}, {sample.y_m:.1f}) m" for sample in plan.samples),
     ]

@@ -29,3 +29,9 @@ def test_a_plan_that_waits_is_shown_with_its_figures_and_its_samples() -> None:
 def test_a_plan_that_no_sun_pays_for_says_so() -> None:
     proposal = PlanProposal(proposal=1, plan=PLAN, length_m=1.0, lasts_s=None, last=False, proposed_at=0)
     assert "takes never: the sun does not charge the rover enough" in plan_lines(proposal)[1]
+
+
+def test_a_plan_of_a_mission_with_a_goal_says_how_far_the_goal_is() -> None:
+    goal = "std at most 0.5 ppb everywhere; it takes about 9 more samples and 340 m"
+    proposal = PlanProposal(proposal=1, plan=PLAN, length_m=1.0, lasts_s=1.0, last=False, goal=goal, proposed_at=0)
+    assert f"    goal: {goal}" in plan_lines(proposal)
