@@ -1120,6 +1120,7 @@ def test_a_plan_waits_on_the_page_until_it_is_approved_with_other_samples(browse
             write(browser, f"#plan-samples li:nth-child(1) .{axis}", f"{value + 1:.1f}")
             browser.switch_to.active_element.send_keys(ENTER)
         assert not browser.find_element("id", "plan-approve").is_enabled()
+        assert barriers(browser) == []
         wanted = in_module(browser, "layers.js", places)
         click(browser, "#plan-check")
         until(lambda: written(browser, "#plan-note").startswith("Checked"), "the ways that the ground has found")
@@ -1212,6 +1213,12 @@ def test_no_view_of_the_page_has_a_serious_barrier(browser: Any, address: str, m
     )
     until(lambda: shown(browser).get("other") == "error", "the map")
     script(browser, "for (const each of document.querySelectorAll('details')) each.open = true")
+    script(
+        browser,
+        "const t = document.getElementById('stack-text'); t.value = 'safe\\nresume';"
+        "t.dispatchEvent(new Event('input')); document.getElementById('stack-check').click()",
+    )
+    until(lambda: script(browser, "return document.getElementById('stack-lines').children.length") == 2, "the check")
     press(browser, "Escape", "n")
     until(lambda: browser.find_elements("id", "sample-facts"), "a sample")
     for theme, width in (("dark", 1440), ("light", 390)):
