@@ -71,7 +71,7 @@ def run(
     with session.join() as client:
         stack = StackRun(parse_stack(text, client.clock().start_ns), MissionDesk(client))
         quiet = json and not dry_run
-        checked = [_checked(line, outlook, quiet) for line, outlook in stack.check()]
+        checked = [_checked(stack, line, outlook, quiet) for line, outlook in stack.check()]
         if dry_run:
             _end(client, stack, json, checked)
             return
@@ -106,12 +106,12 @@ def _text(file: Path | None, do: list[str] | None) -> str:
         raise InvalidInput(f"stack: {file}: cannot read: {why}") from None
 
 
-def _checked(line: StackLine, outlook: CommandOutlook, quiet: bool) -> dict[str, Any]:
+def _checked(stack: StackRun, line: StackLine, outlook: CommandOutlook, quiet: bool) -> dict[str, Any]:
     """One command of the check, shown unless `quiet`, as a document."""
     if not quiet:
         typer.echo(f"line {line.number:<3} {line.waits_for}: {line.text}", err=True)
-        for name, text in outlook.rows():
-            if name in ("does", "drive", "energy", "closes", "opens", "rounds", "REFUSED", "WARNING"):
+        for name, text in stack.rows(line, outlook):
+            if name in ("does", "drive", "energy", "closes", "opens", "rounds", "REFUSED", "WARNING", "now"):
                 typer.echo(f"         {name:<8} {text}", err=True)
     return {"line": line.number, "command": line.text, "waits_for": line.waits_for, "outlook": outlook.document()}
 

@@ -234,6 +234,18 @@ class StackRun:
             if why := outlook.preview.objection or warning:
                 raise InvalidInput(f"stack: {line.name}: {why}; nothing was sent")
 
+    def rows(self, line: StackLine, outlook: CommandOutlook) -> list[tuple[str, str]]:
+        """What the command would do, as names and texts for people.
+
+        A warning that commands before it may make void is named as what holds now.
+        """
+        if not self._may_change_before(line):
+            return outlook.rows()
+        return [
+            ("now", f"{text}; what comes before it may change that") if name == "WARNING" else (name, text)
+            for name, text in outlook.rows()
+        ]
+
     def _may_change_before(self, line: StackLine) -> bool:
         """Whether things may be other than they are now when that command's turn comes."""
         before = self.lines[: self.lines.index(line)]

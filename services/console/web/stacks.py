@@ -71,7 +71,7 @@ class PageStacks:
         try:
             run = StackRun(parse_stack(text, self._start_ns()), self._desk())
             for line, outlook in run.check():
-                lines.append({**_line(line), "rows": [list(row) for row in outlook.rows()], "path_m": _path(outlook)})
+                lines.append({**_line(line), "rows": [list(row) for row in run.rows(line, outlook)]})
         except InvalidInput as error:
             return {"lines": lines, "error": str(error)}
         return {"lines": lines, "error": ""}

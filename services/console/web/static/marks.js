@@ -105,8 +105,8 @@ export function rehearsed(context, projection, colour, forecasts) {
 export function proposed(context, projection, colour, { path, checked, samples: stops, selected, editable }) {
   if (checked) undecided(context, projection, colour, path);
   else {
-    line(context, projection, path, 3, "rgb(0 0 0 / 60%)", [2, 6]);
-    line(context, projection, path, 1.6, colour("--preview"), [2, 6]);
+    line(context, projection, path, 4, "rgb(0 0 0 / 60%)", [3, 6]);
+    line(context, projection, path, 2.2, colour("--preview"), [3, 6]);
   }
   const half = editable ? 8 : 4.5;
   stops.forEach(({ x_m, y_m, taken }, index) => {

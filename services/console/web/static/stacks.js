@@ -7,7 +7,7 @@ import { $, attempt, rewrite, state, toast } from "./state.js";
 import { element, words } from "./words.js";
 
 const MOST_CHARACTERS = 60_000;
-const SHOWN = new Set(["does", "drive", "energy", "closes", "opens", "rounds", "REFUSED", "WARNING"]); // of what a command would do
+const SHOWN = new Set(["does", "drive", "energy", "closes", "opens", "rounds", "REFUSED", "WARNING", "now"]); // of what a command would do
 const ALERTS = new Set(["REFUSED", "WARNING"]), FAILED = new Set(["rejected", "failed", "expired", "lost"]);
 let checked = null; // the text that was checked and may be sent
 let list = "run"; // what the list shows: "run" for the stack that is or was under way, "check", or "none"

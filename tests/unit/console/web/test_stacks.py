@@ -61,6 +61,14 @@ def test_a_check_says_what_each_command_would_do_and_sends_nothing() -> None:
     assert (found["error"], page.desk.sent, page.stacks.document()) == ("", [], None)
 
 
+def test_a_warning_that_commands_before_it_may_make_void_is_told_as_what_holds_now() -> None:
+    page = Page()
+    page.desk.warnings["resume"] = "it is driving"
+    found = page.stacks.check(TEXT)
+    assert found["error"] == ""
+    assert ["now", "it is driving; what comes before it may change that"] in found["lines"][1]["rows"]
+
+
 def test_a_check_shows_the_commands_before_the_one_that_would_be_refused() -> None:
     page = Page()
     page.desk.objections["go_to"] = "closed ground"
