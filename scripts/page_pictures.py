@@ -183,19 +183,26 @@ def main() -> None:
     """Fly, serve, take the pictures."""
     with page("t1", "--lockstep", fly=fly) as driver:
         views(driver)
-    with page("t1", "--rate", "2000", "--set", "ground.approval=operator", fly=fly_under_review) as driver:
+    with page("t1", "--rate", "300", "--set", "ground.approval=operator", fly=fly_under_review) as driver:
         wait_for(lambda: driver.find_element("id", "plan-samples").text, "the plan on the page")
         driver.execute_async_script(EDIT)
         take(driver, "web-plan-review", LAPTOP, "dark", "", 1000)
+        check_stack(driver)
+        take(driver, "web-stack", LAPTOP, "light", "", LAPTOP_PIXELS, "section:has(#stack-text)")
 
 
-def views(driver: webdriver.Chrome) -> None:
-    """The page's views of a mission under way."""
+def check_stack(driver: webdriver.Chrome) -> None:
+    """Write a command stack and have it checked."""
     driver.execute_script(
         "const t = document.getElementById('stack-text'); t.value = arguments[0];"
         "t.dispatchEvent(new Event('input')); document.getElementById('stack-check').click()",
         STACK,
     )
+
+
+def views(driver: webdriver.Chrome) -> None:
+    """The page's views of a mission under way."""
+    check_stack(driver)
     take(driver, "web-laptop-dark", LAPTOP, "dark", "sample=r08s2", LAPTOP_PIXELS)
     take(driver, "web-laptop-light", LAPTOP, "light", "layer=std&at=330,120", LAPTOP_PIXELS)
     swipe, measured = (
@@ -206,7 +213,6 @@ def views(driver: webdriver.Chrome) -> None:
     take(driver, "web-map-zoom", LAPTOP, "light", f"{measured}&relief=1", LAPTOP_PIXELS, ".map-card")
     take(driver, "web-phone-dark", PHONE, "dark", "zoom=2&centre=150,250&sample=r08s2", PHONE_PIXELS)
     take(driver, "web-phone-light", PHONE, "light", "layer=exceedance&threshold=8.5", PHONE_PIXELS)
-    take(driver, "web-stack", LAPTOP, "light", "", LAPTOP_PIXELS, "section:has(#stack-text)")
 
 
 if __name__ == "__main__":

@@ -100,6 +100,21 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
     def post(path: str, answer: Answer, roles: frozenset[Role]) -> Route:
         return Route(path, answers.of(answer, roles), methods=["POST"])
 
+    posted: dict[str, tuple[Callable[[Hub, Asked], Response], frozenset[Role]]] = {
+        "preview": (_preview, READ),
+        "command": (_command, COMMAND),
+        "plan": (_decide, COMMAND),
+        "stack/check": (_check_stack, READ),
+        "stack": (_send_stack, COMMAND),
+        "stack/answer": (_answer_stack, COMMAND),
+        "stack/stop": (_stop_stack, COMMAND),
+        "interest": (_interest, COMMAND),
+        "link": (_link, CONTROL),
+        "alarm": (_alarm, ACT),
+        "recording": (_play, READ),
+        "rehearsal": (_rehearse, READ),
+        "rehearsal/stop": (_stop_rehearsal, READ),
+    }
     routes = [
         Route("/", answers.document(STATIC / "index.html")),
         Route("/login", partial(_login, access)),
@@ -109,21 +124,9 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         get("/api/interest", partial(_interests, hub)),
         get("/api/map/export", partial(_export, hub, threading.Lock())),
         *(get(f"/api/map/{name}", partial(_ask, hub, topic)) for name, topic in ASKED.items()),
-        post("/api/preview", partial(_preview, hub), READ),
-        post("/api/command", partial(_command, hub), COMMAND),
         get("/api/plan", partial(_plan, hub)),
-        post("/api/plan", partial(_decide, hub), COMMAND),
-        post("/api/stack/check", partial(_check_stack, hub), READ),
-        post("/api/stack", partial(_send_stack, hub), COMMAND),
-        post("/api/stack/answer", partial(_answer_stack, hub), COMMAND),
-        post("/api/stack/stop", partial(_stop_stack, hub), COMMAND),
-        post("/api/interest", partial(_interest, hub), COMMAND),
-        post("/api/link", partial(_link, hub), CONTROL),
-        post("/api/alarm", partial(_alarm, hub), ACT),
-        post("/api/recording", partial(_play, hub), READ),
         get("/api/rehearsal", partial(_rehearsal, hub)),
-        post("/api/rehearsal", partial(_rehearse, hub), READ),
-        post("/api/rehearsal/stop", partial(_stop_rehearsal, hub), READ),
+        *(post(f"/api/{name}", partial(answer, hub), roles) for name, (answer, roles) in posted.items()),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     return Starlette(
