@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from typing import Any
 
@@ -24,7 +24,7 @@ from he3.measurement import sample_noise
 from he3.reference import Region
 from he3.trend import orbital_trend
 from services.ground.belief import Belief
-from services.ground.fitting import fit
+from services.ground.fitting import due, fit
 from services.ground.observation import Observation
 from services.ground.planners import planner_named
 from services.ground.planners.interface import Planner, PlannerOptions, PlanningRequest
@@ -107,7 +107,7 @@ def run_mission(
     belief = Belief(region.grid, kernel, noise_std_ppb, trend, likeliest=likeliest)
     scorer = Scorer(region.he3_ppb, region.known)
     start_m = start_of(region, terrain) if start_m is None else start_m
-    log, here = _Log(), start_m
+    log, here, inferred_from = _Log(), start_m, 0
     for number in range(1, rounds + 1):
         left_m = budget_m - log.driven_m
         seeds = np.random.SeedSequence((seed, _PLAN, number, 1, 0))
@@ -149,7 +149,10 @@ def run_mission(
         here = (float(planned.path_m[-1, 0]), float(planned.path_m[-1, 1]))
         fitting = belief.fit_request(number, (seed, _FIT, number))
         if fitting is not None:
-            belief.adopt(fit(fitting))
+            known = len(fitting.values_ppb)
+            whole = due(known, inferred_from, rounds * samples)
+            inferred_from = known if whole else inferred_from
+            belief.adopt(fit(replace(fitting, whole=whole)))
         if progress is not None:
             progress(len(log.places), rounds * samples)
     rmse, coverage_68, coverage_95 = _score(scorer, belief, len(log.places))

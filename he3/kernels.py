@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -71,6 +72,11 @@ def squared_distances(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
     return dx
 
 
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
+
+
 class _Stationary:
     """The part that all kernels share: parameters by name, covariance between places."""
 
@@ -83,7 +89,7 @@ class _Stationary:
                 raise InvalidInput(f"kernel {self.name!r}: expected a positive {key}, got {value!r}")
 
     def parameters(self) -> dict[str, float]:
-        return {field.name: float(getattr(self, field.name)) for field in fields(self)}  # type: ignore[arg-type]
+        return {name: float(getattr(self, name)) for name in _field_names(type(self))}  # type: ignore[arg-type]
 
     def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
         return self.of_squared_distance(squared_distances(as_points(a_m), as_points(b_m)))

@@ -9,7 +9,6 @@ import numpy as np
 
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
 from he3.hyperposterior import infer_hyperparameters
-from he3.kernels import AUTO
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -21,7 +20,8 @@ if TYPE_CHECKING:
 class FitRequest:
     """The input of a refit: places (n, 2) [m], values (n,) [ppb], previous hyperparameters, extent of the site [m].
 
-    prior: of the hyperparameters; None for those of maximum likelihood.
+    prior: of the hyperparameters; None for those of maximum likelihood. whole: whether the alternatives are inferred
+    too, or kept as they were.
     """
 
     xy_m: FloatArray
@@ -33,6 +33,19 @@ class FitRequest:
     seed: tuple[int, ...]
     extent_m: float
     prior: Hyperprior | None = None
+    whole: bool = True
+
+
+MORE_SAMPLES = 1.25  # 1, ratio of the samples from which alternatives are inferred and those of the time before
+
+
+def due(samples: int, inferred_from: int, all_samples: int) -> bool:
+    """Whether the alternatives are to be inferred again, if they were last inferred from so many samples.
+
+    That takes ten times as long as to fit the one kernel, and they hardly change with a few more samples. They are
+    inferred from all samples at the end of the mission.
+    """
+    return samples >= min(MORE_SAMPLES * inferred_from, all_samples)
 
 
 def fit(request: FitRequest) -> Hyperparameters:
@@ -44,34 +57,41 @@ def fit(request: FitRequest) -> Hyperparameters:
     """
     if request.prior is None:
         return replace(_likeliest(request, request.kernel, request.noise_std_ppb), trend=None)
+    return _inferred(request, request.prior) if request.whole else fit_kernel(request)
+
+
+def _inferred(request: FitRequest, prior: Hyperprior) -> Hyperparameters:
+    """The hyperparameters, their alternatives inferred anew."""
     inferred = infer_hyperparameters(
         request.xy_m,
         request.values_ppb,
         request.kernel,
-        request.prior,
+        prior,
         noise_std_ppb=request.noise_std_ppb,
         trend=request.trend,
         previous=request.previous,
     )
     if len(request.xy_m):
         likeliest = _likeliest(request, inferred.kernel.name, inferred.noise_std_ppb)
-        if likeliest.field_std_ppb >= request.prior.least_field_std_ppb:
+        if likeliest.field_std_ppb >= prior.least_field_std_ppb:
             inferred = inferred.with_kernel_of(likeliest)
     return inferred if request.trend is None else replace(inferred, trend=None)
 
 
 def fit_kernel(request: FitRequest) -> Hyperparameters:
-    """As `fit`, but with the alternatives of the fit before: for planners that are guided by the one kernel alone.
+    """As `fit`, but with the alternatives and the kind of kernel of the fit before.
 
-    It takes a fifth of the time. The kernel is that of `fit` but for rounding, and for what was learned of the noise
+    It takes a tenth of the time. The kernel is that of `fit` but for rounding, and for what was learned of the noise
     since the fit before.
     """
     previous, prior = request.previous, request.prior
-    if prior is None or previous is None or not previous.alternatives or request.kernel == AUTO:
+    if prior is None:
         return fit(request)
-    likeliest = _likeliest(request, request.kernel, previous.noise_std_ppb)
+    if previous is None or not previous.alternatives:
+        return _inferred(request, prior)
+    likeliest = _likeliest(request, previous.kernel.name, previous.noise_std_ppb)
     if likeliest.field_std_ppb < prior.least_field_std_ppb:
-        return fit(request)
+        return _inferred(request, prior)
     fitted = previous.with_kernel_of(likeliest)
     return fitted if request.trend is None else replace(fitted, trend=None)
 

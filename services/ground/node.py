@@ -392,7 +392,8 @@ def build_node(
     interests = InterestAreas(grid, ground.interests)
     round_log = RoundLog()
     samples = SampleIntake(belief, round_log)
-    refits = RefitSchedule(belief, round_log, scenario.seed)
+    # A goal is certified by the alternatives, so they are to know every sample.
+    refits = RefitSchedule(belief, round_log, scenario.seed, scenario.samples if ground.goal is None else 0)
     driven_ground = DrivenGround(grid, region.slope_deg, region.elevation_m, scenario.rover.driving)
     costs = DrivingCosts(ground.cost, driven_ground, terrain.traversable)
     goal = MissionGoal(scenario, grid, belief)

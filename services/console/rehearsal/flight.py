@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -164,7 +164,7 @@ def fly(
         simulation.ask(LINK_SET, LinkChange(contact=True))
     flight = _Watch(simulation, start, draw).run(alternative.commands)
     if quick is not None and quick.last is not None:
-        beliefs[0].adopt(fit(quick.last))
+        beliefs[0].adopt(fit(replace(quick.last, whole=True)))
     flight.samples = len(beliefs[0])
     flight.mean_std_ppb = float(beliefs[0].map.std_ppb.mean(dtype="f8"))
     return flight

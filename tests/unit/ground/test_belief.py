@@ -16,7 +16,7 @@ from he3.kernels import AUTO, KERNELS
 from he3.mixture import ProcessMixture
 from he3.trend import CovariateTrend, orbital_trend
 from services.ground.belief import Belief
-from services.ground.fitting import fit, fit_kernel
+from services.ground.fitting import due, fit, fit_kernel
 from services.ground.observation import Observation
 
 GRID = SiteGrid(40, 50)
@@ -244,3 +244,13 @@ def test_a_fit_of_the_one_kernel_has_the_kernel_of_the_whole_fit_and_the_alterna
     np.testing.assert_allclose(*covariances, rtol=1e-3)
     for lacks in (replace(request, prior=None), replace(request, values_ppb=np.full(20, 8.0))):
         assert fit_kernel(lacks) == fit(lacks)
+    assert fit(replace(request, whole=False)) == kernel_alone
+
+
+def test_alternatives_are_inferred_after_every_round_of_few_samples_and_from_all_at_the_end() -> None:
+    inferred = [0]
+    for samples in range(5, 151, 5):
+        if due(samples, inferred[-1], 150):
+            inferred.append(samples)
+    assert inferred[1:] == [5, 10, 15, 20, 25, 35, 45, 60, 75, 95, 120, 150]
+    assert due(33, 30, 33)

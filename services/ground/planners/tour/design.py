@@ -113,10 +113,12 @@ def optimise_places(
     budget_m: float,
     steps: int,
     first_step_m: float = FIRST_STEP_M,
+    ordered: bool = True,
 ) -> FloatArray:
     """The places (n, 2) [m], in the order of their tour, after that number of steps down the gradient of V + lambda L.
 
-    price: the least lambda, in units of V per metre. first_step_m: root mean square step at the beginning [m].
+    price: the least lambda, in units of V per metre. first_step_m: root mean square step at the beginning [m]. ordered:
+    whether the order is improved once more after the last step.
     """
     places = places_m
     scale = step_scale(site, len(places))
@@ -149,6 +151,8 @@ def optimise_places(
         move = -rate * (momentum + lam * pull)
         move *= np.minimum(1.0, max_step_m / np.maximum(np.hypot(*move.T), 1e-9))[:, None]
         places = site.snap_to_reachable(places + move)
+    if not ordered:
+        return places
     order, _ = shorter_order(site, places)
     return places[order]
 
@@ -162,9 +166,7 @@ def step_scale(site: Site, samples: int) -> float:
 def tour_lengths(site: Site, places_m: FloatArray) -> tuple[float, float]:
     """Length [m] of the tour through the places (n, 2) [m] in their order: around obstacles, and in straight lines."""
     stops = np.vstack((site.start_m, places_m))
-    legs = np.arange(len(stops))
-    lengths = site.legs(stops).lengths_m[legs[:-1], legs[1:]]
-    return float(lengths.sum()), path_length(stops)
+    return float(site.leg_lengths(stops).sum()), path_length(stops)
 
 
 def objective(site: Site, variance: AverageVariance, places_m: FloatArray, price: float, budget_m: float) -> float:

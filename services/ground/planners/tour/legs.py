@@ -81,6 +81,24 @@ def leg_table(
     return LegTable(lengths, corners, free)
 
 
+def consecutive_lengths(
+    ground: OpenGround, stops_m: FloatArray, bound: LengthBound | None = None, cost: TerrainCost | None = None
+) -> FloatArray:
+    """Lengths (n - 1,) [m], or with a cost [level m], of the legs from each of n stops (n, 2) [m] to the next.
+
+    As those of ``leg_table``, but that each leg is looked at, however many other stops are nearer.
+    """
+    a, b = stops_m[:-1], stops_m[1:]
+    lengths, corner, free = legs_with_one_corner(ground, a, b)
+    if bound is not None and np.count_nonzero(~free) > LABYRINTH_SHARE * len(a):
+        lengths = np.where(free, lengths, np.maximum(lengths, bound(stops_m).diagonal(1)))
+    if cost is not None:
+        known = cost_of_bent_legs(cost, a, corner, b)
+        metres = max(float(lengths[free].sum()), 1e-9)
+        lengths = np.where(free, known, lengths * max(1.0, float(known[free].sum()) / metres))
+    return lengths
+
+
 def cost_of_bent_legs(cost: TerrainCost, a_m: FloatArray, corner_m: FloatArray, b_m: FloatArray) -> FloatArray:
     """Symmetric costs (k,) [level m] of legs from a (k, 2) to b (k, 2) [m], by corners (k, 2) [m] that may be NaN."""
     bent = ~np.isnan(corner_m[:, 0])

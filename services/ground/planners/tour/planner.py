@@ -31,7 +31,6 @@ from services.ground.planners.interface import PlannedRound, PlanningRequest, va
 from services.ground.planners.rounds import lead_cost, path_prefix, planned_round
 from services.ground.planners.tour.covering import covering
 from services.ground.planners.tour.design import (
-    FIRST_STEP_M,
     design_from_outlook,
     initial_design,
     objective,
@@ -65,12 +64,14 @@ FINE_STEPS = 15
 """Last steps of the best design, on the finer field."""
 FINE_STEP_M = 1.0
 """Root mean square step on the finer field at the beginning [m]."""
-OUTLOOK_STEPS = 10
+OUTLOOK_STEPS = 6
 """Steps of a design from an outlook."""
 OUTLOOK_STEP_M = 1.5
 """Root mean square step of a design from an outlook at the beginning [m]."""
-KICKS = 20
-"""Kicks of the final tour: see ``he3.tsp.short_tour``."""
+KICKS = 30
+"""Kicks of the first plan's tour: see ``he3.tsp.short_tour``."""
+OUTLOOK_KICKS = 8
+"""The same for a plan from an outlook, which begins with the order of the plan before."""
 MAX_OUTLOOK_MISMATCH = 0.34
 """Largest difference between the outlook's samples and those that remain, as a share of the latter."""
 BUDGET_ROUNDING = 1e-9
@@ -101,7 +102,8 @@ def tour(request: PlanningRequest) -> PlannedRound:
         places = site.snap_to_cell_centres(for_goal.places_m)
     else:
         places = site.snap_to_cell_centres(_design(request, site, budget_m, extra))
-    route = route_through(site, places, int(extra.get("kicks", KICKS)), request.seed)
+    kicks = OUTLOOK_KICKS if _usable_outlook(request) is not None else KICKS
+    route = route_through(site, places, int(extra.get("kicks", kicks)), request.seed)
     affordable_m = budget_m * (1.0 - BUDGET_ROUNDING)
     if site.cost is not None and isfinite(budget_m):
         affordable_m = site.cost.metres_for(route.path_m, affordable_m)
@@ -121,18 +123,21 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     leg_m = LEG_SPACINGS * sqrt(site.area_m2 / samples)
     length_price = float(extra.get("length_price", LENGTH_PRICE)) / (samples * leg_m)
 
-    def optimised(
-        places: FloatArray, variance: AverageVariance, steps: int, first_step_m: float = FIRST_STEP_M
-    ) -> tuple[float, FloatArray]:
+    def weighed(places: FloatArray, variance: AverageVariance) -> tuple[float, float]:
+        """The price of a metre, and the metres of the budget."""
         metres = budget_m if isfinite(budget_m) else _default_budget_m(site, places, leg_m)
-        price = length_price * variance(places)
-        places = optimise_places(site, variance, places, price, metres, steps, first_step_m)
-        return objective(site, variance, places, price, metres), places
+        return length_price * variance(places), metres
+
+    def optimised(places: FloatArray, steps: int) -> tuple[float, FloatArray]:
+        price, metres = weighed(places, coarse)
+        places = optimise_places(site, coarse, places, price, metres, steps)
+        return objective(site, coarse, places, price, metres), places
 
     fine = _average_variance(request, site.nodes)
-    if request.outlook_m is not None and abs(len(request.outlook_m) - left) <= MAX_OUTLOOK_MISMATCH * left:
-        places = design_from_outlook(site, request.observed_m, request.outlook_m, left)
-        return optimised(places, fine, int(extra.get("steps", OUTLOOK_STEPS)), OUTLOOK_STEP_M)[1]
+    if (outlook_m := _usable_outlook(request)) is not None:
+        places = design_from_outlook(site, request.observed_m, outlook_m, left)
+        steps = int(extra.get("steps", OUTLOOK_STEPS))
+        return optimise_places(site, fine, places, *weighed(places, fine), steps, OUTLOOK_STEP_M, ordered=False)
     most = max(COARSE_NODES, round(COARSE_NODES_A_SAMPLE * samples))
     coarse = _average_variance(request, field_nodes(request.grid, request.interest, most))
     count, finalists = (INITIAL_DESIGNS, FINALISTS) if isfinite(budget_m) else (UNBOUND_DESIGNS, 1)
@@ -141,14 +146,19 @@ def _design(request: PlanningRequest, site: Site, budget_m: float, extra: dict[s
     for _ in range(max(1, int(extra.get("designs", count)))):
         first_node = int(rng.integers(len(site.nodes.weights)))
         places = initial_design(site, request.observed_m, left, budget_m, first_node)
-        designs.append(optimised(places, coarse, int(extra.get("first_steps", INITIAL_STEPS))))
+        designs.append(optimised(places, int(extra.get("first_steps", INITIAL_STEPS))))
     designs.sort(key=lambda design: design[0])
     if (final_steps := int(extra.get("final_steps", FINAL_STEPS))) > 0:
         best = designs[: max(1, int(extra.get("finalists", finalists)))]
-        designs = sorted(
-            [*designs, *(optimised(places, coarse, final_steps) for _, places in best)], key=lambda one: one[0]
-        )
-    return optimised(designs[0][1], fine, FINE_STEPS, FINE_STEP_M)[1]
+        designs = sorted([*designs, *(optimised(places, final_steps) for _, places in best)], key=lambda one: one[0])
+    places = designs[0][1]
+    return optimise_places(site, fine, places, *weighed(places, fine), FINE_STEPS, FINE_STEP_M, ordered=False)
+
+
+def _usable_outlook(request: PlanningRequest) -> FloatArray | None:
+    """The outlook (k, 2) [m], if it has about as many places as samples remain."""
+    outlook_m, left = request.outlook_m, request.samples_left
+    return outlook_m if outlook_m is not None and abs(len(outlook_m) - left) <= MAX_OUTLOOK_MISMATCH * left else None
 
 
 def _default_budget_m(site: Site, places: FloatArray, leg_m: float) -> float:

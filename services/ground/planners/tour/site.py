@@ -13,7 +13,7 @@ from scipy import ndimage
 from he3.errors import NoRoute
 from he3.frames import path_length
 from services.ground.planners.routes import RouteFinder
-from services.ground.planners.tour.legs import LegTable, leg_table
+from services.ground.planners.tour.legs import LegTable, consecutive_lengths, leg_table
 from services.ground.planners.traversability import OpenGround
 
 if TYPE_CHECKING:
@@ -61,6 +61,10 @@ class Site:
     def legs(self, places_m: FloatArray) -> LegTable:
         """The legs between places (n, 2) [m], all reachable."""
         return leg_table(self.ground, places_m, self._length_bounds, self.cost)
+
+    def leg_lengths(self, stops_m: FloatArray) -> FloatArray:
+        """Lengths (n - 1,) of the legs from each reachable stop (n, 2) [m] to the next, as ``legs`` has them."""
+        return consecutive_lengths(self.ground, stops_m, self._length_bounds, self.cost)
 
     def way_cost(self, path_m: FloatArray) -> float:
         """Length of the polyline (K, 2) [m], or its symmetric cost [level m]."""
