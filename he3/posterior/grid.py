@@ -15,7 +15,7 @@ is far below the field's own variation, all rows are recomputed in float64 and s
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -30,6 +30,7 @@ from he3.frames import Float32Array, FloatArray, SiteGrid, as_points
 from he3.gp import GaussianProcess
 from he3.kernels import SquaredExponential
 from he3.posterior.probes import LEAST_VARIANCE, Probes
+from he3.posterior.row_solving import solve_rows
 from he3.posterior.rows import row_source
 from he3.posterior.sums import PosteriorSums
 from he3.posterior.tiles import Task, Tile, TiledGrid
@@ -71,6 +72,7 @@ class GridPosterior:
         if hyperparameters.trend is not None:
             self._prior_mean_ppb = hyperparameters.prior_mean_ppb(self._points())
         self._rows = row_source(self._tiled, self._without_trend.hyperparameters, self._dtype)
+        self._rows_known = True
         self._probes = Probes(self._tiled, hyperparameters)
         self._snapshot: PosteriorMap | None = None
 
@@ -83,12 +85,15 @@ class GridPosterior:
         values_ppb: ArrayLike,
         *,
         threads: int = 1,
+        followed: bool = True,
     ) -> GridPosterior:
         """The posterior given observations (n,) [ppb] at places (n, 2) [m], all at once.
 
+        followed: whether samples will be added; if not, what they need is not stored, and the first one takes longer.
         Raises InvalidInput for shapes that do not fit, values that are not finite, or more samples than a map holds.
         """
         posterior = cls(grid, hyperparameters, threads=threads)
+        posterior._rows_known = followed
         posterior._set_processes(*posterior._conditioned(np.asarray(xy_m, dtype=np.float64), values_ppb))
         posterior._recompute()
         posterior._ensure_precision(slice(None))
@@ -118,6 +123,8 @@ class GridPosterior:
         if place.shape != (2,):
             raise InvalidInput(f"expected one place (2,) [m], got shape {place.shape}")
         process, without_trend = self._conditioned(as_points(place[None, :]), [value_ppb])
+        if not self._rows_known:
+            self._know_rows()
         n = len(self)
         row = self._rows.next_row(without_trend, self._run_tasks)
         self._set_processes(process, without_trend)
@@ -185,16 +192,36 @@ class GridPosterior:
     def _recompute(self) -> None:
         """Compute mean, variance and rows from all samples at once, beginning from the prior's sums."""
         process = self._without_trend
-        self._rows = row_source(self._tiled, process.hyperparameters, self._dtype, len(process))
-        rows_on = self._rows.recompute(process)
+        if self._rows_known:
+            self._rows = row_source(self._tiled, process.hyperparameters, self._dtype, len(process))
+            rows_on = self._rows.recompute(process)
+        else:
+            rows_on = partial(solve_rows, process, process.factor.astype(self._dtype), self.grid)
         whitened = process.whitened.astype(self._dtype)
 
         def fill(part: Tile) -> None:
             for first, rows in rows_on(part):
                 self._sums.add_rows(first, rows, whitened[first : first + len(rows)], part.cells)
 
+        self._on_parts(fill)
+
+    def _know_rows(self) -> None:
+        """Compute the rows of all samples again, to store what the next row depends on."""
+        process = self._without_trend
+        self._rows = row_source(self._tiled, process.hyperparameters, self._dtype, len(process))
+        rows_on = self._rows.recompute(process)
+
+        def store(part: Tile) -> None:
+            for _ in rows_on(part):
+                pass
+
+        self._on_parts(store)
+        self._rows_known = True
+
+    def _on_parts(self, work: Callable[[Tile], None]) -> None:
+        """Do some work on each part of the grid."""
         parts = (part for tile in self._tiled.tiles for part in tile.parts(_CELLS_PER_PART))
-        self._run_tasks(partial(fill, part) for part in parts)
+        self._run_tasks(partial(work, part) for part in parts)
 
     def _ensure_precision(self, changed: slice) -> None:
         """Recompute everything in float64 if float32 rows do not suffice for the samples so far.

@@ -54,13 +54,16 @@ class Belief:
         *,
         likeliest: bool = False,
         most_cells: int | None = None,
+        followed: bool = True,
     ) -> None:
         """likeliest: take the hyperparameters of maximum likelihood for certain, as the paper does.
 
         most_cells: the map is computed on a coarser grid of so many cells at most, and interpolated between them.
+        followed: whether the map is looked at after each sample.
         """
         self.grid = grid
         self._coarse = grid if most_cells is None else coarser(grid, most_cells)
+        self._followed = followed
         self._kernel = kernel
         self._noise_std_ppb = noise_std_ppb
         self._trend = trend
@@ -196,7 +199,7 @@ class Belief:
         places, values = self._samples(self._built)
 
         def posterior(grid: SiteGrid, of: Hyperparameters) -> GridPosterior:
-            return GridPosterior.build(grid, of, places, values, threads=MAP_THREADS)
+            return GridPosterior.build(grid, of, places, values, threads=MAP_THREADS, followed=self._followed)
 
         return MixturePosterior(self._coarse, hyperparameters, posterior)
 

@@ -388,7 +388,7 @@ def build_node(
     expect_map_fits(grid, ground.kernel, scenario.samples)
     likeliest = ground.hyperparameters == "ml"
     noise = scenario.field.noise_std_ppb
-    belief = make_belief(grid, ground.kernel, noise, trend, likeliest=likeliest)
+    belief = make_belief(grid, ground.kernel, noise, trend, likeliest=likeliest, followed=map_use == "always")
     interests = InterestAreas(grid, ground.interests)
     round_log = RoundLog()
     samples = SampleIntake(belief, round_log)

@@ -282,7 +282,7 @@ def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) 
     """
     if pending and not (isinstance(planner, str) and planner in IGNORE_STD):
         values = np.zeros(len(request.observed_m))
-        ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values)
+        ahead = GridPosterior.build(request.grid, request.hyperparameters, request.observed_m, values, followed=False)
         request = replace(request, std_ppb=ahead.std_ppb)
     if isinstance(planner, str):
         planned = planner_named(planner)(request)

@@ -131,7 +131,8 @@ def run_and_report(
     if driver == "in-process":
         from services.console.launch.in_process import run_in_process
 
-        written = run_in_process(mission, where, progress, events)
+        scores_rounds = json or not quiet or where.report is not None
+        written = run_in_process(mission, where, progress, events, scores_rounds=scores_rounds)
     else:
         from services.console.launch.separate import run_separate
 

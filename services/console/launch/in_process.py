@@ -27,8 +27,12 @@ if TYPE_CHECKING:
     from services.runtime.node import Node
 
 
-def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, events: Path | None = None) -> Written:
+def run_in_process(
+    scenario: Scenario, where: Outputs, progress: Progress, events: Path | None = None, *, scores_rounds: bool = True
+) -> Written:
     """The report of the mission, run to its end, and the files written. events: where the event log goes.
+
+    scores_rounds: whether the map is computed and scored after every round, not only at the end.
 
     A mission that fails has a report too. Raises InvalidInput before anything is written.
     """
@@ -40,7 +44,7 @@ def run_in_process(scenario: Scenario, where: Outputs, progress: Progress, event
         )
     region = load_region(scenario.region, scenario.field.field_seed)
     seen = where.recording is not None or events is not None
-    nodes = build_nodes(scenario, region, map_use="always" if seen else "rounds")
+    nodes = build_nodes(scenario, region, map_use="always" if seen else "rounds" if scores_rounds else "asked")
     with claimed(where, events):
         outcome, problems = _run_in_process(scenario, region, nodes, where, progress, events)
         return write_outcome(outcome, region, where, events, problems)

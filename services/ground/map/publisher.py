@@ -64,27 +64,37 @@ class MapPublisher:
         self._shown_at_the_end = False
         self._samples_noted = 0
         self.revision = 0
-        self._mean_std_ppb: float | None = 0.0
+        self._ended = False
+        self._judged = 0
+        self._mean_std_ppb = 0.0
         self._score: MapScore | None = None
         self.snapshot: MapSnapshot | None = None
         """The map as it was last made."""
 
     @property
     def mean_std_ppb(self) -> float:
-        """Mean over the cells of the standard deviation [ppb]."""
-        if self._mean_std_ppb is None:
-            self._mean_std_ppb = float(self._belief.map.std_ppb.mean(dtype="f8"))
+        """Mean over the cells of the standard deviation [ppb]; with one map a round, that of the last round."""
+        if self._use != "rounds" or self._ended:
+            self._judge()
         return self._mean_std_ppb
 
     @property
     def score(self) -> MapScore | None:
-        """The score of the map; None where there is no reference, and before the first map."""
-        if self._score is None and self._scorer is not None and self.revision:
-            current = self._belief.map
+        """The score of the map; None where there is no reference, and before the first map. Of which map: as above."""
+        if self._use != "rounds" or self._ended:
+            self._judge()
+        return self._score
+
+    def _judge(self) -> None:
+        """Bring mean standard deviation and score up to the present map."""
+        if self._judged == self.revision:
+            return
+        self._judged, current = self.revision, self._belief.map
+        self._mean_std_ppb = float(current.std_ppb.mean(dtype="f8"))
+        if self._scorer is not None:
             self._score = self._scorer.score(
                 current.mean_ppb, current.std_ppb, self.revision, self._samples_noted, self._map_time
             )
-        return self._score
 
     def present(self, now: MissionTime, plan_ends: Callable[[MissionTime], MissionTime | None]) -> MapSnapshot | None:
         """The map as operators see it now; None before there is one. plan_ends: as for `publish`."""
@@ -99,6 +109,7 @@ class MapPublisher:
 
         plan_ends: the expected end of all planned rounds; called for new snapshots only.
         """
+        self._ended = ended
         self._note_changes(now)
         if self._use != "always":
             return
@@ -127,6 +138,7 @@ class MapPublisher:
             and before.planned_path_m is planned
         ):
             return before
+        self._judge()
         current = self._belief.map
         self.snapshot = MapSnapshot(
             grid=self._belief.grid,
@@ -139,7 +151,7 @@ class MapPublisher:
             plan_ends=plan_ends(now),
             revision=self.revision,
             mission_time_ns=self._map_time,
-            score=self.score,
+            score=self._score,
             score_history=self._history,
             process=self._belief.process,
             origin_deg=self._origin_deg,
@@ -162,9 +174,10 @@ class MapPublisher:
         self.revision += 1
         self._map_time = now
         self._samples_noted = len(self._samples)
-        self._mean_std_ppb = self._score = None  # they follow from the map, which nobody may ask for
-        if self._use != "asked" and self._refits.rounds > self._rounds_scored and (score := self.score) is not None:
-            self._history = (*self._history, score)
+        if self._use != "asked" and self._refits.rounds > self._rounds_scored:
+            self._judge()
+            if self._score is not None:
+                self._history = (*self._history, self._score)
         self._rounds_scored = self._refits.rounds
 
     def checkpoint(self) -> SavedState:
@@ -178,6 +191,7 @@ class MapPublisher:
             "history": self._history,
             "shown_at_the_end": self._shown_at_the_end,
             "revision": self.revision,
+            "judged": self._judged,
             "mean_std_ppb": self._mean_std_ppb,
             "score": self._score,
             "snapshot": self.snapshot,
@@ -193,6 +207,7 @@ class MapPublisher:
         self._history = state["history"]
         self._shown_at_the_end = state["shown_at_the_end"]
         self.revision = state["revision"]
+        self._judged = state["judged"]
         self._mean_std_ppb = state["mean_std_ppb"]
         self._score = state["score"]
         self.snapshot = state["snapshot"]

@@ -88,6 +88,23 @@ def test_a_map_of_many_samples_is_updated_from_few_of_their_rows(kernel: Kernel,
     assert_exact(posterior)
 
 
+@every_kernel
+def test_a_map_that_was_not_to_be_followed_is_the_same_to_the_byte_and_takes_samples_all_the_same(
+    kernel: Kernel,
+) -> None:
+    hyperparameters = Hyperparameters(kernel, 0.1, 8.0, 0.9)
+    places, values = samples(ROWS_PER_BLOCK + 20, seed=1)
+    followed, not_followed = (
+        GridPosterior.build(GRID, hyperparameters, places, values, followed=followed) for followed in (True, False)
+    )
+    for place in (None, (20.0, 31.0), (120.0, 7.0)):
+        if place is not None:
+            followed.add(place, 8.4)
+            not_followed.add(place, 8.4)
+        np.testing.assert_array_equal(not_followed.mean_ppb, followed.mean_ppb)
+        np.testing.assert_array_equal(not_followed.std_ppb, followed.std_ppb)
+
+
 def test_the_prior_map_is_flat() -> None:
     posterior = GridPosterior(GRID, Hyperparameters(SquaredExponential(4.0, 40.0), 0.1, 7.5, 0.5))
     assert posterior.mean_ppb.shape == GRID.shape
