@@ -50,8 +50,9 @@ REORDER_EVERY = 8
 ROW_SPACINGS = (1.15, 0.8, 0.55)
 """Distances of the places of a row in distances of rows: from an even lattice to dense rows, whose tour is shorter."""
 HALVINGS = 8
-MOST_WORK = 4e7
-"""Bound on the work of a search: steps times places times targets times kernels, about 5 s of one processor."""
+MOST_WORK, MOST_WORK_LATER = 1.5e8, 3e7
+"""Bounds on the work of the first search and of later ones: steps times places times targets times kernels. The first
+takes up to about 10 s of one processor."""
 FAILURES = 3
 """Places that are left out in vain, one after the other, before the search ends."""
 WEIGHT_CHANGE = 1.25
@@ -169,8 +170,9 @@ def shortest_of(site: Site, problem: CoverProblem, places_m: FloatArray, most: i
     starts = [in_order(site, places_m)]
     if thorough:
         starts += [in_order(site, lattice) for lattice in lattice_covers(site, problem, most)]
-    descents = max(2, int(MOST_WORK / (STEPS * len(places_m) * problem.size)))
-    starts = sorted(starts, key=lambda start: tour_metres(site, start))[: max(1, descents // 2)]
+    most_work = MOST_WORK if thorough else MOST_WORK_LATER
+    descents = max(2, int(most_work / (STEPS * len(places_m) * problem.size)))
+    starts = starts[: max(1, descents // 2)]
     found = []
     for start in starts:
         moved = descended(site, problem, start, STEPS)
@@ -187,6 +189,10 @@ def shortest_of(site: Site, problem: CoverProblem, places_m: FloatArray, most: i
             failures, tried = 0, 0
         else:
             failures, tried = failures + 1, tried + 1
+    if thorough and descents > 0:
+        moved = descended(site, problem, best, 3 * STEPS)
+        if moved is not None and tour_metres(site, moved) < best_m:
+            best = moved
     return in_order(site, best)
 
 
@@ -201,10 +207,10 @@ def lattice_covers(site: Site, problem: CoverProblem, most: int) -> list[FloatAr
             for _ in range(HALVINGS):
                 spacing_m = 0.5 * (least + widest)
                 places = _lattice(site, low, high, spacing_m, along, upright, most)
-                if places is not None and problem.holds(places):
-                    least, found = spacing_m, places
-                elif places is None:
+                if places is None:  # too many
                     least = spacing_m
+                elif problem.holds(places):
+                    least, found = spacing_m, places
                 else:
                     widest = spacing_m
             if found is not None:
@@ -215,7 +221,7 @@ def lattice_covers(site: Site, problem: CoverProblem, most: int) -> list[FloatAr
 def _lattice(
     site: Site, low: FloatArray, high: FloatArray, spacing_m: float, along: float, upright: bool, most: int
 ) -> FloatArray | None:
-    """Rows of places (n, 2) [m] between two corners; None if they are more than that many.
+    """Rows of places (n, 2) [m] between two corners, by turns in either direction; None if they are more than most.
 
     spacing_m: between rows; along: between the places of a row, in spacings of rows.
     """
@@ -224,11 +230,14 @@ def _lattice(
     a_row = max(1, round(float(extent[0]) / (along * spacing_m)))
     if rows * a_row > most:
         return None
-    v = (np.arange(rows) + 0.5) / rows
-    u = (np.arange(a_row)[None, :] + 0.5 + 0.25 * (-1.0) ** np.arange(rows)[:, None]) / a_row
-    places = np.column_stack((u.ravel(), np.repeat(v, a_row))) * extent
-    places = low + (places[:, ::-1] if upright else places)
-    return np.unique(site.snap_to_cell_centres(places), axis=0)
+    shift = 0.25 * (-1.0) ** np.arange(rows)[:, None]
+    u = (np.arange(a_row)[None, :] + 0.5 + shift) / a_row
+    u[1::2] = u[1::2, ::-1]
+    v = np.repeat((np.arange(rows) + 0.5) / rows, a_row)
+    places = np.column_stack((u.ravel(), v)) * extent
+    snapped = site.snap_to_cell_centres(low + (places[:, ::-1] if upright else places))
+    _, first = np.unique(snapped, axis=0, return_index=True)
+    return snapped[np.sort(first)]
 
 
 def _least_needed(site: Site, problem: CoverProblem, places_m: FloatArray, rank: int) -> int:
@@ -287,9 +296,12 @@ def _nudged(site: Site, problem: CoverProblem, places_m: FloatArray) -> FloatArr
 
 
 def in_order(site: Site, places_m: FloatArray) -> FloatArray:
-    """The places (n, 2) [m] in the order of a short tour."""
+    """The places (n, 2) [m] in the order of a short tour, no longer than their own order."""
     stops = np.vstack((site.start_m, places_m))
-    return places_m[short_tour(site.legs(stops).lengths_m)[1:] - 1]
+    lengths = site.legs(stops).lengths_m
+    orders = short_tour(lengths, np.arange(len(stops))), short_tour(lengths)
+    order = min(orders, key=lambda one: float(lengths[one[:-1], one[1:]].sum()))
+    return places_m[order[1:] - 1]
 
 
 def tour_metres(site: Site, places_m: FloatArray) -> float:
