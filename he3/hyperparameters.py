@@ -47,6 +47,7 @@ from he3.kernels import (
     with_log_parameters,
 )
 from he3.likelihood import log_marginal_likelihood
+from he3.trend import in_shares
 
 if TYPE_CHECKING:
     from he3.trend import CovariateTrend, Trend
@@ -99,6 +100,8 @@ class Hyperparameters:
     trend: Trend | None = None
     alternatives: tuple[tuple[float, Kernel], ...] = ()
     noises_ppb: tuple[float, ...] = ()
+    trend_shares: tuple[float, ...] = ()
+    """Multiples of the prior standard deviations of a trend's first weights (``he3.layer_selection``); empty: 1."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale_ppb) and self.scale_ppb > 0 and math.isfinite(self.mean_ppb)):
@@ -144,13 +147,16 @@ class Hyperparameters:
 
     def trend_basis(self, xy_m: FloatArray) -> FloatArray | None:
         """Columns (n, p) whose outer product is the trend's covariance in standardised units; None without a trend."""
-        return None if self.trend is None else self.trend.basis(xy_m, self.scale_ppb)
+        return None if self.trend is None else in_shares(self.trend.basis(xy_m, self.scale_ppb), self.trend_shares)
 
     def covariance(self, a_m: FloatArray, b_m: FloatArray) -> FloatArray:
         """Prior covariance (N, M) between places a (N, 2) and b (M, 2) [m] in standardised units, trend included."""
         covariance = self.kernel.covariance(a_m, b_m)
-        if self.trend is not None:
-            covariance += self.trend.basis(a_m, self.scale_ppb) @ self.trend.basis(b_m, self.scale_ppb).T
+        basis = self.trend_basis(a_m)
+        if basis is not None:
+            other = self.trend_basis(b_m)
+            assert other is not None
+            covariance += basis @ other.T
         return covariance
 
     def prior_variance(self, xy_m: FloatArray) -> FloatArray:
@@ -219,6 +225,7 @@ def fit_hyperparameters(
     noise_std_ppb: float = DEFAULT_NOISE_STD_PPB,
     previous: Hyperparameters | None = None,
     trend: CovariateTrend | None = None,
+    trend_shares: tuple[float, ...] = (),
     extent_m: float = EXTENT_M,
 ) -> Hyperparameters:
     """The maximum-likelihood hyperparameters of the samples, within the bounds of this module.
@@ -227,14 +234,14 @@ def fit_hyperparameters(
     every kernel and keeps the most cautious that the evidence allows. extent_m: the site's longer side [m], up to
     which a length scale may go. The search is by L-BFGS-B from several starts, of which ``previous`` is one: the
     result is never less likely than the previous hyperparameters of that kernel on these samples. With fewer than
-    ``MIN_SAMPLES`` the kernel stays at its previous or default value. Raises InvalidInput for shapes that do not fit,
-    values that are not finite, or an unknown kernel.
+    ``MIN_SAMPLES`` the kernel stays at its previous or default value. trend_shares: as of ``Hyperparameters``. Raises
+    InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
     """
     xy = as_points(xy_m)
     values = np.asarray(values_ppb, dtype=np.float64)
     if values.shape != (len(xy),) or not np.isfinite(values).all():
         raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
-    data = _Data(xy, values, noise_std_ppb, trend, extent_m)
+    data = _Data(xy, values, noise_std_ppb, trend, trend_shares, extent_m)
     if kernel_name == AUTO:
         return _fit_best_kernel(data, rng, previous)
     return _fit(data, kernel_from(kernel_name), rng, previous)
@@ -257,6 +264,7 @@ class _Data:
     values: FloatArray
     noise_std_ppb: float
     trend: CovariateTrend | None
+    trend_shares: tuple[float, ...]
     extent_m: float
 
     def __len__(self) -> int:
@@ -297,7 +305,7 @@ def _fit(data: _Data, default: Kernel, rng: np.random.Generator, previous: Hyper
     warm = None
     if previous is not None and previous.kernel.name == default.name:
         warm = _in_scale(previous, scale, bounds)
-    basis = None if data.trend is None else data.trend.basis(data.xy, scale)
+    basis = None if data.trend is None else in_shares(data.trend.basis(data.xy, scale), data.trend_shares)
     problem = LikelihoodProblem(
         default=default,
         r2=squared_distances(data.xy, data.xy),
@@ -312,7 +320,9 @@ def _fit(data: _Data, default: Kernel, rng: np.random.Generator, previous: Hyper
         best = problem.solve(_starts(problem, warm, default, rng, _widening(data.extent_m)))
     kernel = with_log_parameters(default, best)
     likelihood = -problem.cost(best)[0] - len(z) * math.log(scale) if len(z) else math.nan
-    return Hyperparameters(kernel, data.noise_std_ppb, mean, scale, likelihood, data.trend)
+    return Hyperparameters(
+        kernel, data.noise_std_ppb, mean, scale, likelihood, data.trend, trend_shares=data.trend_shares
+    )
 
 
 def _in_scale(previous: Hyperparameters, scale: float, bounds: Sequence[tuple[float, float]]) -> Kernel:

@@ -49,8 +49,9 @@ from he3.hyperparameters import (
 )
 from he3.hyperprior import REACH, Hyperprior
 from he3.kernels import AUTO, Kernel, Stretched, kernel_from, squared_distances
-from he3.level import unknown_level
+from he3.layer_selection import LEAST_OF_WIDE, LOG_ODDS, LOG_ODDS_OF_DETAIL, chosen_shares
 from he3.model_extensions import extensions
+from he3.trend import in_shares, unknown_level
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,7 +94,7 @@ def infer_hyperparameters(
     if values.shape != (len(xy),) or not np.isfinite(values).all():
         raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
     names = CAUTIOUS_FIRST if kernel_name == AUTO else (kernel_from(kernel_name).name,)
-    found = [_inferred(xy, values, name, prior, noise_std_ppb, trend, previous) for name in names]
+    found = [_with_layers(xy, values, name, prior, noise_std_ppb, trend, previous) for name in names]
     least = max(each.log_evidence for each in found) - VERY_STRONG_EVIDENCE
     chosen = next(each for each in found if each.log_evidence >= least)
     return _mixed([chosen, *_extended(chosen, xy)], xy, prior.extent_m)
@@ -178,10 +179,10 @@ class _Probed:
 
     @classmethod
     def of(cls, inference: _Inference, xy: FloatArray, places: FloatArray) -> _Probed:
-        trend, scale = inference.fitted.trend, inference.fitted.scale_ppb
-        assert trend is not None
-        basis = trend.basis(places, scale)
-        across, variance = trend.basis(xy, scale) @ basis.T, (basis * basis).sum(axis=1)
+        basis, of_samples = inference.fitted.trend_basis(places), inference.fitted.trend_basis(xy)
+        assert basis is not None
+        assert of_samples is not None
+        across, variance = of_samples @ basis.T, (basis * basis).sum(axis=1)
         return cls(inference.posterior.likelihood, xy, places, squared_distances(xy, places), across, variance)
 
     def _covariances(self, kernel: Kernel) -> tuple[FloatArray, FloatArray]:
@@ -307,7 +308,7 @@ def _log_integral(posterior: _Posterior, mode: FloatArray, spread: FloatArray) -
     return float(np.linalg.slogdet(spread)[1]) - posterior.cost(mode)[0]
 
 
-def _inferred(
+def _with_layers(
     xy: FloatArray,
     values: FloatArray,
     kernel_name: str,
@@ -316,7 +317,42 @@ def _inferred(
     trend: CovariateTrend | None,
     previous: Hyperparameters | None,
 ) -> _Inference:
-    """The posterior of a kernel's parameters."""
+    """The posterior of a kernel's parameters, where each of the trend's layers has the room that the samples speak for.
+
+    That is judged with the kernel that describes the samples without those layers; of their details, with the kernel
+    that describes what their wide features leave.
+    """
+    optional = None if trend is None else trend.optional
+    if trend is None or optional is None or not optional.any():
+        return _inferred(xy, values, kernel_name, prior, noise_std_ppb, trend, (), previous)
+    after = np.array(trend.after or range(len(optional)))
+    detail = after != np.arange(len(optional))
+    shares = tuple(float(not one) for one in optional)
+    for details in (False, True):
+        found = _inferred(xy, values, kernel_name, prior, noise_std_ppb, trend, shares, previous)
+        problem, kernel = found.posterior.likelihood, found.posterior.kernel(found.mode)
+        covariance = kernel.of_squared_distance(problem.r2) + problem.noise * np.eye(len(xy))
+        judged = detail & (np.array(shares)[after] > LEAST_OF_WIDE) if details else optional & ~detail
+        odds = LOG_ODDS_OF_DETAIL if details else LOG_ODDS
+        basis = trend.basis(xy, found.fitted.scale_ppb)
+        chosen = chosen_shares(covariance, problem.z, basis, np.array(shares), judged, odds)
+        if chosen == shares:
+            return found
+        shares = chosen
+    return _inferred(xy, values, kernel_name, prior, noise_std_ppb, trend, shares, previous)
+
+
+def _inferred(
+    xy: FloatArray,
+    values: FloatArray,
+    kernel_name: str,
+    prior: Hyperprior,
+    noise_std_ppb: float,
+    trend: CovariateTrend | None,
+    shares: tuple[float, ...],
+    previous: Hyperparameters | None,
+) -> _Inference:
+    """The posterior of a kernel's parameters, with the trend's layers in these shares."""
     scale = prior.field_std_ppb
     residual = values if trend is None else values - trend.at(xy)
     sample_mean = float(residual.mean()) if len(residual) else 0.0
@@ -325,9 +361,12 @@ def _inferred(
         away = abs(sample_mean - mean) if len(residual) else 0.0
         unknown: Trend = unknown_level(max(prior.mean_std_ppb, away), prior.extent_m)
         scale *= max(1.0, away / prior.mean_std_ppb)
+    elif trend.level_varies:  # no layer is a map of the field: all that is known of its level is the prior
+        mean, unknown = sample_mean - min(max(sample_mean, -trend.offset_std_ppb), trend.offset_std_ppb), trend
+        scale *= max(1.0, abs(sample_mean) / trend.offset_std_ppb)
     else:
         mean, unknown = sample_mean, trend  # the trend's own offset lies about the samples' misfit
-    basis = unknown.basis(xy, scale)
+    basis = in_shares(unknown.basis(xy, scale), shares)
     medians, factors = prior.log_normal(kernel_name)
     problem = LikelihoodProblem(
         default=kernel_from(kernel_name),
@@ -344,7 +383,9 @@ def _inferred(
     log_evidence = _log_integral(posterior, mode, spread) - of_scale
     guide = _guide(posterior, mode, xy, prior.extent_m)
     likelihood = 0.5 * float(guide @ guide) - posterior.cost(guide)[0] - of_scale if len(values) else math.nan
-    fitted = Hyperparameters(posterior.kernel(guide), noise_std_ppb, mean, scale, likelihood, unknown)
+    fitted = Hyperparameters(
+        posterior.kernel(guide), noise_std_ppb, mean, scale, likelihood, unknown, trend_shares=shares
+    )
     return _Inference(posterior, mode, spread, log_evidence, fitted)
 
 

@@ -18,49 +18,17 @@ variance are left out; they are narrow, and the kernel describes the field at th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from he3.errors import InvalidInput
 from he3.frames import FloatArray, as_points
 from he3.kernels import squared_distances
-from he3.trend import MAX_TREND_STD, UnknownConstant
 
 LEVEL_LENGTH_M = 20_000.0  # m, between the width of a mare valley and that of a mare [assumed]
 NARROW_M = LEVEL_LENGTH_M / 20.0  # m, width of a site on which the level differs by less than a third of its std
 LEAST_SHARE = 0.0025  # 1, variance of a component that is left out, as a share of the level's
 _PER_AXIS = 9  # 1, lattice points
-
-
-@dataclass(frozen=True, slots=True)
-class UnknownLevel:
-    """A level of expectation zero on a site of that width [m], with the standard deviation of its prior [ppb].
-
-    Raises InvalidInput unless both are positive.
-    """
-
-    std_ppb: float
-    extent_m: float
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.extent_m) and self.extent_m > 0 and np.isfinite(self.std_ppb) and self.std_ppb > 0):
-            raise InvalidInput(
-                f"expected a positive width and standard deviation, got {self.extent_m!r} m and {self.std_ppb!r} ppb"
-            )
-
-    def at(self, points_m: FloatArray) -> FloatArray:
-        return np.zeros(len(points_m))
-
-    def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
-        """Columns (N, p) at places (N, 2) [m]; the prior is at most ``MAX_TREND_STD`` wide, as the map's is."""
-        return level_columns(points_m, self.extent_m) * min(self.std_ppb / scale_ppb, MAX_TREND_STD)
-
-
-def unknown_level(std_ppb: float, extent_m: float) -> UnknownConstant | UnknownLevel:
-    """The level of a site of that width [m], with that standard deviation [ppb]."""
-    return UnknownConstant(std_ppb) if extent_m < NARROW_M else UnknownLevel(std_ppb, extent_m)
 
 
 def level_columns(points_m: FloatArray, extent_m: float) -> FloatArray:

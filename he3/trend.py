@@ -25,7 +25,8 @@ from scipy import ndimage
 from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
-from he3.frames import FloatArray, IntArray, SiteGrid, as_points
+from he3.frames import BoolArray, FloatArray, IntArray, SiteGrid, as_points
+from he3.level import NARROW_M, level_columns
 
 GAIN_STD = 0.5  # 1, weak: half of all contrast that a map from orbit shows may be wrong, ASSUMED
 OFFSET_STD_PPB = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
@@ -66,6 +67,37 @@ class UnknownConstant:
         return np.full((len(points_m), 1), min(self.std_ppb / scale_ppb, MAX_TREND_STD))
 
 
+@dataclass(frozen=True, slots=True)
+class UnknownLevel:
+    """A level of expectation zero on a site of that width [m], with the standard deviation of its prior [ppb].
+
+    Raises InvalidInput unless both are positive.
+    """
+
+    std_ppb: float
+    extent_m: float
+
+    def __post_init__(self) -> None:
+        if not (
+            math.isfinite(self.extent_m) and self.extent_m > 0 and math.isfinite(self.std_ppb) and self.std_ppb > 0
+        ):
+            raise InvalidInput(
+                f"expected a positive width and standard deviation, got {self.extent_m!r} m and {self.std_ppb!r} ppb"
+            )
+
+    def at(self, points_m: FloatArray) -> FloatArray:
+        return np.zeros(len(points_m))
+
+    def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
+        """Columns (N, p) at places (N, 2) [m]; the prior is at most ``MAX_TREND_STD`` wide, as the map's is."""
+        return level_columns(points_m, self.extent_m) * min(self.std_ppb / scale_ppb, MAX_TREND_STD)
+
+
+def unknown_level(std_ppb: float, extent_m: float) -> UnknownConstant | UnknownLevel:
+    """The level of a site of that width [m], with that standard deviation [ppb]."""
+    return UnknownConstant(std_ppb) if extent_m < NARROW_M else UnknownLevel(std_ppb, extent_m)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CovariateTrend:
     """Layers over the site as (k, rows, columns) at cell centres, in any unit, and the priors of their weights.
@@ -85,6 +117,10 @@ class CovariateTrend:
     level_ppb: float = 0.0
     """The field's expected mean, but for an offset [ppb]."""
     offset_std_ppb: float = OFFSET_STD_PPB
+    level_varies: bool = False
+    """Whether the offset is another one far away on the site (``he3.level``)."""
+    after: tuple[int, ...] = ()
+    """(k,) for each layer the number of the one without which it is left out, its own if there is none; empty: none."""
     _standard: FloatArray = field(init=False)
     """(k, rows, columns): the layers with mean 0 and standard deviation 1 over the site."""
     _reach: FloatArray = field(init=False)
@@ -124,16 +160,25 @@ class CovariateTrend:
         return expected
 
     def basis(self, points_m: FloatArray, scale_ppb: float) -> FloatArray:
-        """Columns (N, k + 1) at places (N, 2) [m] whose outer product is the covariance of weights and offset.
+        """Columns (N, k + q) at places (N, 2) [m] whose outer product is the covariance of weights and offset.
 
-        In units of scale_ppb. A prior standard deviation above ``MAX_TREND_STD`` anywhere is reduced to that. The prior
-        is then still nearly flat, and the covariance keeps enough digits for the rest of the field.
+        q is 1, or more where the level varies. In units of scale_ppb. A prior standard deviation above
+        ``MAX_TREND_STD`` anywhere is reduced to that. The prior is then still nearly flat, and the covariance keeps
+        enough digits for the rest of the field.
         """
         stds = np.where(np.isnan(self.weight_std_ppb), WEIGHT_SHARE, self.weight_std_ppb / scale_ppb)
         stds = np.minimum(stds, MAX_TREND_STD / np.maximum(self._reach, 1e-300))
         offset_std = min(self.offset_std_ppb / scale_ppb, MAX_TREND_STD)
-        columns: FloatArray = np.column_stack((self._standardised(points_m) * stds, np.full(len(points_m), offset_std)))
+        extent_m = max(self.grid.width_m, self.grid.height_m) if self.level_varies else 0.0
+        offset = level_columns(points_m, extent_m) * offset_std
+        columns: FloatArray = np.column_stack((self._standardised(points_m) * stds, offset))
         return columns
+
+    @property
+    def optional(self) -> BoolArray:
+        """(k,) the layers of whose weights nothing is known, and which may be left out."""
+        found: BoolArray = np.isnan(self.weight_std_ppb)
+        return found
 
     def _standardised(self, points_m: FloatArray) -> FloatArray:
         """The layers (N, k) at places (N, 2) [m]: bilinear between cell centres, constant beyond the outermost."""
@@ -154,15 +199,31 @@ class CovariateTrend:
         return interpolated.T
 
 
+def in_shares(basis: FloatArray, shares: tuple[float, ...]) -> FloatArray:
+    """Columns (n, p) of a trend, the first k times their shares (k,), those with a share of 0 left out."""
+    if not shares:
+        return basis
+    multiples = np.append(shares, np.ones(basis.shape[1] - len(shares)))
+    scaled: FloatArray = basis[:, multiples > 0.0] * multiples[multiples > 0.0]
+    return scaled
+
+
 def covariate_trend(
-    grid: SiteGrid, layers: NDArray[np.floating], level_ppb: float, offset_std_ppb: float
+    grid: SiteGrid, layers: NDArray[np.floating], level_ppb: float, offset_std_ppb: float, *, split: bool = False
 ) -> CovariateTrend:
     """The trend of layers (k, rows, columns) of which nothing is known but that they may say something of the field.
 
-    level_ppb and offset_std_ppb: the field's mean before any sample [ppb], and its uncertainty.
+    level_ppb and offset_std_ppb: the field's mean before any sample [ppb], and its uncertainty. split: the layers are
+    those of ``split_by_scale``.
     """
     none = np.zeros(len(layers))
-    return CovariateTrend(grid, layers, none, np.full(len(layers), math.nan), level_ppb, offset_std_ppb)
+    after = _after(len(layers)) if split else ()
+    return CovariateTrend(grid, layers, none, np.full(len(layers), math.nan), level_ppb, offset_std_ppb, True, after)
+
+
+def _after(parts: int) -> tuple[int, ...]:
+    """For each part of split layers the number of the layer's wide one."""
+    return tuple(number - number % 2 for number in range(parts))
 
 
 def split_by_scale(layers: NDArray[np.floating], grid: SiteGrid, samples: int) -> FloatArray:
@@ -187,9 +248,9 @@ def orbital_trend(
 ) -> CovariateTrend:
     """The trend of a coarse map (rows, columns) [ppb] of the field itself: gain ~ N(1, gain_std^2), and an offset.
 
-    covariates: (k, rows, columns) further layers, of which nothing is known but that they may say something. The
-    defaults are weak: a map that is a third too steep and several ppb too high lies within them. Raises InvalidInput
-    for a map of another shape than the grid, or one with a value that is not finite.
+    covariates: (k, rows, columns) further layers, as ``split_by_scale`` gives them, of which nothing is known but that
+    they may say something. The defaults are weak: a map that is a third too steep and several ppb too high lies within
+    them. Raises InvalidInput for a map of another shape than the grid, or one with a value that is not finite.
     """
     orbital = np.array(orbital_ppb, dtype=np.float64)
     if orbital.shape != grid.shape:
@@ -202,6 +263,7 @@ def orbital_trend(
     return CovariateTrend(
         grid, np.concatenate((orbital[None], others)), np.array([spread, *np.zeros(len(others))]),
         np.array([gain_std * spread, *unknown]), float(orbital.mean()), offset_std_ppb,
+        after=(0, *(1 + number for number in _after(len(others)))),
     )  # fmt: skip
 
 

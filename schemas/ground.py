@@ -44,6 +44,8 @@ class KernelParameters(Wire):
     """Prior standard deviation of what the mean may be off by; None where the mean is taken for certain."""
     level_extent_m: Annotated[float, Field(gt=0)] | None = Field(default=None, exclude_if=is_none)
     """Width of the site over which the mean varies (``he3.level``); None where it is the same everywhere."""
+    trend_shares: Annotated[tuple[float, ...], Field(max_length=100)] | None = Field(default=None, exclude_if=is_none)
+    """How much room each layer of the trend has, 0 for one that is left out; None without a choice."""
     alternatives: Annotated[tuple[WeightedKernel, ...], Field(max_length=100)] | None = Field(
         default=None, exclude_if=is_none
     )

@@ -72,7 +72,7 @@ def _inferred(request: FitRequest, prior: Hyperprior) -> Hyperparameters:
         previous=request.previous,
     )
     if len(request.xy_m):
-        likeliest = _likeliest(request, inferred.kernel.name, inferred.noise_std_ppb)
+        likeliest = _likeliest(request, inferred.kernel.name, inferred.noise_std_ppb, inferred.trend_shares)
         if likeliest.field_std_ppb >= prior.least_field_std_ppb:
             inferred = inferred.with_kernel_of(likeliest)
     return inferred if request.trend is None else replace(inferred, trend=None)
@@ -89,14 +89,16 @@ def fit_kernel(request: FitRequest) -> Hyperparameters:
         return fit(request)
     if previous is None or not previous.alternatives:
         return _inferred(request, prior)
-    likeliest = _likeliest(request, previous.kernel.name, previous.noise_std_ppb)
+    likeliest = _likeliest(request, previous.kernel.name, previous.noise_std_ppb, previous.trend_shares)
     if likeliest.field_std_ppb < prior.least_field_std_ppb:
         return _inferred(request, prior)
     fitted = previous.with_kernel_of(likeliest)
     return fitted if request.trend is None else replace(fitted, trend=None)
 
 
-def _likeliest(request: FitRequest, kernel: str, noise_std_ppb: float) -> Hyperparameters:
+def _likeliest(
+    request: FitRequest, kernel: str, noise_std_ppb: float, trend_shares: tuple[float, ...] = ()
+) -> Hyperparameters:
     """The hyperparameters of maximum likelihood."""
     return fit_hyperparameters(
         request.xy_m,
@@ -106,5 +108,6 @@ def _likeliest(request: FitRequest, kernel: str, noise_std_ppb: float) -> Hyperp
         noise_std_ppb=noise_std_ppb,
         previous=request.previous,
         trend=request.trend,
+        trend_shares=trend_shares,
         extent_m=request.extent_m,
     )

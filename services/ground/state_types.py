@@ -12,9 +12,8 @@ from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import Hyperprior
 from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
-from he3.level import UnknownLevel
 from he3.posterior.grid import PosteriorMap
-from he3.trend import CovariateTrend, UnknownConstant
+from he3.trend import CovariateTrend, UnknownConstant, UnknownLevel
 from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
 from schemas.ground import GoalForecast, GoalStatus, KeepOutArea, MissionPhase

@@ -26,7 +26,7 @@ def trend_of(scenario: Scenario, region: Region) -> CovariateTrend | None:
     layers = split_by_scale(covariates(scenario.ground.covariates, region), region.grid, scenario.samples)
     if scenario.ground.prior == "orbital":
         return orbital_trend(region.grid, region.orbital_ppb, covariates=layers)
-    return covariate_trend(region.grid, layers, MEAN_PPB, MEAN_STD_PPB) if len(layers) else None
+    return covariate_trend(region.grid, layers, MEAN_PPB, MEAN_STD_PPB, split=True) if len(layers) else None
 
 
 def covariates(names: Sequence[str], region: Region) -> FloatArray:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import kernel_from
-from he3.level import UnknownLevel, unknown_level
-from he3.trend import UnknownConstant
+from he3.trend import UnknownConstant, UnknownLevel, unknown_level
 from schemas.ground import (
     MAX_OVERVIEW_CELLS,
     MAX_OVERVIEW_CORNERS,
@@ -73,6 +72,7 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
     return KernelParameters(
         mean_std_ppb=trend.std_ppb if isinstance(trend, UnknownConstant | UnknownLevel) else None,
         level_extent_m=trend.extent_m if isinstance(trend, UnknownLevel) else None,
+        trend_shares=hyperparameters.trend_shares or None,
         name=hyperparameters.kernel.name,
         parameters=hyperparameters.kernel.parameters(),
         noise_std_ppb=hyperparameters.noise_std_ppb,
@@ -97,6 +97,7 @@ def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
         trend=None if kernel.mean_std_ppb is None else unknown_level(kernel.mean_std_ppb, kernel.level_extent_m or 0.0),
         alternatives=tuple((each.weight, kernel_from(kernel.name, each.parameters)) for each in alternatives),
         noises_ppb=tuple(each.noise_std_ppb for each in alternatives if each.noise_std_ppb is not None),
+        trend_shares=kernel.trend_shares or (),
     )
 
 

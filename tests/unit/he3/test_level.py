@@ -9,9 +9,9 @@ from he3.errors import InvalidInput
 from he3.gp import GaussianProcess
 from he3.hyperposterior import infer_hyperparameters
 from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB, Hyperprior
-from he3.level import LEVEL_LENGTH_M, NARROW_M, UnknownLevel, unknown_level
+from he3.level import LEVEL_LENGTH_M, NARROW_M
 from he3.mixture import ProcessMixture
-from he3.trend import UnknownConstant
+from he3.trend import UnknownConstant, UnknownLevel, unknown_level
 
 WIDE_M = 30_000.0
 PLACES = np.random.default_rng(3).uniform(0.0, WIDE_M, (200, 2))

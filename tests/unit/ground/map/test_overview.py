@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from he3.gp import Hyperparameters
 from he3.kernels import Matern32, Stretched
-from he3.level import UnknownLevel
-from he3.trend import UnknownConstant
+from he3.trend import UnknownConstant, UnknownLevel
 from schemas.ground import KernelParameters
 from services.ground.map.overview import hyperparameters_from, kernel_parameters
 
@@ -33,3 +32,8 @@ def test_an_operator_sees_every_kernel_with_its_lengths_and_noise() -> None:
 def test_an_operator_sees_how_the_level_varies() -> None:
     own = Hyperparameters(Matern32(0.8, 7000.0), 0.2, 7.5, 1.5, trend=UnknownLevel(4.0, 30_000.0))
     assert seen(own).trend == own.trend
+
+
+def test_an_operator_sees_how_much_room_each_layer_has() -> None:
+    own = Hyperparameters(Matern32(0.8, 70.0), 0.2, 7.5, 1.5, trend_shares=(3.5, 0.0))
+    assert seen(own).trend_shares == own.trend_shares
