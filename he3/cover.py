@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 MARGIN = 0.02
 """Share of the goal's variance below it from which on an excess counts in a descent."""
 _SOFTENING = 1e-4  # 1, of a length scale, squared, so that slopes are finite at the place itself
+ROUNDING = 1e-7  # 1, of the field's variance, noise that makes up for rounding; it lets a design look worse, not better
 _NOTHING = 1e-9  # 1, excess as a share of the goal's variance that counts as none
 
 
@@ -152,12 +153,15 @@ def _pulled(kernel: Kernel, a_m: FloatArray, b_m: FloatArray, m: FloatArray) -> 
 
 
 def _factored(covariance: FloatArray, noise: float) -> FloatArray:
-    total: FloatArray = covariance + noise * np.eye(len(covariance))
-    try:
-        factor = np.asarray(np.linalg.cholesky(total), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        raise NumericalFailure(f"the covariance of {len(covariance)} places is not positive definite") from None
-    return factor
+    """Lower Cholesky factor of a covariance (n, n) plus noise; a little more noise where rounding requires it."""
+    for more in (0.0, ROUNDING, 100.0 * ROUNDING):
+        total = covariance.copy()
+        total.flat[:: len(total) + 1] += noise + more * max(float(covariance.diagonal().max(initial=0.0)), noise)
+        try:
+            return np.asarray(np.linalg.cholesky(total), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            continue
+    raise NumericalFailure(f"the covariance of {len(covariance)} places is not positive definite")
 
 
 class CoverProblem:

@@ -94,6 +94,13 @@ def test_a_goal_beyond_the_samples_leaves_the_attempt() -> None:
     assert not problem.holds(attempt)
 
 
+def test_places_on_top_of_each_other_with_next_to_no_noise_are_worth_one() -> None:
+    quiet = Hyperparameters(SquaredExponential(1.0, 90.0), 0.0, 8.0, 1.5)
+    problem = CoverProblem([quiet], NONE, EVERYWHERE, 0.5)
+    once = CANDIDATES[:30]
+    np.testing.assert_allclose(problem.excess(np.vstack((once, once))), problem.excess(once), atol=0.02)
+
+
 def test_a_problem_without_targets_or_kernels_is_refused() -> None:
     for kernels, targets in (([], EVERYWHERE), ([under(Matern52())], Targets(np.zeros((0, 1, 2))))):
         with pytest.raises(InvalidInput, match="expected a kernel, a target and a positive goal"):
