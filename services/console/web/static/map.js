@@ -59,9 +59,12 @@ export class SiteMap {
     const box = this.canvas.getBoundingClientRect();
     this.ratio = window.devicePixelRatio || 1;
     this.projection.size = [box.width, box.height];
-    this.canvas.width = Math.round(box.width * this.ratio);
-    this.canvas.height = Math.round(box.height * this.ratio);
+    const [width, height] = [box.width, box.height].map((side) => Math.round(side * this.ratio));
+    if (this.canvas.width === width && this.canvas.height === height) { this.seen(); return; }
+    this.canvas.width = width; // which empties the canvas
+    this.canvas.height = height;
     this.seen();
+    this.drawNow(); // before the browser shows it empty
   }
 
   // The place under a pixel; null off the site or outside the frame.
@@ -210,15 +213,15 @@ export class SiteMap {
   draw() {
     if (this.due || !this.projection.size) return;
     this.due = true;
-    requestAnimationFrame(() => {
-      this.due = false;
-      const context = this.canvas.getContext("2d");
-      context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-      context.clearRect(0, 0, ...this.projection.size);
-      const effort = { tiles: TILES_A_FRAME, short: false };
-      this.paint(context, this.ratio, effort);
-      if (effort.short) this.draw();
-    });
+    requestAnimationFrame(() => { this.due = false; this.drawNow(); });
+  }
+
+  drawNow() {
+    const context = this.canvas.getContext("2d"), effort = { tiles: TILES_A_FRAME, short: false };
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    context.clearRect(0, 0, ...this.projection.size);
+    this.paint(context, this.ratio, effort);
+    if (effort.short) this.draw();
   }
 
   // Draws the map into a context whose unit is a pixel of the page; ratio: pixels of the picture in it. effort: of drawRaster.
