@@ -89,6 +89,45 @@ def infer_hyperparameters(
     evidence allows. previous: a start of the search. It draws nothing at random. Raises InvalidInput for shapes that do
     not fit, values that are not finite, or an unknown kernel.
     """
+    xy, models = _models(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
+    return _mixed(models, xy, prior.extent_m)
+
+
+def draw_hyperparameters(
+    xy_m: FloatArray,
+    values_ppb: FloatArray,
+    kernel_name: str,
+    prior: Hyperprior,
+    random: np.random.Generator,
+    *,
+    noise_std_ppb: float,
+    trend: CovariateTrend | None = None,
+    previous: Hyperparameters | None = None,
+) -> Hyperparameters:
+    """One draw from the posterior whose few representatives ``infer_hyperparameters`` returns; the same arguments.
+
+    The representatives have the moments of the map, but most of their weight is on one or two of them: what follows
+    from the kernel in other ways varies less among them than in the posterior.
+    """
+    xy, models = _models(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
+    points = _points(models, xy, prior.extent_m)
+    shares = np.exp(points.log_weights - np.logaddexp.reduce(points.log_weights))
+    number = int(random.choice(len(shares), p=shares))
+    fitted = models[0].fitted
+    noise_ppb = fitted.scale_ppb * math.sqrt(points.noises[number])
+    return replace(fitted, kernel=points.kernels[number], noise_std_ppb=noise_ppb, log_likelihood=math.nan)
+
+
+def _models(
+    xy_m: FloatArray,
+    values_ppb: FloatArray,
+    kernel_name: str,
+    prior: Hyperprior,
+    noise_std_ppb: float,
+    trend: CovariateTrend | None,
+    previous: Hyperparameters | None,
+) -> tuple[FloatArray, list[_Inference]]:
+    """The places (n, 2) [m], and the models of the samples there: the chosen kernel's, and its extensions."""
     xy = as_points(np.asarray(xy_m, dtype=np.float64).reshape(-1, 2))
     values = np.asarray(values_ppb, dtype=np.float64)
     if values.shape != (len(xy),) or not np.isfinite(values).all():
@@ -97,7 +136,7 @@ def infer_hyperparameters(
     found = [_with_layers(xy, values, name, prior, noise_std_ppb, trend, previous) for name in names]
     least = max(each.log_evidence for each in found) - VERY_STRONG_EVIDENCE
     chosen = next(each for each in found if each.log_evidence >= least)
-    return _mixed([chosen, *_extended(chosen, xy)], xy, prior.extent_m)
+    return xy, [chosen, *_extended(chosen, xy)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,8 +300,8 @@ class _Inference:
         return _Weighted(list(kernels), np.array(noises), log_weights, np.array(means), np.array(variances))
 
 
-def _mixed(models: list[_Inference], xy: FloatArray, extent_m: float) -> Hyperparameters:
-    """The hyperparameters for planners, those of the first model, with the kernels that stand for all models."""
+def _points(models: list[_Inference], xy: FloatArray, extent_m: float) -> _Weighted:
+    """The points that stand for all models that count."""
     axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
     places = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
     best = max(model.log_evidence for model in models)
@@ -271,7 +310,12 @@ def _mixed(models: list[_Inference], xy: FloatArray, extent_m: float) -> Hyperpa
         replace(found, log_weights=found.log_weights + model.log_evidence - best)
         for model, found in ((model, model.weighted(xy, places)) for model in counted)
     ]
-    points = _Weighted.together(each)
+    return _Weighted.together(each)
+
+
+def _mixed(models: list[_Inference], xy: FloatArray, extent_m: float) -> Hyperparameters:
+    """The hyperparameters for planners, those of the first model, with the kernels that stand for all models."""
+    points = _points(models, xy, extent_m)
     weights = np.exp(points.log_weights - points.log_weights.max())
     chosen, shares = condensed(weights, points.means, points.variances, COMPONENTS)
     fitted = models[0].fitted

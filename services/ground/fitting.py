@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
-from he3.hyperposterior import infer_hyperparameters
+from he3.hyperposterior import draw_hyperparameters, infer_hyperparameters
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -58,6 +58,23 @@ def fit(request: FitRequest) -> Hyperparameters:
     if request.prior is None:
         return replace(_likeliest(request, request.kernel, request.noise_std_ppb), trend=None)
     return _inferred(request, request.prior) if request.whole else fit_kernel(request)
+
+
+def drawn_fit(request: FitRequest, random: np.random.Generator) -> Hyperparameters | None:
+    """Hyperparameters drawn from their posterior, without the request's trend; None without a prior."""
+    if request.prior is None:
+        return None
+    drawn = draw_hyperparameters(
+        request.xy_m,
+        request.values_ppb,
+        request.kernel,
+        request.prior,
+        random,
+        noise_std_ppb=request.noise_std_ppb,
+        trend=request.trend,
+        previous=request.previous,
+    )
+    return drawn if request.trend is None else replace(drawn, trend=None)
 
 
 def _inferred(request: FitRequest, prior: Hyperprior) -> Hyperparameters:

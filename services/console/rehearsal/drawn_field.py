@@ -61,7 +61,8 @@ class DrawnField:
         if asked.sample_id not in self._drawn:
             place_m = [(asked.x_m, asked.y_m)]
             mean, std = self._belief.predict(place_m)
-            value = self._random.normal(mean[0], np.hypot(std[0], self._noise_std_ppb))
+            noise = max(self._noise_std_ppb, self._belief.hyperparameters.noise_std_ppb)  # it may be learned
+            value = self._random.normal(mean[0], np.hypot(std[0], noise))
             self._drawn[asked.sample_id] = float(np.clip(value, 0.0, HELIUM3_MAX_PPB))
             self._belief = self._belief.condition(place_m, [self._drawn[asked.sample_id]])
         return self._drawn[asked.sample_id]

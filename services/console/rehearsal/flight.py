@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import sys
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
@@ -21,7 +22,7 @@ from services.console.rehearsal.alternative import AS_PLANNED, HOLDING, Alternat
 from services.console.rehearsal.drawn_field import DrawnField
 from services.field.node import FieldNode
 from services.ground.belief import Belief
-from services.ground.fitting import fit, fit_kernel
+from services.ground.fitting import drawn_fit, fit, fit_kernel
 from services.ground.node import NAME as GROUND
 from services.ground.node import build_node as build_ground
 from services.ground.planning import IGNORE_STD
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from he3.frames import Place
+    from he3.gp import GaussianProcess
     from he3.reference import Region
     from schemas.commands import Telecommand
     from schemas.fork import MissionFork
@@ -147,7 +149,7 @@ def fly(
     place_m = scenario.start_m if fork.rover is None else (fork.rover.x_m, fork.rover.y_m)
     truth = FieldNode(region, scenario.field, seed, place_m)
     random = np.random.default_rng((live.seed, _SEED, draw))
-    belief = redrawn(state["director"]["belief"]["process"], random)
+    belief = _drawn(state["director"]["belief"]["process"], beliefs[0].fit_request(sys.maxsize, ()), random)
     nodes = (
         DrawnField(truth, belief, scenario.field.noise_std_ppb, random),
         _rover(scenario, region, fork, place_m),
@@ -168,6 +170,15 @@ def fly(
     flight.samples = len(beliefs[0])
     flight.mean_std_ppb = float(beliefs[0].map.std_ppb.mean(dtype="f8"))
     return flight
+
+
+def _drawn(known: GaussianProcess, request: FitRequest | None, random: np.random.Generator) -> GaussianProcess:
+    """The same observations under hyperparameters drawn from their posterior. request: for a fit to all of them."""
+    drawn = None if request is None else drawn_fit(request, random)
+    if drawn is None:
+        return redrawn(known, random)
+    assert request is not None
+    return known.under(drawn if request.trend is None else replace(drawn, trend=request.trend))
 
 
 def _simplified(live: Scenario, conditions: LinkConditions, planner: str | None) -> Scenario:

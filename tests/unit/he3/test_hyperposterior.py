@@ -7,7 +7,7 @@ import pytest
 
 from he3.frames import FloatArray
 from he3.gp import GaussianProcess, Hyperparameters
-from he3.hyperposterior import COMPONENTS, infer_hyperparameters
+from he3.hyperposterior import COMPONENTS, draw_hyperparameters, infer_hyperparameters
 from he3.hyperprior import Hyperprior
 from he3.kernels import Matern52, squared_distances
 from he3.likelihood import log_marginal_likelihood
@@ -56,6 +56,20 @@ def test_the_mixture_has_the_moments_of_the_posterior_by_quadrature(count: int) 
     mixed_mean, mixed_std = ProcessMixture.of(GaussianProcess(found).condition(places, values)).predict(POINTS)
     assert np.sqrt((((mixed_mean - mean) / std) ** 2).mean()) < 0.05
     assert np.sqrt(((mixed_std / std - 1.0) ** 2).mean()) < 0.1
+
+
+def test_draws_from_the_posterior_have_its_moments_and_are_more_kernels_than_stand_for_it() -> None:
+    places, values = samples(6)
+    mean, std = by_quadrature(places, values)
+    random = np.random.default_rng(3)
+    draws = [
+        draw_hyperparameters(places, values, "matern52", PRIOR, random, noise_std_ppb=NOISE_PPB) for _ in range(30)
+    ]
+    assert len({draw.kernel for draw in draws}) > 2 * COMPONENTS
+    means, stds = zip(*(GaussianProcess(draw).condition(places, values).predict(POINTS) for draw in draws), strict=True)
+    drawn_mean, drawn_std = mixture_moments(np.full(30, 1.0 / 30), np.array(means), np.array(stds))
+    assert np.sqrt((((drawn_mean - mean) / std) ** 2).mean()) < 0.3
+    assert np.sqrt(((drawn_std / std - 1.0) ** 2).mean()) < 0.3
 
 
 def test_there_are_a_few_alternatives_and_their_weights_sum_to_one() -> None:

@@ -197,17 +197,18 @@ def test_the_next_flight_lies_in_the_bands_as_often_as_they_say(draws: int) -> N
         assert inside == pytest.approx(level, abs=0.035)
 
 
-def test_a_forecast_has_the_median_and_central_bands_of_its_flights() -> None:
+def test_a_forecast_has_the_median_of_its_flights_and_bands_half_as_wide_again_as_theirs() -> None:
     flights = tuple(
-        Flight(n, True, "", 3600.0 * n, 10.0 * n, 8, 0.5, 100.0, 50.0, rounds_s={3: 60.0 * n}) for n in range(101)
+        Flight(n, True, "", 3600.0 * n, 1000.0 + 10.0 * n, 8, 0.5, 100.0, 50.0, rounds_s={3: 60.0 * n})
+        for n in range(101)
     )
     forecast = Forecast("as planned", 0, ("a thing",), flights, 2.0)
-    assert astuple(forecast.band("driven_m")) == pytest.approx((500.0, 153.2, 846.8, 15.5, 984.5))
+    assert astuple(forecast.band("driven_m")) == pytest.approx((1500.0, 979.8, 2020.2, 773.25, 2226.75))
     ((number, done),) = forecast.rounds().items()
     assert number == 3
-    assert astuple(done) == pytest.approx((3000.0, 919.2, 5080.8, 93.0, 5907.0))
+    assert astuple(done) == pytest.approx((3000.0, 0.0, 6121.2, 0.0, 7360.5))
     rows = dict(forecast.rows())
-    assert rows["drives"] == "500 m; 68 %: 153 m to 847 m; 95 %: 16 m to 984 m"
+    assert rows["drives"] == "1,500 m; 68 %: 980 m to 2,020 m; 95 %: 773 m to 2,227 m"
     assert rows["samples"] == "8"
     assert rows["assumes"] == "a thing"
     assert "NOT DONE" not in rows
