@@ -191,6 +191,7 @@ class MapPublisher:
             "history": self._history,
             "shown_at_the_end": self._shown_at_the_end,
             "revision": self.revision,
+            "ended": self._ended,
             "judged": self._judged,
             "mean_std_ppb": self._mean_std_ppb,
             "score": self._score,
@@ -207,6 +208,7 @@ class MapPublisher:
         self._history = state["history"]
         self._shown_at_the_end = state["shown_at_the_end"]
         self.revision = state["revision"]
+        self._ended = state["ended"]
         self._judged = state["judged"]
         self._mean_std_ppb = state["mean_std_ppb"]
         self._score = state["score"]

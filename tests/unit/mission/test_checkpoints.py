@@ -41,6 +41,9 @@ MADE_AGAIN = {
     "effects",
     "_effects",  # of the last event; cleared before the next
     "_heap",  # made of the timers
+    "_timer_may_move",  # of custody: whether its timer is looked for again; after a restart it is
+    "_passed",  # of a round's record: its path at the farthest place reached
+    "_wake",  # what the timers and the inbox came to last; None: it is looked for
 }
 
 
