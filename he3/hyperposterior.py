@@ -47,7 +47,7 @@ from he3.hyperparameters import (
     parameter_bounds,
     typical_spacing_m,
 )
-from he3.hyperprior import REACH, Hyperprior
+from he3.hyperprior import REACH, UNREMARKABLE, Hyperprior
 from he3.kernels import AUTO, Kernel, Stretched, kernel_from, squared_distances
 from he3.layer_selection import LEAST_OF_WIDE, LOG_ODDS, LOG_ODDS_OF_DETAIL, chosen_shares
 from he3.model_extensions import extensions
@@ -402,7 +402,7 @@ def _inferred(
     sample_mean = float(residual.mean()) if len(residual) else 0.0
     if trend is None:
         mean = prior.mean_ppb
-        away = abs(sample_mean - mean) if len(residual) else 0.0
+        away = abs(sample_mean - mean) - UNREMARKABLE * prior.mean_std_ppb if len(residual) else 0.0
         unknown: Trend = unknown_level(max(prior.mean_std_ppb, away), prior.extent_m)
         scale *= max(1.0, away / prior.mean_std_ppb)
     elif trend.level_varies:  # no layer is a map of the field: all that is known of its level is the prior

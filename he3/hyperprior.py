@@ -2,9 +2,9 @@
 
 Standard deviations and length scales are log-normal, the constant mean is normal, and the noise is the instrument's:
 
-- **mean**: the means of six landing sites lie at 1.4 to 15.1 ppb, so 7.5 +- 4 ppb. Samples that lie farther away widen
-  it to their distance, and the field's standard deviation in the same proportion, so that a field in another unit is
-  not drawn towards that of helium-3;
+- **mean**: the means of six landing sites lie at 1.4 to 15.1 ppb, so 7.5 +- 4 ppb. Samples that lie more than one and a
+  half of that away widen it by the excess, and the field's standard deviation in the same proportion, so that a field
+  in another unit is not drawn towards that of helium-3;
 - **standard deviation**: the two regions of 500 m have 0.6 and 1.0 ppb, the six sites differ by 4.5. So 1.7 ppb within
   a factor of 2.5 (68 %) and 6 (95 %), whatever the width of the site. With an orbital map as trend, the map's own
   spread takes the place of 1.7 ppb for what remains;
@@ -41,6 +41,8 @@ LENGTH_SCALES = {
     "rough_length_scale_m": (0.06, 2.5),
     "length_scale_m": (0.15, 2.5),
 }
+UNREMARKABLE = 0.5
+"""How far beyond one standard deviation the samples' mean may lie before the unit is doubted, in such deviations."""
 REACH = 10.0
 """Bounds of the search, in logarithms of the factor on either side of the median: for fields in other units."""
 
