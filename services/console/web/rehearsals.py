@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import Busy, He3Error, InvalidInput
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from services.console.rehearsal.flight import Flight
     from services.console.rehearsal.forecast import Forecast
 
+BEGINNING: Final = "services.console.rehearsal.beginning"
+FORECAST: Final = "services.console.rehearsal.forecast"
+"""Imported with the first rehearsal: they have the ground station and all that it computes with."""
 TRACK_DIGITS: Final = 1
 
 
@@ -83,8 +87,7 @@ class Rehearsals:
             return {**told, "by": last.by, "why": last.why, "result": result}
 
     def _fly(self, rehearsal: _Rehearsal, draws: int, alternatives: tuple[Alternative, ...]) -> None:
-        from services.console.rehearsal.beginning import start_of
-        from services.console.rehearsal.forecast import rehearse
+        begin, fly = import_module(BEGINNING), import_module(FORECAST)
 
         def count(_: Flight) -> None:
             with self._lock:
@@ -92,7 +95,8 @@ class Rehearsals:
 
         result, why = None, "rehearsal: it broke off"
         try:
-            found = rehearse(start_of(self._mission), draws, count, alternatives=alternatives, stop=rehearsal.stop)
+            start = begin.start_of(self._mission)
+            found = fly.rehearse(start, draws, count, alternatives=alternatives, stop=rehearsal.stop)
             result, why = _result(found), ""
         except He3Error as error:
             why = str(error)
@@ -102,8 +106,6 @@ class Rehearsals:
 
 
 def _result(forecasts: tuple[Forecast, ...]) -> dict[str, Any]:
-    from services.console.rehearsal.forecast import FIGURES
-
     first = forecasts[0]
     return {
         "at": first.at,
@@ -112,7 +114,7 @@ def _result(forecasts: tuple[Forecast, ...]) -> dict[str, Any]:
         "drawn": first.drawn(),
         "assumptions": list(first.assumptions),
         "forecasts": [_forecast(each) for each in forecasts],
-        "more": {figure: asdict(forecasts[-1].less(first, figure)) for figure in FIGURES},
+        "more": {figure: asdict(forecasts[-1].less(first, figure)) for figure in import_module(FORECAST).FIGURES},
     }
 
 
