@@ -46,8 +46,8 @@ from he3.kernels import (
     squared_distances,
     with_log_parameters,
 )
+from he3.layer_selection import in_shares
 from he3.likelihood import log_marginal_likelihood
-from he3.trend import in_shares
 
 if TYPE_CHECKING:
     from he3.trend import CovariateTrend, Trend

@@ -49,9 +49,9 @@ from he3.hyperparameters import (
 )
 from he3.hyperprior import REACH, UNREMARKABLE, Hyperprior
 from he3.kernels import AUTO, Kernel, Stretched, kernel_from, squared_distances
-from he3.layer_selection import LEAST_OF_WIDE, LOG_ODDS, LOG_ODDS_OF_DETAIL, chosen_shares
+from he3.layer_selection import LEAST_OF_WIDE, LOG_ODDS, LOG_ODDS_OF_DETAIL, chosen_shares, in_shares
 from he3.model_extensions import extensions
-from he3.trend import in_shares, unknown_level
+from he3.trend import unknown_level
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -66,3 +66,12 @@ def chosen_shares(
         with_z = with_z - taken * with_z[first] * among[:, first]
         among = among - taken * np.outer(among[:, first], among[first])
     return tuple(float(share) for share in shares)
+
+
+def in_shares(basis: FloatArray, shares: tuple[float, ...]) -> FloatArray:
+    """Columns (n, p) of a trend, the first k times their shares (k,), those with a share of 0 left out."""
+    if not shares:
+        return basis
+    multiples = np.append(shares, np.ones(basis.shape[1] - len(shares)))
+    scaled: FloatArray = basis[:, multiples > 0.0] * multiples[multiples > 0.0]
+    return scaled

@@ -21,9 +21,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from he3.frames import FloatArray, as_points
-from he3.kernels import squared_distances
 
 LEVEL_LENGTH_M = 20_000.0  # m, between the width of a mare valley and that of a mare [assumed]
 NARROW_M = LEVEL_LENGTH_M / 20.0  # m, width of a site on which the level differs by less than a third of its std
@@ -51,5 +51,5 @@ def _components(extent_m: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _correlation(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
-    correlation: FloatArray = np.exp(-np.sqrt(squared_distances(a_m, b_m)) / LEVEL_LENGTH_M)
+    correlation: FloatArray = np.exp(-cdist(a_m, b_m) / LEVEL_LENGTH_M)
     return correlation

@@ -199,15 +199,6 @@ class CovariateTrend:
         return interpolated.T
 
 
-def in_shares(basis: FloatArray, shares: tuple[float, ...]) -> FloatArray:
-    """Columns (n, p) of a trend, the first k times their shares (k,), those with a share of 0 left out."""
-    if not shares:
-        return basis
-    multiples = np.append(shares, np.ones(basis.shape[1] - len(shares)))
-    scaled: FloatArray = basis[:, multiples > 0.0] * multiples[multiples > 0.0]
-    return scaled
-
-
 def covariate_trend(
     grid: SiteGrid, layers: NDArray[np.floating], level_ppb: float, offset_std_ppb: float, *, split: bool = False
 ) -> CovariateTrend:

@@ -50,14 +50,12 @@ def rehearse(
     rehearsed beside it.
     """
     import json as json_format
-    from dataclasses import asdict
 
-    from services.console.rehearsal.alternative import AS_PLANNED, parse_alternative
-    from services.console.rehearsal.beginning import start_of
-    from services.console.rehearsal.forecast import FIGURES, compared
+    from services.console.rehearsal.alternative import alternatives_of
+    from services.console.rehearsal.forecast import compared, start_of
     from services.console.rehearsal.forecast import rehearse as flown
 
-    alternatives = (AS_PLANNED,) if against is None else (AS_PLANNED, parse_alternative(against))
+    alternatives = alternatives_of(against)
     with session.join() as client:
         name = f"{client.mission} at {client.earth}"
         start = start_of(client)
@@ -71,10 +69,7 @@ def rehearse(
 
     forecast, *others = flown(start, draws, report, alternatives=alternatives)
     if json:
-        documents = [
-            {**other.document(), "more": {figure: asdict(other.less(forecast, figure)) for figure in FIGURES}}
-            for other in others
-        ]
+        documents = [{**other.document(), "more": other.differences(forecast)} for other in others]
         typer.echo(json_format.dumps({"mission": name, **forecast.document(), "against": documents}, indent=2))
         return
     rows = [("mission", name), *forecast.rows()]

@@ -80,6 +80,7 @@ def web(
     For other machines the page is served over TLS: with --identity, or with --certificate and --key.
     With --recording it shows a mission that was recorded, at any time and pace; a recording cannot be commanded.
     """
+    from services.console.rehearsal.forecast import rehearse_live
     from services.console.web.identity import Tls
     from services.console.web.running import PageOptions, serve
     from services.runtime.trust.identity import load_identity
@@ -103,4 +104,4 @@ def web(
     with session.join(name="web") as client:
         who = client.identity if own is None else own
         options = PageOptions(bind, port, authority, hosts, tls, who, insecure=session.insecure, login_file=login_file)
-        serve(client, options, lambda line: typer.echo(line, err=True))
+        serve(client, options, lambda line: typer.echo(line, err=True), rehearse=rehearse_live)

@@ -67,3 +67,8 @@ def _command(said: str) -> Telecommand:
     if line.command.kind in HOLDING:
         raise InvalidInput(f"alternative: expected a command after which the mission goes on, got '{said[:80]}'")
     return line.command
+
+
+def alternatives_of(against: str | None) -> tuple[Alternative, ...]:
+    """The mission as planned, and the alternative in those words beside it. Raises InvalidInput: see above."""
+    return (AS_PLANNED,) if against is None else (AS_PLANNED, parse_alternative(against))

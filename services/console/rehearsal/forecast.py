@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from threading import Event
 
     from he3.reference import Region
+    from services.console.client.mission_client import MissionClient
 
 LEVELS: Final = (0.68, 0.95)
 RANKED_FROM: Final = 39
@@ -132,6 +133,10 @@ class Forecast:
         pairs = zip(self.flights, other.flights, strict=True)
         return Band.of([getattr(here, figure) - getattr(there, figure) for here, there in pairs], -math.inf)
 
+    def differences(self, other: Forecast) -> dict[str, Any]:
+        """The bands of how much more each figure is here than in the other, as JSON values."""
+        return {figure: asdict(self.less(other, figure)) for figure in FIGURES}
+
     def document(self) -> dict[str, Any]:
         """The forecast as JSON values; tracks included."""
         return {
@@ -220,6 +225,23 @@ def rehearse(
         )
         for number, alternative in enumerate(alternatives)
     )
+
+
+def start_of(mission: MissionClient) -> Start:
+    """The mission as its ground knows it now, its link, and the commands under way; the mission does not change."""
+    under_way = tuple(status.command for status in mission.commands() if status.end is None)
+    return Start(mission.fork(), mission.link(), under_way)
+
+
+def rehearse_live(
+    mission: MissionClient,
+    draws: int,
+    on_flight: Callable[[Flight], None],
+    alternatives: tuple[Alternative, ...],
+    stop: Event,
+) -> tuple[Forecast, ...]:
+    """As `rehearse`, from where a running mission is now."""
+    return rehearse(start_of(mission), draws, on_flight, alternatives=alternatives, stop=stop)
 
 
 def _result(done: Future[Flight]) -> Flight:

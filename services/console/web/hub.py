@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from schemas.mission_log import AlarmKind
     from services.console.client.mission_client import MissionClient
     from services.console.client.mission_state import Happened, MissionState
+    from services.console.web.rehearsals import Rehearse
 
 MAX_VIEWERS = 100
 MAX_WAITING = 400
@@ -105,12 +106,14 @@ class Viewer:
 class Hub:
     """The mission's state with curves and alarms, sent to every browser."""
 
-    def __init__(self, mission: MissionClient, recording: Recording | None = None) -> None:
-        """recording: the mission, if it is a recorded one whose time can be set."""
+    def __init__(
+        self, mission: MissionClient, recording: Recording | None = None, rehearse: Rehearse | None = None
+    ) -> None:
+        """recording: the mission, if it is a recorded one with a time that can be set; then there is no `rehearse`."""
         self.mission = mission
         self.recording = recording
         self.stacks = PageStacks.of(mission, self._stack_changed)
-        self.rehearsals = Rehearsals(mission, recording is not None)
+        self.rehearsals = Rehearsals(mission, rehearse)
         self._lock = threading.RLock()
         self._viewers: set[Viewer] = set()
         self._ended = threading.Event()

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import asdict, dataclass, field
-from importlib import import_module
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import Busy, He3Error, InvalidInput
-from services.console.rehearsal.alternative import AS_PLANNED, parse_alternative
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from services.console.client.mission_client import MissionClient
     from services.console.rehearsal.alternative import Alternative
     from services.console.rehearsal.flight import Flight
     from services.console.rehearsal.forecast import Forecast
 
-BEGINNING: Final = "services.console.rehearsal.beginning"
-FORECAST: Final = "services.console.rehearsal.forecast"
-"""Imported with the first rehearsal: they have the ground station and all that it computes with."""
+    Rehearse = Callable[
+        [MissionClient, int, Callable[[Flight], None], tuple[Alternative, ...], threading.Event], tuple[Forecast, ...]
+    ]
+    """Flies the rest of the mission: draws, what is called with each flight, the alternatives, and what stops it."""
+
 TRACK_DIGITS: Final = 1
 
 
@@ -43,21 +45,20 @@ class _Rehearsal:
 class Rehearsals:
     """Rehearses the mission for the page."""
 
-    def __init__(self, mission: MissionClient, recorded: bool) -> None:
-        """recorded: whether the mission is a recording, which has nothing ahead."""
+    def __init__(self, mission: MissionClient, rehearse: Rehearse | None) -> None:
+        """rehearse: None for a recording, which has nothing ahead."""
         self._mission = mission
-        self._recorded = recorded
+        self._rehearse = rehearse
         self._lock = threading.Lock()
         self._last: _Rehearsal | None = None
 
-    def begin(self, draws: int, against: str | None, by: str) -> None:
-        """Begin a rehearsal. against: an alternative to be rehearsed beside it, in words; by: who wants it.
+    def begin(self, draws: int, alternatives: tuple[Alternative, ...], by: str) -> None:
+        """Begin a rehearsal of each alternative. by: who wants it.
 
-        Raises InvalidInput for an alternative that is none, and for a recording; Busy while one is under way.
+        Raises InvalidInput for a recording, Busy while one is under way.
         """
-        if self._recorded:
+        if self._rehearse is None:
             raise InvalidInput("expected a running mission, got a recording, which cannot be rehearsed")
-        alternatives = (AS_PLANNED,) if against is None else (AS_PLANNED, parse_alternative(against))
         with self._lock:
             last = self._last
             if last is not None and last.running:
@@ -87,7 +88,7 @@ class Rehearsals:
             return {**told, "by": last.by, "why": last.why, "result": result}
 
     def _fly(self, rehearsal: _Rehearsal, draws: int, alternatives: tuple[Alternative, ...]) -> None:
-        begin, fly = import_module(BEGINNING), import_module(FORECAST)
+        assert self._rehearse is not None, "refused by `begin`"
 
         def count(_: Flight) -> None:
             with self._lock:
@@ -95,8 +96,7 @@ class Rehearsals:
 
         result, why = None, "rehearsal: it broke off"
         try:
-            start = begin.start_of(self._mission)
-            found = fly.rehearse(start, draws, count, alternatives=alternatives, stop=rehearsal.stop)
+            found = self._rehearse(self._mission, draws, count, alternatives, rehearsal.stop)
             result, why = _result(found), ""
         except He3Error as error:
             why = str(error)
@@ -114,7 +114,7 @@ def _result(forecasts: tuple[Forecast, ...]) -> dict[str, Any]:
         "drawn": first.drawn(),
         "assumptions": list(first.assumptions),
         "forecasts": [_forecast(each) for each in forecasts],
-        "more": {figure: asdict(forecasts[-1].less(first, figure)) for figure in import_module(FORECAST).FIGURES},
+        "more": forecasts[-1].differences(first),
     }
 
 

@@ -21,6 +21,7 @@ from services.runtime.service_manager import ServiceManager
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
     from services.console.web.hub import Recording
+    from services.console.web.rehearsals import Rehearse
     from services.runtime.trust.identity import Identity
 
 UNSAFE = "INSECURE: no TLS; anyone on the network path can read the logins and command"
@@ -47,9 +48,13 @@ class PageOptions:
 
 
 def serve(
-    mission: MissionClient, options: PageOptions, say: Callable[[str], None], recording: Recording | None = None
+    mission: MissionClient,
+    options: PageOptions,
+    say: Callable[[str], None],
+    recording: Recording | None = None,
+    rehearse: Rehearse | None = None,
 ) -> None:
-    """Serve until Ctrl-C; `say` gets the lines with the page's addresses. recording: see `Hub`.
+    """Serve until Ctrl-C; `say` gets the lines with the page's addresses. recording, rehearse: see `Hub`.
 
     Raises InvalidInput for an address that is not this machine's or one off loopback without TLS, He3Error when the
     port is taken or packages are missing.
@@ -77,7 +82,7 @@ def serve(
         allow_connections()
         share_heaps()
         with closing(BoundedListener(raw)) as listener:
-            hub = Hub(mission, recording)
+            hub = Hub(mission, recording, rehearse)
             hub.begin()
             config = uvicorn.Config(
                 page(hub, sorted(hosts), access, warning or mission.warning),

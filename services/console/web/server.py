@@ -39,6 +39,7 @@ from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_RESOU
 from services.console.client.areas import AreaKind
 from services.console.client.link import link_change
 from services.console.client.map_files import CUTOFF_PPB
+from services.console.rehearsal.alternative import alternatives_of
 from services.console.web.access import ACT, COMMAND, CONTROL, READ, Access, Caller
 from services.console.web.connections import PEER
 from services.console.web.guard import Guard
@@ -408,7 +409,7 @@ def _rehearsal(hub: Hub, asked: Asked) -> Response:
 
 def _rehearse(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(RehearsalRequest, asked.body)
-    hub.rehearsals.begin(wanted.draws, wanted.against, asked.caller.name)
+    hub.rehearsals.begin(wanted.draws, alternatives_of(wanted.against), asked.caller.name)
     return JSONResponse(hub.rehearsals.document(), headers=FRESH)
 
 

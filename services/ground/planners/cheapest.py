@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from he3.frames import FloatArray, path_length
-from services.ground.planners.rounds import arc_lengths
+from services.ground.planners.polyline import arc_lengths
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import cheaper_path
 

@@ -48,13 +48,13 @@ from he3.mixture import heaviest_of
 from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
+from services.ground.planners.polyline import places_along
 from services.ground.planners.rounds import (
     MAX_SHARE_RATIO,
     affordable,
     belief_given,
     budget_share_m,
     lead_cost,
-    places_along,
     planned_round,
 )
 from services.ground.planners.traversability import open_ground

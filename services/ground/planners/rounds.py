@@ -1,4 +1,4 @@
-"""A round from a path: sample places along it, its part within a budget, and the information of its samples."""
+"""A round from a path: its part within a budget, and the information of its samples."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from he3.frames import path_length
 from he3.gp import GaussianProcess
 from he3.information import information_gain
 from services.ground.planners.interface import PlannedRound, PlanningRequest
+from services.ground.planners.polyline import path_prefix
 
 if TYPE_CHECKING:
     from he3.driving_cost import TerrainCost
@@ -18,32 +19,6 @@ if TYPE_CHECKING:
 
 MAX_SHARE_RATIO = 1.5
 """Largest part of the remaining budget that a round takes, in even shares: so the last rounds keep some of it."""
-
-
-def arc_lengths(path_m: FloatArray) -> FloatArray:
-    """Distance (K,) [m] along the polyline (K, 2) [m] from its first vertex to each vertex."""
-    steps = np.diff(path_m, axis=0)
-    return np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
-
-
-def places_along(path_m: FloatArray, count: int) -> FloatArray:
-    """Places (count, 2) [m] at equal distances along the polyline (K, 2) [m], the last at its end."""
-    along = arc_lengths(path_m)
-    at = along[-1] * np.arange(1, count + 1) / count
-    places = np.column_stack((np.interp(at, along, path_m[:, 0]), np.interp(at, along, path_m[:, 1])))
-    places[-1] = path_m[-1]
-    return places
-
-
-def path_prefix(path_m: FloatArray, length_m: float) -> FloatArray:
-    """The first ``length_m`` metres of the polyline (K, 2) [m], or all of it if it is not longer."""
-    along = arc_lengths(path_m)
-    if along[-1] <= length_m:
-        return path_m
-    whole = int(np.searchsorted(along, length_m, side="right"))
-    share = (length_m - along[whole - 1]) / (along[whole] - along[whole - 1])
-    end = path_m[whole - 1] + share * (path_m[whole] - path_m[whole - 1])
-    return np.vstack((path_m[:whole], end))
 
 
 def affordable(path_m: FloatArray, budget_m: float, cost: TerrainCost | None) -> FloatArray:

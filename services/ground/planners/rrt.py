@@ -28,14 +28,8 @@ from scipy import ndimage
 from he3.errors import InvalidInput, NoRoute
 from he3.frames import FloatArray, Place, SiteGrid, path_length
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
-from services.ground.planners.rounds import (
-    MAX_SHARE_RATIO,
-    affordable,
-    budget_share_m,
-    lead_cost,
-    places_along,
-    planned_round,
-)
+from services.ground.planners.polyline import places_along
+from services.ground.planners.rounds import MAX_SHARE_RATIO, affordable, budget_share_m, lead_cost, planned_round
 from services.ground.planners.traversability import open_ground
 from services.ground.planners.trees import GrowthSettings, tree_path
 

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from he3.extended_likelihood import Extended, stretched
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperposterior import infer_hyperparameters
 from he3.hyperprior import Hyperprior
 from he3.kernels import KERNELS, Kernel, Matern12, SmoothPlusRough, Stretched, squared_distances
 from he3.mixture import ProcessMixture, alternatives_of
-from he3.model_extensions import LEAST_SAMPLES
+from he3.model_extensions import LEAST_SAMPLES, Extended, stretched
 from he3.posterior.grid import GridPosterior
 from he3.resource import area_mean
 

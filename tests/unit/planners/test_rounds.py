@@ -15,7 +15,7 @@ from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import Matern52, SmoothPlusRough
 from services.ground.planners import PLANNERS, plan, planner_named
 from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
-from services.ground.planners.rounds import arc_lengths, path_prefix, places_along
+from services.ground.planners.polyline import arc_lengths, path_prefix, places_along
 from services.ground.planners.visiting import visiting
 
 NAMES = sorted(PLANNERS)

@@ -13,7 +13,7 @@ from he3.gp import Hyperparameters
 from he3.kernels import KERNELS, kernel_from
 from services.ground.planners import trees
 from services.ground.planners.informative import places_on_paths, with_least_length_scale
-from services.ground.planners.rounds import places_along
+from services.ground.planners.polyline import places_along
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree, tree_from_parents, tree_path
 

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from he3.frames import FloatArray, path_length
 from he3.tsp import short_tour
-from services.ground.planners.rounds import places_along
+from services.ground.planners.polyline import places_along
 from services.ground.planners.tour.legs import cost_of_bent_legs
 
 if TYPE_CHECKING:

@@ -28,7 +28,8 @@ from he3.kernels import Kernel, kernel_from
 from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
-from services.ground.planners.rounds import lead_cost, path_prefix, planned_round
+from services.ground.planners.polyline import path_prefix
+from services.ground.planners.rounds import lead_cost, planned_round
 from services.ground.planners.tour.covering import covering
 from services.ground.planners.tour.design import (
     design_from_outlook,

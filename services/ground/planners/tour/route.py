@@ -10,7 +10,7 @@ import numpy as np
 
 from he3.frames import FloatArray, path_length
 from he3.tsp import short_tour
-from services.ground.planners.rounds import arc_lengths, path_prefix
+from services.ground.planners.polyline import arc_lengths, path_prefix
 from services.ground.planners.tour.legs import joined_path, leg_path
 from services.ground.planners.tour.paths import shortest_path
 

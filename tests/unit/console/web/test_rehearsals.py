@@ -9,6 +9,8 @@ import pytest
 from he3.errors import Busy, InvalidInput, PeerUnreachable
 from schemas.commands import CommandStatus
 from services.console.client.mission_client import MissionClient
+from services.console.rehearsal.alternative import AS_PLANNED, alternatives_of
+from services.console.rehearsal.forecast import rehearse_live
 from services.console.web.rehearsals import Rehearsals
 from tests.waiting import until
 
@@ -26,26 +28,26 @@ class Away(MissionClient):
 
 def test_a_rehearsal_that_comes_to_nothing_says_why_and_the_next_one_can_begin() -> None:
     mission = Away()
-    rehearsals = Rehearsals(mission, recorded=False)
+    rehearsals = Rehearsals(mission, rehearse_live)
     assert rehearsals.document() == {"number": 0, "running": False}
-    rehearsals.begin(20, "abort-round", "anna")
+    rehearsals.begin(20, alternatives_of("abort-round"), "anna")
     assert rehearsals.document() == {
         "number": 1, "running": True, "done": 0, "of": 40, "by": "anna", "why": "", "result": None,
     }  # fmt: skip
     with pytest.raises(Busy, match="a rehearsal of anna is under way, 0 of 40 done"):
-        rehearsals.begin(20, None, "ben")
+        rehearsals.begin(20, (AS_PLANNED,), "ben")
     mission.asked.set()
     until(lambda: not rehearsals.document()["running"], "the end of the rehearsal")
     assert rehearsals.document()["why"] == "expected an answer from the ground, got none"
-    rehearsals.begin(2, None, "ben")
+    rehearsals.begin(2, (AS_PLANNED,), "ben")
     assert rehearsals.document()["number"] == 2
 
 
 def test_what_cannot_be_rehearsed_is_refused_and_leaves_the_last_one() -> None:
     with pytest.raises(InvalidInput, match="got a recording, which cannot be rehearsed"):
-        Rehearsals(Away(), recorded=True).begin(2, None, "anna")
-    rehearsals = Rehearsals(Away(), recorded=False)
+        Rehearsals(Away(), None).begin(2, (AS_PLANNED,), "anna")
+    rehearsals = Rehearsals(Away(), rehearse_live)
     with pytest.raises(InvalidInput, match="expected a planner among"):
-        rehearsals.begin(2, "planner x", "anna")
+        alternatives_of("planner x")
     rehearsals.stop()
     assert rehearsals.document() == {"number": 0, "running": False}
