@@ -40,6 +40,10 @@ NEXT_CONTACT = ("next contact", "contact")
 _CONDITIONS = re.compile(r"((?:after|at)\s.*?)\s*:\s+(\S.*)")
 _SAID = {"keep-out": "set-keep-out"}
 """Words of ``he3 command`` that differ from the name of their kind."""
+_WORDS = tuple(
+    {kind: word for word, kind in _SAID.items()}.get(each, each)
+    for each in (kind.value.replace("_", "-") for kind in CommandKind)
+)
 _HELD = {RoverMode.PAUSED: "paused", RoverMode.SAFE: "in safe mode"}
 
 
@@ -144,6 +148,8 @@ def _command(said: str) -> tuple[Telecommand, float | None]:
             raise InvalidInput("keep-out: expected the name of an area, got none")
         corners = tuple(_corner(word) for word in words[1:]) or None
         return telecommand(kind, area_id=words[0], polygon_m=corners), expires_in_s
+    if kind.replace("-", "_") not in tuple(CommandKind):
+        raise InvalidInput(f"expected a command out of {', '.join(_WORDS)}; got '{kind[:80]}'")
     command = telecommand(kind)
     if words:
         raise InvalidInput(f"{kind}: expected nothing after it, got '{' '.join(words)[:80]}'")

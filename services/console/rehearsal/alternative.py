@@ -13,6 +13,7 @@ from services.ground.planners import PLANNERS
 if TYPE_CHECKING:
     from schemas.commands import Telecommand
 
+FIRST_LINE: Final = "stack: line 1: "
 PLANNER: Final = "planner"
 MAX_COMMANDS: Final = 20
 MAX_TEXT: Final = 2_000
@@ -61,7 +62,10 @@ def parse_alternative(text: str) -> Alternative:
 
 
 def _command(said: str) -> Telecommand:
-    (line,) = parse_stack(said, 0)
+    try:
+        (line,) = parse_stack(said, 0)
+    except InvalidInput as error:
+        raise InvalidInput(f"alternative: {str(error).removeprefix(FIRST_LINE)}") from None
     if line.after is not None or line.at is not None or line.at_contact or line.expires_in_s is not None:
         raise InvalidInput(f"alternative: expected a command without conditions and expiry, got '{said[:80]}'")
     if line.command.kind in HOLDING:

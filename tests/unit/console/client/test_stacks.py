@@ -104,7 +104,7 @@ def test_a_stack_is_read_with_its_conditions() -> None:
     ("text", "why"),
     [
         ("", "expected 1 to 200 commands, got 0"),
-        ("pause\nfly 1 2", "line 2: command: expected one of"),
+        ("pause\nfly 1 2", "line 2: expected a command out of pause, resume, abort-round, go-to, keep-out, "),
         ("go-to 1", "line 1: go-to: expected X Y in metres, got 1 values"),
         ("go-to 1 north", "line 1: Y: expected a number, got 'north'"),
         ("pause now", "line 1: pause: expected nothing after it, got 'now'"),
