@@ -11,7 +11,7 @@ from he3.certificate import Certificate, Targets
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import Hyperprior
-from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential
+from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential, Stretched
 from he3.posterior.grid import PosteriorMap
 from he3.trend import CovariateTrend, UnknownConstant, UnknownLevel
 from schemas.authority import AuthorityState
@@ -65,6 +65,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     SiteGrid,
     SmoothPlusRough,
     SquaredExponential,
+    Stretched,
     Targets,
     Telecommand,
     UnknownConstant,

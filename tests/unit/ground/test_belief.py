@@ -12,12 +12,14 @@ from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
-from he3.kernels import AUTO, KERNELS
+from he3.kernels import AUTO, KERNELS, Kernel, Stretched
 from he3.mixture import ProcessMixture
 from he3.trend import CovariateTrend, orbital_trend
 from services.ground.belief import Belief
 from services.ground.fitting import due, fit, fit_kernel
 from services.ground.observation import Observation
+from services.ground.state_types import STATE_TYPES
+from services.runtime.state_codec import StateCodec
 
 GRID = SiteGrid(40, 50)
 NOISE = 0.1
@@ -199,6 +201,20 @@ def test_a_map_that_is_asked_for_once_is_to_the_byte_the_one_that_was_asked_for_
     np.testing.assert_array_equal(asked.map.mean_ppb, watched.map.mean_ppb)
     np.testing.assert_array_equal(asked.map.std_ppb, watched.map.std_ppb)
     np.testing.assert_array_equal(asked.process.factor, watched.process.factor)
+
+
+@pytest.mark.parametrize("kernel", [*(kind() for kind in KERNELS.values()), Stretched(KERNELS["se"](), 2.0, 40.0)])
+def test_a_mixture_with_any_kernel_is_kept_and_restored(kernel: Kernel) -> None:
+    """The journal keeps the result of a fit before the node sees it, and a checkpoint the belief that adopted it."""
+    belief, restored = belief_of(observations(10)), Belief(GRID, "matern52", NOISE)
+    codec = StateCodec(STATE_TYPES)
+    plain = belief.hyperparameters.kernel
+    fitted = replace(belief.hyperparameters, alternatives=((0.5, plain), (0.5, kernel)), log_likelihood=-1.0)
+    assert codec.decode(codec.encode(fitted)) == fitted
+    belief.adopt(fitted)
+    restored.restore(codec.decode(codec.encode(belief.checkpoint())))
+    assert restored.hyperparameters == belief.hyperparameters
+    np.testing.assert_array_equal(restored.map.std_ppb, belief.map.std_ppb)
 
 
 def test_a_state_without_its_map_restores_the_same_map() -> None:
