@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from he3.certificate import Certificate, Targets
+from he3.driving_cost import TerrainCost
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import Hyperprior
@@ -68,6 +69,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     Stretched,
     Targets,
     Telecommand,
+    TerrainCost,
     UnknownConstant,
     UnknownLevel,
 )

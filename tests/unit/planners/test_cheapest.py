@@ -23,7 +23,9 @@ from services.ground.planners.interface import PlannerOptions, PlanningRequest
 from services.ground.planners.tour.paths import shortest_path
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import cheaper_path
+from services.ground.state_types import STATE_TYPES
 from services.mission.scenario import RoverConfig
+from services.runtime.state_codec import StateCodec
 
 GRID = SiteGrid(60, 60, 5.0)
 QUICK = {"designs": 1.0, "final_steps": 0.0, "first_steps": 15.0, "steps": 6.0, "kicks": 5.0}
@@ -130,6 +132,14 @@ def test_a_round_keeps_to_its_budget_in_level_metres(planner, extra, kind) -> No
     assert asked.cost is not None
     assert asked.cost.of_path(answer.path_m) <= 300.0 * (1.0 + 1e-9)
     assert answer.length_m < asked.cost.of_path(answer.path_m)
+
+
+def test_a_plan_in_work_that_has_a_cost_is_kept_in_a_checkpoint() -> None:
+    asked, codec = request(1, "energy", 300.0), StateCodec(STATE_TYPES)
+    again = codec.decode(codec.encode(asked))
+    assert asked.cost is not None
+    begins, ends = pairs(hilly(1)[0], 1, 8).transpose(1, 0, 2)
+    np.testing.assert_array_equal(again.cost.of_legs(begins, ends), asked.cost.of_legs(begins, ends))
 
 
 def test_the_way_from_the_edge_of_a_cell_is_paid_for_too() -> None:
