@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from he3.errors import InvalidInput, NoRoute
+from he3.frames import path_length
 from he3.information import information_gain
 from he3.posterior.grid import GridPosterior
 from services.ground.bounded_task import BoundedTask
 from services.ground.planners import planner_named
 from services.ground.planners.interface import PlannedRound, Planner, PlannerOptions, PlanningGoal, PlanningRequest
+from services.ground.planners.rounds import after_way_back
 from services.ground.planners.validation import checked_answer
 from services.ground.planners.visiting import visiting
 from services.ground.round_plans import PlanningTask, ProposedRound, round_plan, sample_id
@@ -111,6 +113,11 @@ class RoundPlanning:
         self, number: int, start_m: Place, samples: int, remaining: RemainingBudget, pending: Sequence[PlannedSample]
     ) -> PlanningRequest:
         ground, cell_m = self._scenario.ground, self._grid.resolution_m
+        back_m = self._terrain.way_back(start_m, self._round_log.paths()[0][-MAX_BACK:])
+        back = 0.0
+        if back_m is not None:
+            start_m = (float(back_m[-1, 0]), float(back_m[-1, 1]))
+            back = path_length(back_m) if self._cost is None else self._cost.of_path(back_m)
         # A tree whose edges are shorter than a cell would need thousands of them to cross the site.
         tree = PlannerOptions()
         options = replace(
@@ -124,20 +131,21 @@ class RoundPlanning:
         seed = np.random.SeedSequence((*choices, self._sent_back) if self._sent_back else choices)
         return PlanningRequest(
             grid=self._grid,
-            traversable=self._terrain.open_from(start_m, self._round_log.paths()[0][-MAX_BACK:]),
+            traversable=self._terrain.open_from(start_m),
             start_m=start_m,
             observed_m=np.vstack((self._belief.places_m, _places(pending))),
             std_ppb=self._std_ppb(bool(pending)),
             hyperparameters=self._belief.hyperparameters,
             samples=samples,
             samples_left=remaining.samples,
-            budget_m=remaining.metres,
+            budget_m=remaining.metres - back,
             seed=int(seed.generate_state(1)[0]),
             interest=self._interests.weights,
             options=options,
             outlook_m=self._outlook_m,
             cost=self._cost,
             goal=self._goal,
+            back_m=back_m,
         )
 
     def _std_ppb(self, samples_pending: bool) -> Float32Array:
@@ -215,7 +223,7 @@ class RoundPlanning:
         pending, number = self._round_log.pending, proposed.task.number
         request = self._request(number, proposed.plan.path_m[0], len(places), remaining, pending)
         try:
-            planned = visiting(request, places)
+            planned = after_way_back(visiting(request, places), request)
         except NoRoute as error:
             raise InvalidInput(f"plan: {error}") from None
         cost = planned.length_m if self._cost is None else self._cost.of_path(planned.path_m)
@@ -288,11 +296,11 @@ def run_planner(planner: str | Planner, request: PlanningRequest, pending: int) 
         planned = planner_named(planner)(request)
     else:
         planned = checked_answer(getattr(planner, "__name__", type(planner).__name__), planner(request), request)
-    if request.goal is None or planned.forecast is not None:
-        return planned
-    from services.ground.planners.tour.covering import foreseen
+    if request.goal is not None and planned.forecast is None:
+        from services.ground.planners.tour.covering import foreseen
 
-    return replace(planned, forecast=foreseen(request, request.goal))
+        planned = replace(planned, forecast=foreseen(request, request.goal))
+    return after_way_back(planned, request)
 
 
 def _places(samples: Sequence[PlannedSample]) -> FloatArray:

@@ -26,7 +26,6 @@ _BOUNDARY_STEP_CELLS = 0.25  # step along a polygon's edge; it can miss only the
 BESIDE_TRACK_M = 2.5  # distance from the end of its known track within which the rover is taken to stand on it
 _ENOUGH_REACHED = 0.5  # share of the open ground that a mission reaches from its start without a note
 _FLAT_M = 1e-6  # distance from a line within which corners count as lying on it
-_SQUARE = np.ones((3, 3), dtype=np.bool_)
 
 
 class GroundTerrain:
@@ -135,18 +134,17 @@ class GroundTerrain:
         cells = np.unique(np.column_stack((rows, columns)), axis=0)
         return int((~self._open[cells[:, 0], cells[:, 1]]).sum())
 
-    def open_from(self, start_m: Place, came_by_m: Sequence[Place] = ()) -> BoolArray:
+    def open_from(self, start_m: Place) -> BoolArray:
         """(rows, columns), read-only: where the rover may go from the place where it stands.
 
         A rover may stand where its centre should not be: beside an obstacle that it met, or in an area just closed.
-        Then cells are opened for it to leave: those of the way that it came by, back to where it may be; failing that,
-        cells that are open without the margin of its footprint, then those that only an obstacle closed, up to the
-        nearest place from which it can continue.
+        Then cells are opened for it to leave: cells that are open without the margin of its footprint, then those that
+        only an obstacle closed, up to the nearest place from which it can continue.
         """
         cell = cell_of(self.grid, start_m)
         if self._open[cell]:
             return self._open
-        way_out = self._way_back(start_m, came_by_m)
+        way_out: BoolArray | None = None
         for lent in (self._bare, self._orbital & ~self._met, self._orbital, np.ones_like(self._orbital)):
             if way_out is None and lent[cell]:
                 way_out = self._nearest_way_out(start_m, lent)
@@ -155,20 +153,46 @@ class GroundTerrain:
         way_out.setflags(write=False)
         return way_out
 
-    def _way_back(self, start_m: Place, came_by_m: Sequence[Place]) -> BoolArray | None:
-        """The open cells and the way back to them, with open cells beside it; None if the way leads to none."""
+    def way_back(self, start_m: Place, came_by_m: Sequence[Place]) -> FloatArray | None:
+        """The way (k, 2) [m] back along the driven polyline from where the rover stands to where it may go on.
+
+        The rover has scanned and driven that way, so it leads past every obstacle that it met since. It is needed where
+        the rover stands on closed ground: it ends on the first open ground. It is needed, too, on open ground that an
+        obstacle, met behind the rover, cut off: it ends on a larger part of the open ground, unless it leads through a
+        keep-out, which may be there to confine the rover. None where it is not needed, or where there is none: the
+        polyline does not end at the rover, or leads nowhere.
+        """
         if not came_by_m or hypot(came_by_m[-1][0] - start_m[0], came_by_m[-1][1] - start_m[1]) > BESIDE_TRACK_M:
             return None
-        track = np.zeros_like(self._open)
-        for x, y in along((start_m, *reversed(came_by_m)), _BOUNDARY_STEP_CELLS * self.grid.resolution_m):
-            if not self.grid.contains(np.array([(x, y)]))[0]:
-                return None
-            cell = cell_of(self.grid, (x, y))
-            if self._open[cell]:
-                beside = ndimage.binary_dilation(track, structure=_SQUARE)
-                way_out: NDArray[np.bool_] = self._open | track | (beside & self._bare)
-                return way_out
-            track[cell] = True
+        cell = cell_of(self.grid, start_m)
+        if not self._open[cell]:
+            return self._back_to(self._open, start_m, came_by_m, np.zeros_like(self._open))
+        labels, parts = ndimage.label(self._open)
+        if parts == 1:
+            return None
+        sizes = np.bincount(labels.ravel(), minlength=parts + 1)
+        sizes[0] = 0
+        kept_out = np.zeros_like(self._open)
+        for area in self._areas.values():
+            kept_out |= area
+        return self._back_to(sizes[labels] > sizes[labels[cell]], start_m, came_by_m, kept_out)
+
+    def _back_to(
+        self, to: BoolArray, start_m: Place, came_by_m: Sequence[Place], kept_out: BoolArray
+    ) -> FloatArray | None:
+        """The way (k, 2) [m] back to the first of the cells `to`, unless it leads off the site or into `kept_out`."""
+        way = [start_m]
+        for begin, end in pairwise((start_m, *reversed(came_by_m))):
+            for place in along((begin, end), _BOUNDARY_STEP_CELLS * self.grid.resolution_m):
+                if not self.grid.contains(np.array([place]))[0]:
+                    return None
+                cell = cell_of(self.grid, place)
+                if to[cell]:
+                    return np.array([*way, place] if place != way[-1] else way, dtype=np.float64)
+                if kept_out[cell]:
+                    return None
+            if end != way[-1]:
+                way.append(end)
         return None
 
     def _nearest_way_out(self, start_m: Place, lent: BoolArray) -> BoolArray | None:

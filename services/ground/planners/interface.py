@@ -81,6 +81,9 @@ class PlanningRequest:
     """What legs cost (`ground.cost`); None: their length."""
     goal: PlanningGoal | None = None
     """When the mission may end before its last sample; None: never."""
+    back_m: FloatArray | None = None
+    """(k, 2) polyline [m] on which the rover drives back, the way that it came, before `start_m`, where it ends; None:
+    the rover stands there. The ground puts it before the planner's path, and takes its cost off the budget."""
 
 
 @dataclass(frozen=True, slots=True)

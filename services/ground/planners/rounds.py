@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,3 +56,12 @@ def planned_round(request: PlanningRequest, path_m: FloatArray, samples_m: Float
     covariance = belief_given(request).posterior_covariance(samples_m)
     nats = information_gain(covariance, request.hyperparameters.noise_variance_ppb2)
     return PlannedRound(path_m=path, samples_m=samples_m, information_nats=nats)
+
+
+def after_way_back(planned: PlannedRound, request: PlanningRequest) -> PlannedRound:
+    """The planned round, which begins with the way back that the request names, if there is one."""
+    if request.back_m is None:
+        return planned
+    joined = np.vstack((request.back_m, planned.path_m))
+    stays = np.concatenate(([False], (np.diff(joined, axis=0) == 0.0).all(axis=1)))
+    return replace(planned, path_m=joined[~stays])

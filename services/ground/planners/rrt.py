@@ -9,10 +9,12 @@ uncertainty determines the target alone, not the path.
 target is reached: typically after 900 iterations (450 to 2600) of the 5000 allowed. The setting ``refine_iterations``
 continues to that many, for shorter paths.
 
-Three cases that the paper does not treat. Far from all samples the uncertainty equals the prior's to the last digits of
+Four cases that the paper does not treat. Far from all samples the uncertainty equals the prior's to the last digits of
 a float32; of places that are equally uncertain in this sense, the one farthest from all samples is the target, as it
 would be with more digits (in the first round, the one farthest from the rover). If a tree does not reach its target
 within the bound, the next two most uncertain targets are tried, then the longest of the approaching paths is driven.
+If none of the trees left the place where the rover stands, in a corner behind an obstacle, a complete search over the
+cells finds the way to the first target.
 Under a finite budget, targets lie within the round's even share of it, and a path ends after
 ``MAX_SHARE_RATIO`` times that share.
 """
@@ -30,6 +32,7 @@ from he3.frames import FloatArray, Place, SiteGrid, path_length
 from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
 from services.ground.planners.polyline import places_along
 from services.ground.planners.rounds import MAX_SHARE_RATIO, affordable, budget_share_m, lead_cost, planned_round
+from services.ground.planners.routes import RouteFinder
 from services.ground.planners.traversability import open_ground
 from services.ground.planners.trees import GrowthSettings, tree_path
 
@@ -61,10 +64,12 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
     rng = np.random.default_rng(request.seed)
     candidates = _candidates(request, ground.connected_to(start), start, share_m)
     best = np.array([start])
+    targets: list[Place] = []
     for _ in range(TARGETS_TRIED):
         target = _most_uncertain(request, candidates, rng)
         if target is None:
             break
+        targets.append(target)
         path, reached = tree_path(
             ground, start, target, optimal=optimal, iterations=options.max_iterations, seed=request.seed, growth=growth,
             refine=int(options.extra.get("refine_iterations", 0)), cost=request.cost if optimal else None,
@@ -74,6 +79,8 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
         if reached:
             break
         _close_disc(candidates, request.grid, target, options.goal_tolerance_m)
+    if targets and path_length(best) <= 0.0:
+        best = RouteFinder(ground).route(start, targets[0])
     best = affordable(best, limit_m, request.cost)
     if path_length(best) <= 0.0:
         raise NoRoute(

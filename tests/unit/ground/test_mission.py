@@ -124,6 +124,7 @@ class Rover:
         self.revision = 0
         self.trouble: Callable[[RoundPlan], str | None] = lambda planned: None
         self.reject: Callable[[MissionPlan], str | None] = lambda plan: None
+        self.obstacle_ahead_m = 3.0
         self.shuffle = False
         self.twice = False
         self.skip: set[str] = set()
@@ -219,7 +220,7 @@ class Rover:
         ids = tuple(sample.sample_id for sample in taken)
         if trouble:
             self.on_board = []
-            ahead = (self.place[0] + 3.0, self.place[1])
+            ahead = (self.place[0] + self.obstacle_ahead_m, self.place[1])
             self._say(EventKind.BLOCKED, now, detail=trouble, obstacle_m=ahead, samples_done=ids)
             self._say(EventKind.ROUND_ABORTED, now, detail=trouble, samples_done=ids)
             return []
@@ -462,6 +463,29 @@ def test_when_the_last_round_ran_from_an_older_plan_the_mission_still_ends() -> 
     mission.simulation.ask(ISSUE_COMMAND, keep_out)
     assert mission.run().ok
     assert len(mission.snapshot.samples) == 6
+
+
+def test_a_rover_that_an_obstacle_met_at_its_side_goes_back_the_way_it_came_before_it_goes_on() -> None:
+    mission = Mission(scenario())
+    mission.rover.obstacle_ahead_m = 0.9  # within the map's margin of where the rover stands
+    blocked: list[RoundPlan] = []
+
+    def trouble(planned: RoundPlan) -> str | None:
+        if planned.round != 2:
+            return None
+        blocked.append(planned)
+        return "a boulder"
+
+    mission.rover.trouble = trouble
+    assert mission.run() == Finish(True, "12 of 12 samples are in the map")
+    (x, y), (here_x, here_y) = blocked[0].path_m[
+        :2
+    ]  # the rover drove this leg to its first sample, and met the boulder
+    after = next(plan.rounds[0] for _, plan in mission.rover.plans if plan.rounds[0].path_m[0] == (here_x, here_y))
+    back_x, back_y = after.path_m[1]
+    leg = np.hypot(here_x - x, here_y - y)
+    assert np.hypot(back_x - x, back_y - y) + np.hypot(here_x - back_x, here_y - back_y) == pytest.approx(leg)
+    assert 0.0 < np.hypot(here_x - back_x, here_y - back_y) < 5.0
 
 
 def test_an_obstacle_closes_its_ground_and_the_missing_samples_are_replaced() -> None:

@@ -139,17 +139,54 @@ def test_an_obstacle_is_closed_behind_the_place_where_it_was_met() -> None:
     assert not closed[20, :20].any()
 
 
-def test_a_rover_that_came_by_a_narrow_way_may_go_back_over_it() -> None:
+def test_a_rover_that_came_by_a_narrow_way_goes_back_over_it_to_the_first_open_ground() -> None:
     open_cells = ALL_OPEN.copy()
     open_cells[:, 10:30] = False
     open_cells[20, 10:30] = True  # a gap one cell wide, too narrow for the footprint: but it was driven
     terrain = GroundTerrain(GRID, open_cells, 0.8)
-    here, track = (25.5, 20.5), ((5.5, 20.5), (25.5, 20.5))
-    lent = terrain.open_from(here, track)
-    assert lent[20, 8:26].all()
-    assert not lent[20, 27:29].any()
-    assert not lent[21, 12:24].any()
-    assert terrain.open_from(here, ((5.5, 20.5), (9.5, 20.5)))[20, 27]  # it is not known to have come by there
+    here, track = (25.5, 20.5), ((5.5, 20.5), (15.5, 20.5), (25.5, 20.5))
+    back = terrain.way_back(here, track)
+    assert back is not None
+    assert np.array_equal(back[:2], [here, (15.5, 20.5)])
+    assert (back[:, 1] == 20.5).all()
+    assert 8.0 < back[-1, 0] < 9.0  # the footprint reaches from there to the last open cell before the gap
+    assert terrain.open_from(here)[20, 27]  # the nearest way out is the other one
+    assert terrain.way_back(here, ((5.5, 20.5), (9.5, 20.5))) is None  # it is not known to have come by there
+    assert terrain.way_back((5.5, 20.5), track[::-1]) is None  # it is on open ground
+
+
+def bay_that_is_entered_by_its_mouth() -> np.ndarray:
+    """A bay of 9 x 9 cells in closed ground, with a mouth three cells wide to the west."""
+    open_cells = ALL_OPEN.copy()
+    open_cells[10:30, 15:] = False
+    open_cells[16:25, 20:29] = True
+    open_cells[19:22, 15:20] = True
+    return open_cells
+
+
+TRACK_INTO_THE_BAY = ((5.5, 20.5), (24.5, 20.5))
+
+
+def test_a_rover_in_a_bay_whose_mouth_an_obstacle_closed_may_go_back_the_way_it_came() -> None:
+    terrain = GroundTerrain(GRID, bay_that_is_entered_by_its_mouth(), 0.8)
+    terrain.block((17.5, 19.5), 0.4)  # beside the driven way, and nearer to it than the map's margin
+    here = TRACK_INTO_THE_BAY[-1]
+    assert terrain.traversable[20, 24]
+    assert not terrain.traversable[20, 17]
+    back = terrain.way_back(here, TRACK_INTO_THE_BAY)
+    assert back is not None
+    assert np.array_equal(back[0], here)
+    assert (back[:, 1] == 20.5).all()
+    assert back[-1, 0] < 16.5
+    assert terrain.way_back(here, ()) is None
+    assert terrain.way_back((5.5, 20.5), TRACK_INTO_THE_BAY[::-1]) is None  # it stands outside
+
+
+def test_a_rover_that_a_keep_out_confines_stays_where_it_is() -> None:
+    terrain = GroundTerrain(GRID, bay_that_is_entered_by_its_mouth(), 0.8)
+    terrain.set_keep_out("gate", [((15.0, 18.0), (18.0, 18.0), (18.0, 23.0), (15.0, 23.0))])
+    assert terrain.traversable[20, 24]
+    assert terrain.way_back(TRACK_INTO_THE_BAY[-1], TRACK_INTO_THE_BAY) is None
 
 
 def test_a_rover_within_an_area_just_closed_may_leave_it() -> None:

@@ -16,6 +16,7 @@ from he3.kernels import Matern52, SmoothPlusRough
 from services.ground.planners import PLANNERS, plan, planner_named
 from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest
 from services.ground.planners.polyline import arc_lengths, path_prefix, places_along
+from services.ground.planners.rounds import after_way_back
 from services.ground.planners.visiting import visiting
 
 NAMES = sorted(PLANNERS)
@@ -307,3 +308,24 @@ def test_a_round_through_chosen_places_goes_round_obstacles_and_stops_at_each_in
     mask[:4, 14] = False
     with pytest.raises(NoRoute, match=r"no traversable path leads from \(9.5, 20.5\) to \(20.5, 20.5\) m"):
         visiting(request_over(mask, samples=4), places)
+
+
+@pytest.mark.parametrize("name", ["rrt", "rrtstar"])
+def test_a_tree_that_cannot_leave_a_winding_passage_gives_way_to_a_complete_search(name):
+    mask = np.zeros((SIZE, SIZE), dtype=bool)
+    mask[14:] = True
+    for column in range(1, 8, 2):  # steps of two cells up to the open ground: shorter than an edge of the tree
+        mask[column : column + 3, column] = mask[column + 2, column : column + 3] = True
+    mask[9:14, 9] = True
+    request = request_over(
+        mask, (1.5, 1.5),
+        options=PlannerOptions(clearance_m=3.0, step_m=12.0, goal_tolerance_m=2.0, max_iterations=20),
+    )  # fmt: skip
+    expect_sound(request, planner_named(name)(request))
+
+
+def test_the_way_back_is_driven_before_the_planned_path():
+    request = request_over(np.ones((SIZE, SIZE), dtype=bool), back_m=np.array([[9.2, 5.2], [5.2, 5.2]]))
+    planned = PlannedRound(np.array([[5.2, 5.2], [20.2, 5.2]]), np.array([[20.2, 5.2]]), 1.0)
+    assert after_way_back(planned, request).path_m.tolist() == [[9.2, 5.2], [5.2, 5.2], [20.2, 5.2]]
+    assert after_way_back(planned, replace(request, back_m=None)) is planned
