@@ -47,6 +47,8 @@ def fly(arguments: Mapping[str, Any]) -> dict[str, Any]:
     digest = hashlib.sha256(mean.tobytes() + std.tobytes())
     digest.update("\n".join(sample.model_dump_json() for sample in report.sample_table).encode())
     figures = {name: getattr(report, name) for name in _TAKEN}
+    if report.goal is not None:
+        figures["goal_holds"] = report.goal.holds
     figures["mean_std_ppb"] = float(std.mean(dtype="float64"))
     figures.update({f"messages_{name}": getattr(report.messages, name) for name in ("sent", "retransmitted", "lost")})
     return {**figures, "map_sha256": digest.hexdigest()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -123,7 +123,7 @@ def table_of(rows: Iterable[Row]) -> Table:
             if isinstance(value, (int, float)) and not isinstance(value, bool)
         }
         _append(figures, numbers, index, float("nan"))
-        whole = row.status == DONE and bool(result.get("completed", True))
+        whole = row.status == DONE and bool(result.get("completed", True)) and _has_all_samples(result)
         completed.append(whole)
         if not whole:
             errors[index] = row.error or str(result.get("detail") or "not completed")
@@ -137,6 +137,13 @@ def table_of(rows: Iterable[Row]) -> Table:
         errors,
         settings,
     )
+
+
+def _has_all_samples(result: Mapping[str, Any]) -> bool:
+    """Whether the mission brought the samples that were asked for, or its goal holds without them."""
+    if result.get("goal_holds", False) or "samples_wanted" not in result:
+        return True
+    return bool(result.get("samples", 0) >= result["samples_wanted"])
 
 
 def _append(columns: dict[str, list[Any]], values: dict[str, Any], index: int, missing: Any) -> None:

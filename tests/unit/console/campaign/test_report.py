@@ -60,6 +60,23 @@ def _table() -> Table:
     return table_of(rows())
 
 
+@pytest.mark.parametrize(
+    ("result", "completed"),
+    [
+        ({"samples": 30, "samples_wanted": 30}, True),
+        ({"samples": 21, "samples_wanted": 30, "detail": "40 rounds in a row brought no sample"}, False),
+        ({"samples": 21, "samples_wanted": 30, "goal_holds": True}, True),
+        ({"samples": 21, "samples_wanted": 30, "goal_holds": False}, False),
+    ],
+)
+def test_a_mission_with_fewer_samples_than_asked_for_is_not_completed_unless_its_goal_holds(
+    result: dict[str, Any], completed: bool
+) -> None:
+    table = table_of([Row("1", DONE, {"seed": 1, "settings": {}}, {"completed": True, **result}, "", 1.0)])
+    assert table.completed.tolist() == [completed]
+    assert list(table.errors.values()) == ([] if completed else [result.get("detail", "not completed")])
+
+
 def test_a_summary_has_mean_deviation_and_quantiles_of_what_is_there() -> None:
     one = summary_of(np.array([*range(101), np.nan]))
     assert (one.count, one.mean) == (101, 50.0)
