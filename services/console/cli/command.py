@@ -176,7 +176,12 @@ def asks(kind: str, *, yes: bool) -> bool:
 
     `safe` is for emergencies, in which a question costs time.
     """
-    return not yes and kind != "safe" and sys.stdin.isatty() and sys.stderr.isatty()
+    return not yes and kind != "safe" and has_terminal()
+
+
+def has_terminal() -> bool:
+    """Whether the operator sees a question and can answer it; a closed stream is no terminal."""
+    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr))
 
 
 def _show(client: MissionClient, outlook: CommandOutlook, *, json: bool) -> None:

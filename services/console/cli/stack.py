@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -63,9 +64,10 @@ def run(
 ) -> None:
     """Check a stack of commands against the rover's rules, then send it; stops at the first failure."""
     from he3.errors import InvalidInput
+    from services.console.cli.command import has_terminal
     from services.console.client.stacks import MissionDesk, StackRun, parse_stack
 
-    if step and not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if step and not has_terminal():
         raise InvalidInput("stack: --step asks before every command: expected a terminal, got none")
     text = _text(file, do)
     with session.join() as client:
@@ -75,7 +77,7 @@ def run(
         if dry_run:
             _end(client, stack, json, checked)
             return
-        if not (yes or step) and sys.stdin.isatty() and sys.stderr.isatty() and not _agreed("the whole stack"):
+        if not (yes or step) and has_terminal() and not _agreed("the whole stack"):
             typer.echo("he3: nothing was sent", err=True)
             raise typer.Exit(1)
         try:
@@ -93,10 +95,10 @@ def _text(file: Path | None, do: list[str] | None) -> str:
         raise InvalidInput("stack: expected a FILE or lines with --do, and not both")
     if file is None:
         return "\n".join(do or ())
+    if str(file) == "-" and sys.stdin is None:
+        raise InvalidInput("stack: -: expected a stack on standard input, which is closed")
     try:
-        if str(file) == "-":
-            return sys.stdin.read()
-        with file.open("rb") as stream:
+        with nullcontext(sys.stdin.buffer) if str(file) == "-" else file.open("rb") as stream:
             content = stream.read(MAX_BYTES + 1)  # a device may have no end
         if len(content) > MAX_BYTES:
             raise InvalidInput(f"stack: {file}: expected at most {MAX_BYTES:,} bytes, got more")

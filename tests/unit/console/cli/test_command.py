@@ -81,3 +81,10 @@ def test_only_who_sees_the_question_and_can_answer_it_is_asked_and_never_before_
     monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: screen))
     assert asks(kind, yes=False) is (keyboard and screen and kind != "safe")
     assert not asks(kind, yes=True)
+
+
+@pytest.mark.parametrize("closed", ["stdin", "stderr"])
+def test_nothing_is_asked_where_a_stream_is_closed(closed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("stdin", "stderr"):
+        monkeypatch.setattr(sys, name, None if name == closed else SimpleNamespace(isatty=lambda: True))
+    assert not asks("pause", yes=False)
