@@ -128,14 +128,14 @@ class Forecast:
             return []
         return [(float(at_s), Band.of(each[:, number].tolist()).widened()) for number, at_s in enumerate(moments_s)]
 
-    def less(self, other: Forecast, figure: str) -> Band:
-        """The band of how much more that figure is here than in the other, draw by draw."""
+    def minus(self, other: Forecast, figure: str) -> Band:
+        """The band of that figure here minus that in the other, draw by draw; not widened."""
         pairs = zip(self.flights, other.flights, strict=True)
         return Band.of([getattr(here, figure) - getattr(there, figure) for here, there in pairs], -math.inf)
 
     def differences(self, other: Forecast) -> dict[str, Any]:
         """The bands of how much more each figure is here than in the other, as JSON values."""
-        return {figure: asdict(self.less(other, figure)) for figure in FIGURES}
+        return {figure: asdict(self.minus(other, figure)) for figure in FIGURES}
 
     def document(self) -> dict[str, Any]:
         """The forecast as JSON values; tracks included."""
@@ -306,19 +306,18 @@ def _band(band: Band, text: Callable[[float], str]) -> str:
     )
 
 
-def compared(one: Forecast, other: Forecast) -> list[tuple[str, str, str, str]]:
+def compared(one: Forecast, other: Forecast) -> list[tuple[str, ...]]:
     """Two forecasts side by side: names, and texts of the one, of the other, and of how much the other differs.
 
     The difference is taken draw by draw. Below each median stands its 95 % band.
     """
-    rows = [("", one.name, other.name, "difference")]
+    rows: list[tuple[str, ...]] = [("", one.name, other.name, "difference")]
     for figure, (name, text, more) in _SHOWN.items():
-        bands = one.band(figure), other.band(figure)
-        differs = other.less(one, figure)
-        rows.append((name, text(bands[0].median), text(bands[1].median), more(differs.median)))
-        here, there = (f"{text(band.low_95)} to {text(band.high_95)}" for band in bands)
-        if any(band.low_95 != band.high_95 for band in (*bands, differs)):
-            rows.append(("  95 %", here, there, f"{more(differs.low_95)} to {more(differs.high_95)}"))
+        shown = ((one.band(figure), text), (other.band(figure), text), (other.minus(one, figure), more))
+        rows.append((name, *(said(band.median) for band, said in shown)))
+        ends = [(said(band.low_95), said(band.high_95)) for band, said in shown]
+        if any(low != high for low, high in ends):
+            rows.append(("  95 %", *(f"{low} to {high}" for low, high in ends)))
     failed = one.not_done(), other.not_done()
     if any(failed):
         rows.append(("NOT DONE", *failed, ""))
@@ -326,7 +325,13 @@ def compared(one: Forecast, other: Forecast) -> list[tuple[str, str, str, str]]:
 
 
 def _signed(text: Callable[[float], str]) -> Callable[[float], str]:
-    return lambda value: f"{'-' if value < 0 else '+'}{text(abs(value))}"
+    """The text of a difference: with its sign, unless it is as good as none."""
+
+    def said(value: float) -> str:
+        size = text(abs(value))
+        return size if size == text(0.0) else f"{'-' if value < 0 else '+'}{size}"
+
+    return said
 
 
 def _wh(value: float) -> str:
@@ -338,7 +343,8 @@ def _m(value: float) -> str:
 
 
 def _ppb(value: float) -> str:
-    return f"{value:.4f} ppb"
+    """Three digits or so: two decimals, and below 1 ppb three."""
+    return f"{value:.{2 if value >= 1.0 else 3}f} ppb"
 
 
 def _count(value: float) -> str:

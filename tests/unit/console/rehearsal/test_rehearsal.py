@@ -199,7 +199,7 @@ def test_the_next_flight_lies_in_the_bands_as_often_as_they_say(draws: int) -> N
 
 def test_a_forecast_has_the_median_of_its_flights_and_bands_half_as_wide_again_as_theirs() -> None:
     flights = tuple(
-        Flight(n, True, "", 3600.0 * n, 1000.0 + 10.0 * n, 8, 0.5, 100.0, 50.0, rounds_s={3: 60.0 * n})
+        Flight(n, True, "", 3600.0 * n, 1000.0 + 10.0 * n, 8, 4.3297, 100.0, 50.0, rounds_s={3: 60.0 * n})
         for n in range(101)
     )
     forecast = Forecast("as planned", 0, ("a thing",), flights, 2.0)
@@ -210,6 +210,7 @@ def test_a_forecast_has_the_median_of_its_flights_and_bands_half_as_wide_again_a
     rows = dict(forecast.rows())
     assert rows["drives"] == "1,500 m; 68 %: 980 m to 2,020 m; 95 %: 773 m to 2,227 m"
     assert rows["samples"] == "8"
+    assert rows["mean std"] == "4.33 ppb"
     assert rows["assumes"] == "a thing"
     assert "NOT DONE" not in rows
     failed = Flight(101, False, "no route", 1.0, 1.0, 4, 0.9, 1.0, 1.0)
@@ -247,11 +248,13 @@ def test_two_forecasts_stand_side_by_side_and_differ_draw_by_draw() -> None:
         return Forecast(name, 0, (), tuple(flights), 1.0)
 
     one, other = forecast("as planned", 0.0), forecast("planner informative", 30.0, fails=True)
-    assert astuple(other.less(one, "driven_m")) == (30.0,) * 5
+    assert astuple(other.minus(one, "driven_m")) == (30.0,) * 5
     rows = {name: texts for name, *texts in compared(one, other)}
     assert rows[""] == ["as planned", "planner informative", "difference"]
     assert rows["drives"] == ["950 m", "980 m", "+30 m"]
-    assert rows["ends in"] == ["1 h 00 min", "1 h 00 min", "+0 s"]
+    assert rows["ends in"] == ["1 h 00 min", "1 h 00 min", "0 s"]
+    assert rows["mean std"] == ["0.500 ppb", "0.500 ppb", "0.000 ppb"]
+    assert {name: texts for name, *texts in compared(other, one)}["drives"][-1] == "-30 m"
     assert rows["NOT DONE"] == ["", "20 of 20, for example: no route", ""]
     at_s, charge = one.charges()[-1]
     assert (at_s, charge.median) == (3600.0, 7.0)
