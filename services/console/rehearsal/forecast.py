@@ -343,8 +343,8 @@ def _m(value: float) -> str:
 
 
 def _ppb(value: float) -> str:
-    """Three digits or so: two decimals, and below 1 ppb three."""
-    return f"{value:.{2 if value >= 1.0 else 3}f} ppb"
+    """Three digits: two decimals from 1 ppb on, one from 10 ppb on; below 1 ppb three decimals."""
+    return f"{value:.{3 if value < 1.0 else 2 if value < 10.0 else 1}f} ppb"
 
 
 def _count(value: float) -> str:

@@ -9,8 +9,8 @@ import { duration, elapsed, element, fixed, grouped } from "./words.js";
 const LOOK_EVERY_MS = 500;
 const COLOURS = ["--accent", "--preview"]; // as planned, and the alternative
 const SHOWN = {
-  lasts_s: ["Ends in", (value) => duration(value)], driven_m: ["Drives", (value) => `${grouped(value)} m`],
-  samples: ["Samples", (value) => grouped(value)], mean_std_ppb: ["Mean std at the end", (value) => `${fixed(value, 4)} ppb`],
+  lasts_s: ["Ends in", (value) => (value < 60 ? `${Math.round(value)} s` : duration(value))], driven_m: ["Drives", (value) => `${grouped(value)} m`],
+  samples: ["Samples", (value) => grouped(value)], mean_std_ppb: ["Mean std at the end", (value) => `${fixed(value, value < 1 ? 3 : value < 10 ? 2 : 1)} ppb`],
   charge_wh: ["Battery at the end", (value) => `${grouped(value)} Wh`], lowest_wh: ["Battery, lowest", (value) => `${grouped(value)} Wh`],
 };
 const WIDE = 420, LEFT = 40, RIGHT = 12;
@@ -99,11 +99,17 @@ function table({ forecasts, more }) {
   const head = element("thead", {}, element("tr", {}, element("td"), ...columns.map((each) => element("th", { scope: "col" }, each))));
   const rows = Object.entries(SHOWN).map(([figure, [name, said]]) => {
     const cells = forecasts.map(({ bands }) => cell(bands[figure], said));
-    if (forecasts.length > 1) cells.push(cell(more[figure], (value) => `${value < 0 ? "−" : "+"}${said(Math.abs(value))}`));
+    if (forecasts.length > 1) cells.push(cell(more[figure], signed(said)));
     return element("tr", {}, element("th", { scope: "row" }, name, strip(forecasts.map(({ bands }) => bands[figure]), said)), ...cells);
   });
   return [element("caption", { class: "sr" }, "What is to be expected at the end of the mission: medians, and bands of 95 per cent"), head, element("tbody", {}, ...rows)];
 }
+
+// The text of a difference: with its sign, unless it is as good as none.
+const signed = (said) => (value) => {
+  const size = said(Math.abs(value));
+  return size === said(0) ? size : `${value < 0 ? "−" : "+"}${size}`;
+};
 
 function cell({ median, low_95: low, high_95: high }, said) {
   const content = [element("b", {}, said(median))];
