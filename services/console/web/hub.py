@@ -162,8 +162,9 @@ class Hub:
                 self._whole = True
 
     def close(self) -> None:
-        """End every browser's stream, and the rehearsal under way."""
+        """End every browser's stream, and the stack and the rehearsal under way."""
         self._ended.set()
+        self.stacks.close()
         self.rehearsals.stop()
         with self._lock:
             for viewer in self._viewers:

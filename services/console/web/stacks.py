@@ -39,13 +39,13 @@ class _UnderWay:
     ended: bool = False
     failure: str = ""
 
-    @property
-    def is_answered(self) -> bool:
-        return self.answer is not None or self.stopped_by is not None
-
-    @property
-    def may_go_on(self) -> bool:
-        return self.answer is True and self.stopped_by is None
+    def expect_not_stopped(self) -> None:
+        """Raise StackStopped if a person has stopped it."""
+        if self.stopped_by is not None:
+            count, whole = len(self.run.sent), len(self.run.lines)
+            raise StackStopped(
+                f"stack: stopped by {self.stopped_by}; {count} of {whole} commands sent, nothing is sent after it"
+            )
 
 
 class PageStacks:
@@ -59,6 +59,7 @@ class PageStacks:
         self._changed = threading.Condition()
         self._under_way: _UnderWay | None = None
         self._count = 0
+        self._closed = False
 
     @classmethod
     def of(cls, mission: MissionClient, tell: Callable[[], None]) -> PageStacks:
@@ -79,7 +80,8 @@ class PageStacks:
     def start(self, text: str, step: bool, by: str) -> None:
         """Check the stack once more, and begin to send it; step: each command waits for an answer.
 
-        Raises InvalidInput, and sends nothing, if a command would be refused, or if a stack is under way.
+        Raises InvalidInput, and sends nothing, if a command would be refused, if a stack is under way, or if the server
+        ends.
         """
         with self._changed:
             self._expect_none()
@@ -103,13 +105,22 @@ class PageStacks:
                 raise InvalidInput(
                     f"stack: expected an answer on the command that waits ({waits}), got one on line {line}"
                 )
-            under_way.answer = send
+            under_way.answer, under_way.asks = send, None  # the first answer counts
             self._changed.notify_all()
 
     def stop(self, number: int, by: str) -> None:
         """Send nothing any more of that stack. Raises InvalidInput if it is not under way."""
         with self._changed:
-            self._expect(number).stopped_by = by
+            under_way = self._expect(number)
+            under_way.stopped_by, under_way.asks = under_way.stopped_by or by, None
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Send nothing any more: the server ends."""
+        with self._changed:
+            self._closed = True
+            if self._under_way is not None:
+                self._under_way.stopped_by = self._under_way.stopped_by or "the end of the page's server"
             self._changed.notify_all()
 
     def document(self) -> dict[str, Any] | None:
@@ -160,16 +171,16 @@ class PageStacks:
             self._tell()
 
     def _may_send(self, begun: _UnderWay, line: StackLine, outlook: CommandOutlook) -> bool:
+        begun.expect_not_stopped()
         if not begun.step:
-            self._tell()
-            return begun.stopped_by is None
+            return True
         with self._changed:
             begun.asks, begun.answer = (line, outlook), None
         self._tell()
         with self._changed:
-            self._changed.wait_for(lambda: begun.is_answered)
-            begun.asks = None
-            sends = begun.may_go_on
+            self._changed.wait_for(lambda: begun.answer is not None or begun.stopped_by is not None)
+            begun.expect_not_stopped()
+            sends = begun.answer is True
         self._tell()
         return sends
 
@@ -179,11 +190,7 @@ class PageStacks:
             begun = self._under_way
             assert begun is not None, "called by the stack that is under way"
             self._changed.wait_for(lambda: begun.stopped_by is not None, LOOK_EVERY_S)
-            if begun.stopped_by is not None:
-                count, whole = len(begun.run.sent), len(begun.run.lines)
-                raise StackStopped(
-                    f"stack: stopped by {begun.stopped_by}; {count} of {whole} commands sent, nothing is sent after it"
-                )
+            begun.expect_not_stopped()
 
     def _expect(self, number: int) -> _UnderWay:
         under_way = self._under_way
@@ -192,6 +199,8 @@ class PageStacks:
         return under_way
 
     def _expect_none(self) -> None:
+        if self._closed:
+            raise InvalidInput("stack: expected a server that goes on, got one that ends; nothing was sent")
         if self._under_way is not None and not self._under_way.ended:
             raise InvalidInput(f"stack: expected none under way, got one that {self._under_way.by} has begun")
 

@@ -104,6 +104,8 @@ def test_step_by_step_each_command_waits_for_its_answer() -> None:
     page.stacks.answer(1, 1, send=True)
     page.until(lambda it: it["asks"] is not None and it["asks"]["line"] == 2)
     page.stacks.answer(1, 2, send=False)
+    with pytest.raises(InvalidInput, match=r"on the command that waits \(none\)|the stack that is under way"):
+        page.stacks.answer(1, 2, send=True)  # of another browser, a moment later
     assert "line 2 (resume): not sent, as the operator decided" in page.until(ended)["failure"]
     assert [kind for kind, _ in page.desk.sent] == ["pause"]
 
@@ -118,13 +120,28 @@ def test_a_stack_that_a_person_stops_sends_nothing_any_more(step: bool) -> None:
         page.stacks.start(TEXT, step, by="ben")
     page.stacks.stop(1, by="ben")
     document = page.until(ended)
-    assert document["failure"] != ""
-    assert len(page.desk.sent) == (0 if step else 1)
+    sent = 0 if step else 1
+    assert document["failure"] == f"stack: stopped by ben; {sent} of 2 commands sent, nothing is sent after it"
+    assert len(page.desk.sent) == sent
     with pytest.raises(InvalidInput, match="expected the stack that is under way, got number 1"):
         page.stacks.stop(1, by="ben")
     page.flows.set()
     page.stacks.start(TEXT, step=False, by="ben")
     assert page.until(ended)["number"] == 2
+
+
+@pytest.mark.parametrize("step", [True, False])
+def test_when_the_server_ends_nothing_more_of_a_stack_is_sent(step: bool) -> None:
+    Page().stacks.close()  # where there is none
+    page = Page()
+    page.flows.clear()
+    page.stacks.start(TEXT, step, by="anna")
+    page.until(lambda it: it["asks"] is not None or it["lines"][0]["stage"] is not None)
+    page.stacks.close()
+    assert "stopped by the end of the page's server" in page.until(ended)["failure"]
+    with pytest.raises(InvalidInput, match="expected a server that goes on, got one that ends"):
+        page.stacks.start(TEXT, step, by="anna")
+    assert len(page.desk.sent) == (0 if step else 1)
 
 
 def test_a_stack_that_would_be_refused_does_not_begin() -> None:
