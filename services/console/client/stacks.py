@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
-from he3.errors import He3Error, InvalidInput
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.commands import CommandKind, CommandStage, Telecommand
 from schemas.telemetry import RoverMode
 from services.console.client.commands import MAX_EXPIRY_S, stage_named, telecommand
@@ -262,8 +262,15 @@ class StackRun:
     def run(self, may_send: Callable[[StackLine, CommandOutlook], bool]) -> Iterator[tuple[StackLine, CommandStatus]]:
         """Send the commands, each under its conditions and if `may_send` says so; yields a line with every new stage.
 
-        Raises He3Error, in one line, at the first command that fails or is not to be sent; nothing is sent after it.
+        Raises He3Error, in one line, at the first command that fails or is not to be sent, and PeerUnreachable when the
+        mission does not answer; nothing is sent after it.
         """
+        try:
+            yield from self._run(may_send)
+        except PeerUnreachable as silence:
+            raise PeerUnreachable(f"stack: {silence}; {self._account()}") from None
+
+    def _run(self, may_send: Callable[[StackLine, CommandOutlook], bool]) -> Iterator[tuple[StackLine, CommandStatus]]:
         for line in self.lines:
             while not self._may_go(line):
                 self.desk.pause()
@@ -277,6 +284,8 @@ class StackRun:
                 name = self.desk.send(line)
             except InvalidInput as refusal:
                 raise self._failure(line, str(refusal)) from None
+            except PeerUnreachable as silence:
+                raise PeerUnreachable(f"{line.name}: {silence}, so whether it has this command is not known") from None
             self.sent[name] = line
             yield from self._look()
         while any(not self._ended(name) for name in self.sent):
@@ -311,9 +320,10 @@ class StackRun:
         return status is not None and status.end is not None
 
     def _failure(self, line: StackLine, why: str) -> He3Error:
-        return He3Error(
-            f"stack: {line.name}: {why}; {len(self.sent)} of {len(self.lines)} commands sent, nothing is sent after it"
-        )
+        return He3Error(f"stack: {line.name}: {why}; {self._account()}")
+
+    def _account(self) -> str:
+        return f"{len(self.sent)} of {len(self.lines)} commands sent, nothing is sent after it"
 
 
 class MissionDesk:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from he3.errors import He3Error, InvalidInput
+from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.commands import CommandPreview, CommandReport, CommandStage, CommandStatus
 from schemas.telemetry import RoverMode
 from services.console.client.previews import CommandOutlook, Passage
@@ -205,3 +206,18 @@ def test_an_operator_who_steps_through_a_stack_stops_it_where_they_say_no() -> N
     with pytest.raises(He3Error, match=r"line 2 \(resume\): not sent, as the operator decided"):
         list(stack.run(lambda line, outlook: line.number == 1))
     assert [kind for kind, _ in desk.sent] == ["pause"]
+
+
+def test_a_stack_whose_mission_falls_silent_says_what_was_sent_and_what_is_not_known() -> None:
+    def silent(*_: object) -> Any:
+        raise PeerUnreachable("nobody answers")
+
+    desk = Desk()
+    stack = StackRun(parse_stack("pause\nresume", START), desk)
+    desk.stages = silent  # type: ignore[method-assign]
+    with pytest.raises(PeerUnreachable, match=r"^stack: nobody answers; 1 of 2 commands sent, nothing"):
+        list(stack.run(lambda line, outlook: True))
+    desk.send = silent  # type: ignore[method-assign]
+    stack = StackRun(parse_stack("pause", START), desk)
+    with pytest.raises(PeerUnreachable, match=r"line 1 \(pause\): nobody answers, so whether it has"):
+        list(stack.run(lambda line, outlook: True))
