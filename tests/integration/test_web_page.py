@@ -1166,7 +1166,7 @@ def test_the_rest_of_the_mission_is_rehearsed_on_the_page_against_an_alternative
         write(browser, "#rehearsal-draws", "100" + ENTER)
         until(lambda: not script(browser, "return document.getElementById('rehearsal-stop').hidden"), "its begin")
         browser.find_element("id", "rehearsal-stop").send_keys(ENTER)
-        until(lambda: "it was stopped" in written(browser, "#rehearsal-note"), "its end")
+        until(lambda: "it was stopped" in written(browser, "#rehearsal-failure"), "its end")
 
 
 def test_the_page_fits_a_phone_in_light_and_dark(browser: Any, address: str) -> None:

@@ -2,7 +2,7 @@
 
 import { map } from "./layers.js";
 import { askJson, send } from "./net.js";
-import { $, attempt, numberIn, sinceStart, state } from "./state.js";
+import { $, attempt, numberIn, rewrite, sinceStart, state } from "./state.js";
 import { line, node, text } from "./svg.js";
 import { duration, elapsed, element, fixed, grouped } from "./words.js";
 
@@ -15,7 +15,8 @@ const SHOWN = {
 };
 const WIDE = 420, LEFT = 40, RIGHT = 12;
 
-let shown = 0;       // the number of the rehearsal whose result is shown
+let shown = 0;       // the number of the rehearsal whose result is shown; 0 while one is under way
+let underWay = 0;    // the number of the rehearsal that was under way when the server was asked last; 0 for none
 let looking = null;
 
 // --- what is rehearsed ------------------------------------------------------------------------------------------------
@@ -72,7 +73,11 @@ function follow({ number, running, done, of: flights, why, result }) {
   const bar = $("rehearsal-progress");
   bar.hidden = !running;
   if (running) { bar.max = flights; bar.value = done; }
-  $("rehearsal-note").textContent = running ? (done ? `${done} of ${flights}` : "begins …") : why || "";
+  rewrite($("rehearsal-note"), running ? (done ? `${done} of ${flights}` : "begins …") : "");
+  const lost = number < underWay; // numbers begin anew with the server
+  rewrite($("rehearsal-failure"), lost ? "The rehearsal has ended with the page's server, which was started anew" : why || "");
+  underWay = running ? number : 0;
+  if (running) shown = 0; // a server that was started anew counts from 1 again
   if (result) { shown = number; draw(result); }
   if (running && looking === null) looking = setTimeout(look, LOOK_EVERY_MS);
 }

@@ -74,8 +74,13 @@ const rowsOf = (rows) => rows.filter(([name]) => SHOWN.has(name)).map(([name, te
 
 // A stack as the server tells it; null if there was none.
 export function takeStack(stack) {
+  const wasUnderWay = isUnderWay();
   state.stack = stack;
   if (isUnderWay() && list !== "run") clear("run");
+  if (!stack && list === "run") {
+    clear("none");
+    if (wasUnderWay) rewrite($("stack-failure"), "The stack has ended with the page's server, which was started anew; Commands has what was sent");
+  }
   showStack();
 }
 
