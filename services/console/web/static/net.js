@@ -1,10 +1,15 @@
 // Requests to the server and its stream of events. Nothing here knows the page.
 
+const GONE = "the page's server does not answer";
+const ANSWERED_WITHIN_MS = 45_000; // longer than the server waits for the mission
+const REFUSED_MS = 5000; // until a stream that the server has refused is asked for again
+let stream = null, hasBroken = false;
+
 export async function ask(path, parameters = {}) {
   const query = new URLSearchParams();
   for (const [key, value] of Object.entries(parameters)) if (value !== null && value !== undefined && value !== "") query.set(key, value);
   const text = query.toString();
-  const response = await fetch(`/api/${path}${text ? "?" + text : ""}`, { cache: "no-store" });
+  const response = await fetch(`/api/${path}${text ? "?" + text : ""}`, { cache: "no-store" }).catch(() => { throw new Error(GONE); });
   if (!response.ok) throw await failure(response);
   return response;
 }
@@ -31,12 +36,15 @@ function saveBlob(name, blob) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
+// Nothing is sent while the stream is broken off: the page does not know then what it would be sent to.
 export async function send(path, document) {
+  if (hasBroken && stream.readyState !== EventSource.OPEN) throw new Error(`${GONE}: nothing was sent`);
   const response = await fetch(`/api/${path}`, {
     method: "POST",
     headers: { "content-type": "application/json", "x-he3-console": "1" },
     body: JSON.stringify(document),
-  });
+    signal: AbortSignal.timeout(ANSWERED_WITHIN_MS),
+  }).catch(() => { throw new Error(`${GONE}: whether it has got this is not known; Commands and the log will show it`); });
   if (!response.ok) throw await failure(response);
   return response.json();
 }
@@ -48,12 +56,16 @@ async function failure(response) {
   return Object.assign(new Error(why), { status: response.status });
 }
 
-// Server-sent events; the browser reconnects by itself when they break off, and then gets everything afresh.
+// Server-sent events; the browser reconnects by itself when they break off, and then gets everything afresh. Where the server
+// refuses, as it does with too many browsers, the browser gives up, and this asks again.
 export function listen(handlers, onBreak) {
-  const source = new EventSource("/api/stream");
+  stream = new EventSource("/api/stream");
   for (const [kind, handler] of Object.entries(handlers)) {
-    source.addEventListener(kind, (event) => handler(JSON.parse(event.data)));
+    stream.addEventListener(kind, (event) => handler(JSON.parse(event.data)));
   }
-  source.onerror = onBreak;
-  return source;
+  stream.onerror = () => {
+    hasBroken = true;
+    onBreak();
+    if (stream.readyState === EventSource.CLOSED) setTimeout(() => listen(handlers, onBreak), REFUSED_MS);
+  };
 }
