@@ -11,11 +11,12 @@ import { showTimeline } from "./timeline.js";
 import { duration, element, fixed, grouped } from "./words.js";
 
 let shown = null;     // the number of the proposal that is shown
-let asking = false;
+let asking = false;   // whether the server is asked for the plan, or told what to do about it
 let stops = [];       // the samples as they are edited
 let compared = null;  // the figures of the plan before it was revised here
 
 const HINT = "Drag a sample on the map, write its place, add some, or change their order; what is not ticked is not taken.";
+const isEdited = () => isRevised(stops, state.proposal.plan) || taken(stops).length < stops.length;
 const mayEdit = () => document.body.classList.contains("commanding");
 
 // Shows what waits, if the ground's status names another proposal than the one that is shown.
@@ -27,8 +28,11 @@ export function showPlan() {
     .finally(() => { asking = false; });
 }
 
+// before: the figures of the plan that this page has decided on; null if another operator or the ground has.
 function draw(proposal, before = null) {
-  if (proposal && before === null && shown !== null && isRevised(stops, state.proposal.plan)) toast("Another plan waits now; your changes were of the one before", true);
+  if (before === null && shown !== null && isEdited()) {
+    toast(`${proposal ? "Another plan waits now" : "The plan waits no more"}; your changes were of the one before, and nothing of them was sent`, true);
+  }
   shown = proposal?.proposal ?? null;
   state.proposal = proposal;
   compared = before;
@@ -69,9 +73,10 @@ function showButtons(revised) {
   const dropped = stops.filter((stop) => !stop.taken).length;
   $("plan-approve").disabled = revised;
   $("plan-check").disabled = !revised || taken(stops).length === 0;
+  $("plan-back").disabled = false;
   $("plan-undo").disabled = !revised && dropped === 0;
   $("plan-note").classList.remove("outdated");
-  rewrite($("plan-note"), revised ? "Changed: the ground has not found the ways yet, so the map shows straight legs. Check the changes, then approve." : dropped ? `Approved without ${dropped} of ${stops.length} samples; the rover drives by.` : HINT);
+  rewrite($("plan-note"), revised ? "Changed: the ground has not found the ways yet, so the map shows straight legs. Check the changes, then approve." : dropped ? `Approve sends the plan without ${dropped} of its ${stops.length} samples; the rover drives by.` : HINT);
 }
 
 function row(stop, index) {
@@ -137,16 +142,30 @@ $("map").addEventListener("keydown", (event) => {
 
 // --- the decision ---------------------------------------------------------------------------------------------------
 
+// Decides on the plan that is shown; gives what waits then. Until the answer is here the status asks for no plan: this page
+// would take the one that it has made itself for another operator's.
+async function decided(document) {
+  asking = true;
+  for (const id of ["plan-approve", "plan-check", "plan-back"]) $(id).disabled = true;
+  try {
+    return (await send("plan", { proposal: shown, ...document })).proposal;
+  } catch (error) {
+    showButtons(isRevised(stops, state.proposal.plan));
+    throw error;
+  } finally { asking = false; }
+}
+
 async function decide(verdict) {
-  const proposal = shown, drop = verdict === "approve" ? stops.filter((stop) => !stop.taken).map(({ name }) => name) : [];
-  const { proposal: next } = await send("plan", { proposal, verdict, drop });
+  const drop = verdict === "approve" ? stops.filter((stop) => !stop.taken).map(({ name }) => name) : [];
+  const next = await decided({ verdict, drop });
   toast(verdict === "approve" ? `Plan approved${drop.length ? ` without ${drop.join(", ")}` : ""}` : "Plan sent back");
   draw(next, {});
 }
 
 async function revise() {
   const figures = JSON.parse($("plan-facts").dataset.figures);
-  const { proposal: next } = await send("plan", { proposal: shown, verdict: "revise", places_m: taken(stops).map(placeOf) }).catch((error) => {
+  rewrite($("plan-note"), "The ground looks for the ways …");
+  const next = await decided({ verdict: "revise", places_m: taken(stops).map(placeOf) }).catch((error) => {
     rewrite($("plan-note"), error.message);
     $("plan-note").classList.add("outdated");
     throw error;
@@ -154,6 +173,8 @@ async function revise() {
   draw(next, figures);
   rewrite($("plan-note"), "Checked: the ground has found the ways. Approve the plan, or change it further.");
 }
+
+addEventListener("beforeunload", (event) => { if (shown !== null && isEdited()) event.preventDefault(); }); // the browser asks first
 
 $("plan-approve").addEventListener("click", () => attempt(() => decide("approve")));
 $("plan-back").addEventListener("click", () => attempt(() => decide("send_back")));
