@@ -30,6 +30,7 @@ function showHeld() {
   const held = map.chosen && heldAt(map.chosen);
   delete $("place").dataset.held;
   if (!held) return;
+  delete $("place").dataset.point;
   const [x, y] = map.chosen, about = held.exact ? "" : "≈ ";
   $("place-hint").textContent = `(${tenth(x)}, ${tenth(y)}) m, revision ${held.revision}, read off this page's map; asking the ground …`;
   $("answer").textContent = `(${tenth(x)}, ${tenth(y)}) m: ${about}${fixed(held.mean_ppb)} ± ${fixed(held.std_ppb)} ppb, read off the map …`;
