@@ -30,9 +30,26 @@ import zenoh
 from benchmarks.fuzzing.messages import mutated_message
 from benchmarks.fuzzing.page_requests import MOST_GROWTH, ServedPageOverTls, resident_kb
 from he3.errors import He3Error, InvalidInput
+from schemas.maps import MapFormat, MapLayer
 from schemas.report import MissionReport
 from schemas.roles import Role
-from schemas.topics import BY_NAME, MAP_FEED, MAP_LAYER, TOPICS, Query, Side, Topic, counted
+from schemas.topics import (
+    BY_NAME,
+    MAP_BOX,
+    MAP_FEED,
+    MAP_HISTORY,
+    MAP_LAYER,
+    MAP_POINT,
+    MAP_REGION,
+    MAP_RESOURCE,
+    MAP_SCORE,
+    TOPICS,
+    TRACK,
+    Query,
+    Side,
+    Topic,
+    counted,
+)
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import Endpoints, free_endpoints
 from services.console.launch.in_process import run_in_process
@@ -145,6 +162,15 @@ def _flooded(site: _Site, flood: _Flood, page: _PageFlood, messages: int, rate: 
     site.launcher.check()
     site.page.require_alive()
     return {"warm": warm, "end": site.memory_kb()}
+
+
+_ONE_OF_EACH: Final = (
+    *(f"{MAP_LAYER.name}?layer={layer};format={form}" for layer in MapLayer for form in MapFormat),
+    *(f"{MAP_BOX.name}?layer=std;x_min=0;y_min=0;x_max=50;y_max=50;format={form}" for form in MapFormat),
+    f"{MAP_POINT.name}?x=30;y=30",
+    *(topic.name for topic in (MAP_RESOURCE, MAP_HISTORY, MAP_REGION, MAP_SCORE, TRACK)),
+)
+"""Queries of the map: each kind with which the process that answers imports or allocates something else."""
 
 
 class _Site:
@@ -262,8 +288,15 @@ class _Flood:
             self._genuine[name] = sample.payload.to_bytes()
 
     def fill(self) -> None:
-        """Ask for more different maps than the ground keeps, so that what it keeps does not grow afterwards."""
+        """Ask once for everything that the ground answers, then for more different maps than it keeps.
+
+        So no first answer of a kind, with what it imports and allocates, comes after the warm-up, and what the ground
+        keeps does not grow afterwards.
+        """
         session = next(session for _, role, session in self._others if role is Role.VIEWER)
+        for asked in _ONE_OF_EACH:
+            list(session.get(f"he3/{self._site.mission}/{asked}", timeout=60.0))
+            self._site.launcher.check()
         kept, step = 0, 0
         while kept < 2 * MAX_KEPT_BYTES:
             step += 1
