@@ -8,10 +8,10 @@ Reads one JSON document on standard input and writes one on standard output. Req
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 import time
+
+from answering import answer
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 MOST_PLACES = 5000
@@ -41,15 +41,5 @@ def designs(request: dict) -> list[dict]:
     return found
 
 
-def main() -> int:
-    request = json.load(sys.stdin)
-    # What the libraries print must not get into the answer.
-    answer_to = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    json.dump(designs(request), answer_to)
-    answer_to.close()
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    answer(designs)

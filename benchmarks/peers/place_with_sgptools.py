@@ -14,10 +14,10 @@ finds itself.
 from __future__ import annotations
 
 import base64
-import json
 import os
-import sys
 import time
+
+from answering import answer
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
@@ -140,16 +140,9 @@ def map_of(request: dict) -> dict:
             for key, array in (("mean_ppb", field), ("std_ppb", std))}  # fmt: skip
 
 
-def main() -> int:
-    request = json.load(sys.stdin)
-    # What the libraries print must not get into the answer.
-    answer_to = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    answer = {"place": place, "explore": explore, "map": map_of}[request["task"]](request)
-    json.dump(answer, answer_to)
-    answer_to.close()
-    return 0
+def asked(request: dict) -> dict:
+    return {"place": place, "explore": explore, "map": map_of}[request["task"]](request)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    answer(asked)
