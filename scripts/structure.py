@@ -12,6 +12,7 @@ import ast
 import io
 import json
 import keyword
+import os
 import re
 import subprocess
 import sys
@@ -324,11 +325,15 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="exit with 1 when a figure misses its target")
     asked = parser.parse_args()
     structure = measure(asked.root.resolve())
-    if asked.json:
-        print(json.dumps({"figures": structure.figures(), "targets": TARGETS, **asdict(structure)}, indent=1))
-    else:
-        print("\n".join(report(structure)))
     figures = structure.figures()
+    if asked.json:
+        text = json.dumps({"figures": figures, "targets": TARGETS, **asdict(structure)}, indent=1)
+    else:
+        text = "\n".join(report(structure))
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:  # a reader such as `head` wants no more; nor may Python's own last flush fail
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return int(asked.check and any(figures[name] > target for name, target in TARGETS.items()))
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from tests.processes import run
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "structure.py"
 
@@ -71,3 +74,14 @@ def test_the_longest_class_comes_first_with_its_lines_and_methods(structure: Mod
     first, second = structure.longest_classes(tmp_path, {tmp_path / "m.py": source})
     assert (first.name, first.place, first.lines, first.methods) == ("Long", "m.py:5", 4, 2)
     assert (second.name, second.lines, second.methods) == ("Short", 2, 0)
+
+
+def test_a_reader_that_wants_no_more_lines_ends_the_output_quietly(tmp_path: Path) -> None:
+    for package in ("he3", "schemas", "services", "benchmarks", "examples", "scripts"):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").touch()
+    here, there = os.pipe()
+    os.close(here)  # as `head` does when it has its lines
+    with os.fdopen(there, "wb") as output:
+        done = run([sys.executable, SCRIPT, tmp_path], stdout=output)
+    assert (done.returncode, done.stderr) == (0, "")
