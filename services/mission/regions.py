@@ -221,15 +221,23 @@ def _layer(
     unit: str,
 ) -> FloatArray | None:
     """A layer as float64 (rows, columns) without missing values; None if the file does not contain it."""
+    layer = _numbers(path, arrays, key, shape)
+    if layer is not None:
+        expect_measured(f"{path}: key {key}", layer, *bounds, unit)
+    return layer
+
+
+def _numbers(
+    path: Path, arrays: Mapping[str, NDArray[Any]], key: str, shape: tuple[int, ...] | None
+) -> FloatArray | None:
+    """That array as float64 (rows, columns), of that shape if one is given; None if the file does not contain it."""
     values = arrays.get(key)
     if values is None:
         return None
     if values.dtype.kind not in "fiu":
         raise InvalidInput(f"{path}: key {key}: expected real numbers, got dtype {values.dtype}")
     _expect_shape(path, key, values.shape, shape)
-    layer = np.array(values, dtype=np.float64, order="C")
-    expect_measured(f"{path}: key {key}", layer, *bounds, unit)
-    return layer
+    return np.array(values, dtype=np.float64, order="C")
 
 
 def _open_cells(path: Path, arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
@@ -249,13 +257,9 @@ def _open_cells(path: Path, arrays: Mapping[str, NDArray[Any]], shape: tuple[int
 
 def _rock_abundance(path: Path, arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> FloatArray | None:
     """Share of each cell under rocks, NaN where it is not known; None if the file does not contain it."""
-    values = arrays.get(ROCK_ABUNDANCE)
-    if values is None:
+    rocks = _numbers(path, arrays, ROCK_ABUNDANCE, shape)
+    if rocks is None:
         return None
-    if values.dtype.kind not in "fiu":
-        raise InvalidInput(f"{path}: key {ROCK_ABUNDANCE}: expected real numbers, got dtype {values.dtype}")
-    _expect_shape(path, ROCK_ABUNDANCE, values.shape, shape)
-    rocks = values.astype(np.float64)
     off = ~(np.isnan(rocks) | ((rocks >= 0.0) & (rocks <= 1.0)))
     if off.any():
         raise InvalidInput(
