@@ -12,13 +12,13 @@ the field that the certificate names does lie as near to the map as it says. SGP
 
 from __future__ import annotations
 
-import json as json_format
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks import promises
+from benchmarks import kept, promises
 from benchmarks.covers import PEERS, CoverTask, Row, rows_of
 from benchmarks.exam_fields import load_field, names_in
 from benchmarks.peer_environments import SGPTOOLS_COVERS
@@ -27,6 +27,7 @@ from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
 
 OURS = "tour"
+OURS_AND_GREEDY = (OURS, "greedy")
 _Asked = tuple[str, Path | None, tuple[float, ...], int, tuple[str, ...]]
 
 
@@ -47,51 +48,56 @@ def run(
     *,
     say: Callable[[str], None] = print,
 ) -> dict[str, list[Row]]:
-    """Rows of designs and of missions; the tables printed, the rows written to `json` as they come.
+    """Rows of designs and of missions; the tables printed, the rows added to `json` as they come.
 
     data: folder with the exam's rasters; fields: some of them, by name; ratios: shares of the prior variance, none for
     missions alone; peers: of HexCover, GreedyCover and GCBCover; missions: how many are flown, with this planner,
     towards a std of that share of the field's, everywhere or for blocks of so many metres, in at most so many rounds
     of 5.
-    What the file has already is not computed again. Raises InvalidInput for names that are not known.
+    What the file has already of the same run is not computed again. Raises InvalidInput for names that are not known,
+    and for a file of anything else.
     """
     known = names_in(data)
     chosen = list(fields) or known
     for given, among in ((chosen, known), (peers, PEERS)):
         if unknown := [name for name in given if name not in among]:
             raise InvalidInput(f"expected names among {', '.join(among)}; got {', '.join(unknown)}")
-    if not all(0.0 < ratio < 1.0 for ratio in ratios) or missions < 0 or not 0.0 < share < 1.0:
+    if not all(0.0 < ratio < 1.0 for ratio in (*ratios, share)):
         raise InvalidInput(f"expected ratios and a share between 0 and 1, got {', '.join(map(str, (*ratios, share)))}")
     if peers and not SGPTOOLS_COVERS.installed:
         say("SGP-Tools: not installed, its planners are left out")
         peers = ()
-    kept: dict[str, list[Row]] = {"designs": [], "missions": []}
-    if json is not None and json.exists():
-        kept |= json_format.loads(json.read_text(encoding="utf-8"))
-    done = {(row["field"], row["ratio"]) for row in kept["designs"]}
+    document = kept.read(json, "designs", "missions")
+    designs: list[Row] = document["designs"]
+    flown: list[Row] = document["missions"]
     asked: list[_Asked] = []
     for name in chosen:
-        left = tuple(ratio for ratio in ratios if (name, ratio) not in done)
+        left = tuple(ratio for ratio in ratios if not _designed(designs, (name, ratio, seed), peers))
         if left:
             asked.append((name, data, left, seed, tuple(peers)))
     flights = [
         Promise(data, chosen[k % len(chosen)], seed + k, planner, share, blocks, probability, rounds)
         for k in range(missions)
     ]
-    flown = {(row["field"], row["seed"], row["planner"], row["share"], row["blocks_m"]) for row in kept["missions"]}
-    flights = [one for one in flights if (one.field, one.seed, one.planner, one.share, one.blocks_m) not in flown]
+    have = {promises.identity(row) for row in flown}
     with Tasks(jobs) as pool:
         for task, rows in pool.results(_designs, asked):
-            kept["designs"] += rows
-            _keep(kept, json)
+            computed = {_design(row) for row in rows}
+            designs[:] = [row for row in designs if _design(row) not in computed] + rows
+            kept.write(json, document)
             progress(f"  {task[0]}: {len(rows)} designs")
-        for flight, row in pool.results(promises.fly, flights):
-            kept["missions"].append(row)
-            _keep(kept, json)
-            progress(f"  {len(kept['missions']):>3} missions, the last on {flight.field}")
-    for line in (*table(kept["designs"]), *promise_table(kept["missions"])):
+        for flight, row in pool.results(promises.fly, [one for one in flights if one.identity not in have]):
+            flown.append(row)
+            kept.write(json, document)
+            progress(f"  {len(flown):>3} missions, the last on {flight.field}")
+    wanted, mine = {(name, ratio, seed) for name in chosen for ratio in ratios}, {one.identity for one in flights}
+    found = {
+        "designs": [row for row in designs if _design(row) in wanted],
+        "missions": [row for row in flown if promises.identity(row) in mine],
+    }
+    for line in (*table(found["designs"]), *promise_table(found["missions"])):
         say(line)
-    return kept
+    return found
 
 
 def _designs(asked: _Asked) -> list[Row]:
@@ -99,9 +105,14 @@ def _designs(asked: _Asked) -> list[Row]:
     return rows_of(CoverTask(load_field(name, data), seed), ratios, peers)
 
 
-def _keep(kept: dict[str, list[Row]], json: Path | None) -> None:
-    if json is not None:
-        json.write_text(json_format.dumps(kept, indent=1), encoding="utf-8")
+def _design(row: Row) -> tuple[Any, ...]:
+    """What a row's design was made for."""
+    return row["field"], row["ratio"], row["seed"]
+
+
+def _designed(rows: Sequence[Row], design: tuple[str, float, int], peers: Sequence[str]) -> bool:
+    """Whether the rows have all of that field, ratio and seed."""
+    return {*OURS_AND_GREEDY, *peers} <= {row["method"] for row in rows if _design(row) == design}
 
 
 def table(rows: Sequence[Row]) -> list[str]:

@@ -166,8 +166,7 @@ def _peer_rows(task: CoverTask, ratios: Sequence[float], peers: Sequence[str]) -
     for (name, ratio, _, _), answer in zip(wanted, found, strict=True):
         row = _answered(task, ratio, name, answer)
         kept = best.get((name, ratio))
-        better = kept is None or (row["holds"] and (not kept["holds"] or row["metres"] < kept["metres"]))
-        if better:
+        if kept is None or _order(row) < _order(kept):
             best[name, ratio] = row
     for share in STRICTER[1:]:
         failed = [key for key, row in best.items() if not row["holds"] and "loosened" not in key[0]]
@@ -177,6 +176,12 @@ def _peer_rows(task: CoverTask, ratios: Sequence[float], peers: Sequence[str]) -
         for (peer, ratio), answer in zip(failed, again, strict=True):
             best[peer, ratio] = _answered(task, ratio, peer, answer) | {"note": f"threshold {share:g} of its own"}
     return list(best.values())
+
+
+def _order(row: Row) -> tuple[bool, float]:
+    """Designs whose certificate holds and which have a way come first, the shortest ahead."""
+    metres = row["metres"] if row["holds"] else None
+    return metres is None, metres or 0.0
 
 
 def _asked(task: CoverTask, designs: Sequence[tuple[str, float]]) -> list[Any]:

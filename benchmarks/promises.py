@@ -33,6 +33,8 @@ MEAN_PPB, STD_PPB = 7.5, 1.7
 DRAWS = 200
 _PIECE = 17  # tells the seeds of pieces from all others
 
+_IDENTITY = ("field", "seed", "planner", "share", "blocks_m", "probability", "rounds")
+
 Row = dict[str, Any]
 
 
@@ -49,6 +51,16 @@ class Promise:
     blocks_m: float | None
     probability: float
     rounds: int
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What its row is known by; see `identity`."""
+        return tuple(getattr(self, name) for name in _IDENTITY)
+
+
+def identity(row: Row) -> tuple[Any, ...]:
+    """What tells a row's mission from all others; None for what an older row does not tell."""
+    return tuple(row.get(name) for name in _IDENTITY)
 
 
 def piece(field: str, data: Path | None, seed: int) -> Region:
@@ -109,9 +121,10 @@ def fly(promise: Promise) -> Row:
     within = None if goal.within_ppb is None else float(np.mean(missed <= goal.within_ppb))
     return {
         "field": promise.field, "seed": promise.seed, "planner": promise.planner, "share": promise.share,
-        "blocks_m": promise.blocks_m, "probability": promise.probability, "reached": goal.holds,
-        "samples": ground.status.samples, "metres": ground.status.driven_m, "worst_ppb": goal.worst_ppb,
-        "weight": goal.weight, "within": within, "kept": within is not None and within >= promise.probability,
+        "blocks_m": promise.blocks_m, "probability": promise.probability, "rounds": promise.rounds,
+        "reached": goal.holds, "samples": ground.status.samples, "metres": ground.status.driven_m,
+        "worst_ppb": goal.worst_ppb, "weight": goal.weight, "within": within,
+        "kept": within is not None and within >= promise.probability,
         "seconds": time.process_time() - began,
     }  # fmt: skip
 

@@ -18,7 +18,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import os
 import time
 from collections.abc import Callable
@@ -27,6 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks import kept
 from he3.errors import InvalidInput
 from schemas.commands import NoParameters
 from schemas.ground import MissionPhase
@@ -66,46 +66,34 @@ def run(
     if missions < 1 or not 0 < samples < first.samples:
         raise InvalidInput(f"expected a mission and 1 to {first.samples - 1} samples, got {missions} and {samples}")
     what: Row = {"scenario": scenario, "samples": samples, "draws": draws}
-    known = {} if json is None else _known(Path(json), what)
-    rows: list[Row] = []
+    known = {row["seed"]: row for row in _known(json, what)}
     say(f"{scenario} from sample {samples} of {first.samples}, {draws} draws")
     say(f"{'seed':>4} {'wall':>7} {'cpu':>7} {'draw':>6}" + "".join(f"{name:>36}" for name in FIGURES.values()))
     with closing(MissionExecutor()) as executor:
         for number in range(seed, seed + missions):
-            rows.append(known.get(number) or _row(scenario, number, samples, draws, processes, executor))
-            say(_line(rows[-1]))
-            if json is not None:
-                _write(Path(json), {**what, "rows": rows})
+            if number not in known:
+                known[number] = _row(scenario, number, samples, draws, processes, executor)
+                kept.write(json, {**what, "rows": list(known.values())})
+            say(_line(known[number]))
+    rows = [known[number] for number in range(seed, seed + missions)]
     inside = {
         level: {name: sum(row[name][f"in_{level}"] for row in rows) for name in FIGURES} for level in ("68", "95")
     }
     for level, counts in inside.items():
         say(f"in the {level} % band: " + ", ".join(f"{FIGURES[name]} {counts[name]} of {missions}" for name in FIGURES))
-    document: Row = {**what, "inside": inside, "rows": rows}
-    if json is not None:
-        _write(Path(json), document)
-    return document
+    kept.write(json, {**what, "inside": inside, "rows": list(known.values())})
+    return {**what, "inside": inside, "rows": rows}
 
 
-def _known(path: Path, what: Row) -> dict[int, Row]:
-    """The rows that the file has, by their seeds; none without the file. Raises InvalidInput for one of another run."""
-    if not path.exists():
-        return {}
-    try:
-        kept = json_format.loads(path.read_text(encoding="utf-8"))
-        same = {name: kept[name] for name in what} == what
-        rows = {int(row["seed"]): row for row in kept["rows"]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidInput(f"{path}: expected rows of this benchmark, got {error}") from None
-    if not same:
-        raise InvalidInput(f"{path}: expected the rows of {what}, got those of another run")
-    return rows
-
-
-def _write(path: Path, document: Row) -> None:
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
+def _known(path: Path | None, what: Row) -> list[Row]:
+    """The rows that the file has; none without the file. Raises InvalidInput for one of another run."""
+    if path is None or not path.exists():
+        return []
+    document = kept.read(path, "rows")
+    other = {name: document.get(name) for name in what}
+    if other != what or not all(isinstance(row.get("seed"), int) for row in document["rows"]):
+        raise InvalidInput(f"{path}: expected the rows of {what}, got those of {other}")
+    return list(document["rows"])
 
 
 def _row(scenario: str, seed: int, samples: int, draws: int, processes: int | None, executor: Executor) -> Row:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import certificate
-from benchmarks.covers import CoverTask, rows_of
+from benchmarks import certificate, kept
+from benchmarks.covers import CoverTask, _order, rows_of
 from benchmarks.exam_fields import load_field
-from benchmarks.promises import GRID, Promise, errors_of, piece, scenario_of
+from benchmarks.promises import GRID, Promise, errors_of, identity, piece, scenario_of
 from he3.errors import InvalidInput
 from services.console.cli.benchmarks import described
 from services.ground.planners.tour import covering
@@ -42,11 +42,13 @@ def test_our_design_holds_and_is_shorter_than_the_greedy_one_and_what_is_done_is
     assert ours["holds"]
     assert greedy["holds"]
     assert ours["metres"] < greedy["metres"]
-    kept = data / "kept.json"
+    file = data / "kept.json"
     said = []
-    certificate._keep({"designs": [ours, greedy], "missions": []}, kept)
-    found = certificate.run(data, ["waves.npy"], [0.6], (), json=kept, say=said.append)
+    other = [one | {"seed": 2, "metres": 1.0} for one in (ours, greedy)]  # of another run: neither shown nor lost
+    kept.write(file, {"designs": [ours, greedy, *other], "missions": []})
+    found = certificate.run(data, ["waves.npy"], [0.6], (), json=file, say=said.append)
     assert found["designs"] == [ours, greedy]
+    assert kept.read(file, "designs")["designs"] == [ours, greedy, *other]
     assert f"{ours['metres'] / greedy['metres']:.3f}" in "\n".join(said)
 
 
@@ -57,6 +59,19 @@ def test_ours_is_compared_with_the_best_whose_certificate_holds():
     assert certificate.compared(cells, True) == pytest.approx(80.0 / 90.0)
     assert certificate.compared({"tour": row("tour", 80.0)}, False) is None
     assert certificate.compared(cells | {"tour": row("tour", 80.0, False)}, False) is None
+
+
+def test_of_a_peers_designs_the_shortest_that_holds_and_has_a_way_is_taken():
+    no_way = row("a", None)
+    assert min([no_way, row("a", 60.0, False), row("a", 90.0), row("a", 80.0)], key=_order)["metres"] == 80.0
+    assert not _order(row("a", 60.0, False)) < _order(no_way)
+
+
+def test_a_mission_is_told_from_one_with_another_probability_or_other_rounds(data):
+    asked = Promise(data, "waves.npy", 1, "tour", 0.5, 100.0, 0.95, 4)
+    same = {"field": "waves.npy", "seed": 1, "planner": "tour", "share": 0.5, "blocks_m": 100.0, "probability": 0.95}
+    assert identity(same | {"rounds": 4, "samples": 20}) == asked.identity
+    assert asked.identity not in {identity(same), identity(same | {"rounds": 5})}
 
 
 def test_a_piece_has_the_spread_of_soils_and_follows_from_its_seed(data):

@@ -1,0 +1,41 @@
+"""The rows of a benchmark in a file as they come, so that a run that was ended goes on from there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from he3.errors import InvalidInput
+from services.runtime.files.output import replace_output
+
+Row = dict[str, Any]
+
+
+def read(path: Path | None, *lists: str) -> dict[str, Any]:
+    """The document of that file with these lists of rows; empty ones without a file.
+
+    Raises InvalidInput for a file of anything else, and for a link or a device, which `write` would replace.
+    """
+    if path is None or not (path.exists() or path.is_symlink()):
+        return {name: [] for name in lists}
+    if path.is_symlink() or not path.is_file():
+        raise InvalidInput(
+            f"{path}: expected a plain file, to which rows are added as they come; got a link or a device"
+        )
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InvalidInput(f"{path}: expected a file of this benchmark, got no JSON: {error}") from None
+    for name in lists:
+        rows = document.get(name) if isinstance(document, dict) else None
+        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            raise InvalidInput(f"{path}: expected a file of this benchmark, got one without rows in '{name}'")
+    return dict(document)
+
+
+def write(path: Path | None, document: dict[str, Any]) -> None:
+    """Write that file in one step, so that a run that is killed meanwhile leaves the earlier rows; None: nothing."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_output(path, (json.dumps(document, indent=1) + "\n").encode())
