@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,7 +55,7 @@ from he3.model_extensions import extensions
 from he3.trend import unknown_level
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from he3.trend import CovariateTrend, Trend
 
@@ -133,7 +134,10 @@ def _models(
     if values.shape != (len(xy),) or not np.isfinite(values).all():
         raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
     names = CAUTIOUS_FIRST if kernel_name == AUTO else (kernel_from(kernel_name).name,)
-    found = [_with_layers(xy, values, name, prior, noise_std_ppb, trend, previous) for name in names]
+    found = [
+        _with_layers(xy, trend, partial(_inferred, xy, values, name, prior, noise_std_ppb, trend, previous))
+        for name in names
+    ]
     least = max(each.log_evidence for each in found) - VERY_STRONG_EVIDENCE
     chosen = next(each for each in found if each.log_evidence >= least)
     return xy, [chosen, *_extended(chosen, xy)]
@@ -353,27 +357,21 @@ def _log_integral(posterior: _Posterior, mode: FloatArray, spread: FloatArray) -
 
 
 def _with_layers(
-    xy: FloatArray,
-    values: FloatArray,
-    kernel_name: str,
-    prior: Hyperprior,
-    noise_std_ppb: float,
-    trend: CovariateTrend | None,
-    previous: Hyperparameters | None,
+    xy: FloatArray, trend: CovariateTrend | None, inferred: Callable[[tuple[float, ...]], _Inference]
 ) -> _Inference:
     """The posterior of a kernel's parameters, where each of the trend's layers has the room that the samples speak for.
 
     That is judged with the kernel that describes the samples without those layers; of their details, with the kernel
-    that describes what their wide features leave.
+    that describes what their wide features leave. inferred: the posterior with the layers in given shares.
     """
     optional = None if trend is None else trend.optional
     if trend is None or optional is None or not optional.any():
-        return _inferred(xy, values, kernel_name, prior, noise_std_ppb, trend, (), previous)
+        return inferred(())
     after = np.array(trend.after or range(len(optional)))
     detail = after != np.arange(len(optional))
     shares = tuple(float(not one) for one in optional)
     for details in (False, True):
-        found = _inferred(xy, values, kernel_name, prior, noise_std_ppb, trend, shares, previous)
+        found = inferred(shares)
         problem, kernel = found.posterior.likelihood, found.posterior.kernel(found.mode)
         covariance = kernel.of_squared_distance(problem.r2) + problem.noise * np.eye(len(xy))
         judged = detail & (np.array(shares)[after] > LEAST_OF_WIDE) if details else optional & ~detail
@@ -383,7 +381,7 @@ def _with_layers(
         if chosen == shares:
             return found
         shares = chosen
-    return _inferred(xy, values, kernel_name, prior, noise_std_ppb, trend, shares, previous)
+    return inferred(shares)
 
 
 def _inferred(
@@ -393,8 +391,8 @@ def _inferred(
     prior: Hyperprior,
     noise_std_ppb: float,
     trend: CovariateTrend | None,
-    shares: tuple[float, ...],
     previous: Hyperparameters | None,
+    shares: tuple[float, ...],
 ) -> _Inference:
     """The posterior of a kernel's parameters, with the trend's layers in these shares."""
     scale = prior.field_std_ppb
