@@ -116,9 +116,14 @@ def test_a_goal_beyond_the_samples_or_the_metres_is_foreseen_and_sampling_goes_o
     assert "of 300 m left" in short.forecast.text
 
 
-def test_a_goal_that_holds_by_the_planners_reckoning_is_looked_at_where_least_is_known() -> None:
-    answer = plan("tour", request(everywhere(5.0)))
-    assert len(answer.samples_m) == 1
+def test_where_the_goal_holds_already_for_the_planner_one_sample_is_taken_where_the_map_knows_least() -> None:
+    axis = np.arange(26.25, 300.0, 45.0)
+    lattice = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
+    unknown = np.array([206.25, 116.25])  # the lattice lacks the places round it
+    taken = lattice[np.linalg.norm(lattice - unknown, axis=1) > 70.0]
+    answer = plan("tour", request(everywhere(5.0), observed_m=taken))
+    (sample,) = answer.samples_m
+    assert np.linalg.norm(sample - unknown) < 25.0
 
 
 def test_the_kernels_to_satisfy_have_the_probability_and_leave_out_the_most_uncertain() -> None:
