@@ -18,7 +18,8 @@ which draws at random:
    moments that all of them have together.
 
 Where the samples speak for unstated noise or for two lengths and a bearing (``he3.model_extensions``), the points of
-those models are among them, with the weight of their evidence.
+those models are among them, with the weight of their evidence. Where the kernel is "auto", so are those of all families
+of kernels, with the weight of how well they predict (``he3.kernel_families``).
 
 On 20 maps of 10 to 30 samples of 16 fields, six points had the moments of a design of 256, twice the one used here:
 standard deviations within 1 % on average and 2 % at most, means within 2 and 5 % of a standard deviation.
@@ -49,6 +50,7 @@ from he3.hyperparameters import (
     typical_spacing_m,
 )
 from he3.hyperprior import REACH, UNREMARKABLE, Hyperprior
+from he3.kernel_families import left_out, log_family_weights, log_predictive
 from he3.kernels import AUTO, Kernel, Stretched, kernel_from, squared_distances
 from he3.layer_selection import LEAST_OF_WIDE, LOG_ODDS, LOG_ODDS_OF_DETAIL, chosen_shares, in_shares
 from he3.model_extensions import extensions
@@ -86,12 +88,12 @@ def infer_hyperparameters(
     """The hyperparameters given observations (n,) [ppb] at places (n, 2) [m]: one kernel, and the alternatives.
 
     The one is the most probable with length scales no shorter than those of a fit of maximum likelihood. Without
-    samples, they are those of the prior. kernel_name: one of ``KERNELS``, or "auto", the most cautious kernel that the
-    evidence allows. previous: a start of the search. It draws nothing at random. Raises InvalidInput for shapes that do
-    not fit, values that are not finite, or an unknown kernel.
+    samples, they are those of the prior. kernel_name: one of ``KERNELS``, or "auto": then the one is the most cautious
+    that the evidence allows, and the alternatives are of all families. previous: a start of the search. It draws
+    nothing at random. Raises InvalidInput for shapes that do not fit, values that are not finite, or an unknown kernel.
     """
-    xy, models = _models(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
-    return _mixed(models, xy, prior.extent_m)
+    xy, families = _families(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
+    return _mixed(families, xy, prior.extent_m)
 
 
 def draw_hyperparameters(
@@ -110,16 +112,16 @@ def draw_hyperparameters(
     The representatives have the moments of the map, but most of their weight is on one or two of them: what follows
     from the kernel in other ways varies less among them than in the posterior.
     """
-    xy, models = _models(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
-    points = _points(models, xy, prior.extent_m)
+    xy, families = _families(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
+    points = _points(families, xy, prior.extent_m)
     shares = np.exp(points.log_weights - np.logaddexp.reduce(points.log_weights))
     number = int(random.choice(len(shares), p=shares))
-    fitted = models[0].fitted
+    fitted = families[0][0].fitted
     noise_ppb = fitted.scale_ppb * math.sqrt(points.noises[number])
     return replace(fitted, kernel=points.kernels[number], noise_std_ppb=noise_ppb, log_likelihood=math.nan)
 
 
-def _models(
+def _families(
     xy_m: FloatArray,
     values_ppb: FloatArray,
     kernel_name: str,
@@ -127,20 +129,24 @@ def _models(
     noise_std_ppb: float,
     trend: CovariateTrend | None,
     previous: Hyperparameters | None,
-) -> tuple[FloatArray, list[_Inference]]:
-    """The places (n, 2) [m], and the models of the samples there: the chosen kernel's, and its extensions."""
+) -> tuple[FloatArray, list[list[_Inference]]]:
+    """The places (n, 2) [m], and for each family of kernels the models of the samples there: its own and extensions.
+
+    The first family is the one that guides planners.
+    """
     xy = as_points(np.asarray(xy_m, dtype=np.float64).reshape(-1, 2))
     values = np.asarray(values_ppb, dtype=np.float64)
     if values.shape != (len(xy),) or not np.isfinite(values).all():
         raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
     names = CAUTIOUS_FIRST if kernel_name == AUTO else (kernel_from(kernel_name).name,)
-    found = [
-        _with_layers(xy, trend, partial(_inferred, xy, values, name, prior, noise_std_ppb, trend, previous))
-        for name in names
-    ]
+    of = [partial(_inferred, xy, values, name, prior, noise_std_ppb, trend, previous) for name in names]
+    first = _with_layers(xy, trend, of[0])
+    # All alternatives have the same trend.
+    found = [first, *(inferred(first.fitted.trend_shares) for inferred in of[1:])]
     least = max(each.log_evidence for each in found) - VERY_STRONG_EVIDENCE
-    chosen = next(each for each in found if each.log_evidence >= least)
-    return xy, [chosen, *_extended(chosen, xy)]
+    guide = next(each for each in found if each.log_evidence >= least)
+    ordered = [guide, *(each for each in found if each is not guide)]
+    return xy, [[each, *_extended(each, xy)] for each in ordered]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +216,7 @@ class _Probed:
     """The log likelihood of a kernel, and the moments of the field at places, from one factorisation.
 
     xy, places: of n samples and m places [m], and r2 (n, m) the squared distances between them [m^2]. trend (n, m) and
-    trend_variance (m,): of the trend.
+    trend_variance (m,): of the trend. predicts: whether it is judged how the samples predict each other.
     """
 
     likelihood: LikelihoodProblem
@@ -219,14 +225,17 @@ class _Probed:
     r2: FloatArray
     trend: FloatArray
     trend_variance: FloatArray
+    predicts: bool
 
     @classmethod
-    def of(cls, inference: _Inference, xy: FloatArray, places: FloatArray) -> _Probed:
+    def of(cls, inference: _Inference, xy: FloatArray, places: FloatArray, *, predicts: bool) -> _Probed:
         basis, of_samples = inference.fitted.trend_basis(places), inference.fitted.trend_basis(xy)
         assert basis is not None
         assert of_samples is not None
         across, variance = of_samples @ basis.T, (basis * basis).sum(axis=1)
-        return cls(inference.posterior.likelihood, xy, places, squared_distances(xy, places), across, variance)
+        return cls(
+            inference.posterior.likelihood, xy, places, squared_distances(xy, places), across, variance, predicts
+        )
 
     def _covariances(self, kernel: Kernel) -> tuple[FloatArray, FloatArray]:
         """Among the samples (n, n), and between them and the places (n, m)."""
@@ -234,15 +243,16 @@ class _Probed:
             return kernel.covariance(self.xy, self.xy), kernel.covariance(self.xy, self.places)
         return kernel.of_squared_distance(self.likelihood.r2), kernel.of_squared_distance(self.r2)
 
-    def moments(self, kernel: Kernel, noise: float) -> tuple[float, FloatArray, FloatArray]:
-        """Log likelihood, means (m,) and variances (m,), in standardised units; minus infinity if it has no value.
+    def moments(self, kernel: Kernel, noise: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Log likelihood, means (m,), variances (m,), ``left_out``, in standardised units; minus infinity if no value.
 
-        noise: its variance in standardised units.
+        noise: its variance in standardised units. ``left_out`` is (2, n), or (2, 0) if it is not asked for.
         """
         problem, n = self.likelihood, len(self.likelihood.z)
         prior = kernel.prior_variance + self.trend_variance
+        none = np.ones((2, n if self.predicts else 0))
         if not n:
-            return 0.0, np.zeros(len(prior)), prior
+            return 0.0, np.zeros(len(prior)), prior, none
         noise = max(noise, NOISE_VARIANCE_FLOOR * kernel.prior_variance)
         total, across = self._covariances(kernel)
         if problem.trend_covariance is not None:
@@ -251,24 +261,28 @@ class _Probed:
         try:
             factor = np.linalg.cholesky(total)
         except np.linalg.LinAlgError:
-            return -math.inf, np.zeros(len(prior)), prior
+            return -math.inf, np.zeros(len(prior)), prior, none
         both = np.column_stack((problem.z, across + self.trend))
         whitened = solve_triangular(factor, both, lower=True, check_finite=False)
         value, cross = whitened[:, 0], whitened[:, 1:]
         log_likelihood = -0.5 * float(value @ value) - float(np.log(factor.diagonal()).sum())
         variance = np.maximum(prior - (cross * cross).sum(axis=0), _LEAST_VARIANCE * prior)
-        return log_likelihood, value @ cross, variance
+        return log_likelihood, value @ cross, variance, left_out(factor, value) if self.predicts else none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Weighted:
-    """Kernels, noise variances (N,) in standardised units, logarithms of their weights (N,), and moments (N, m)."""
+    """Kernels, noise variances (N,) in standardised units, logarithms of their weights (N,), and moments (N, m).
+
+    left_out: (N, 2, n) of each sample given the others, or (N, 2, 0).
+    """
 
     kernels: list[Kernel]
     noises: FloatArray
     log_weights: FloatArray
     means: FloatArray
     variances: FloatArray
+    left_out: FloatArray
 
     @classmethod
     def together(cls, each: list[_Weighted]) -> _Weighted:
@@ -279,6 +293,7 @@ class _Weighted:
             np.concatenate([one.log_weights for one in each]),
             np.concatenate([one.means for one in each]),
             np.concatenate([one.variances for one in each]),
+            np.concatenate([one.left_out for one in each]),
         )
 
 
@@ -292,40 +307,63 @@ class _Inference:
     log_evidence: float
     fitted: Hyperparameters
 
-    def weighted(self, xy: FloatArray, places: FloatArray) -> _Weighted:
+    def weighted(self, xy: FloatArray, places: FloatArray, *, predicts: bool) -> _Weighted:
         """The points that stand for the posterior. The sum of their weights is 1."""
-        probed = _Probed.of(self, xy, places)
+        probed = _Probed.of(self, xy, places, predicts=predicts)
         points, log_weights = self.posterior.weighted_design(self.mode, self.spread)
         kernels, noises = zip(*((self.posterior.kernel(u), self.posterior.noise(u)) for u in points), strict=True)
         moments = (probed.moments(kernel, noise) for kernel, noise in zip(kernels, noises, strict=True))
-        log_likelihoods, means, variances = zip(*moments, strict=True)
+        log_likelihoods, means, variances, found = zip(*moments, strict=True)
         log_weights = log_weights + np.array(log_likelihoods)
         log_weights -= np.logaddexp.reduce(log_weights)
-        return _Weighted(list(kernels), np.array(noises), log_weights, np.array(means), np.array(variances))
+        return _Weighted(
+            list(kernels), np.array(noises), log_weights, np.array(means), np.array(variances), np.array(found)
+        )
 
 
-def _points(models: list[_Inference], xy: FloatArray, extent_m: float) -> _Weighted:
-    """The points that stand for all models that count."""
+def _points(families: list[list[_Inference]], xy: FloatArray, extent_m: float) -> _Weighted:
+    """The points that stand for all families and models that count."""
     axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
     places = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
+    if len(families) == 1:
+        return _of_family(families[0], xy, places, predicts=False)
+    each = []
+    for models in families:
+        found = _of_family(models, xy, places, predicts=True)
+        each.append(replace(found, log_weights=found.log_weights - np.logaddexp.reduce(found.log_weights)))
+    names = [models[0].posterior.likelihood.default.name for models in families]
+    log_weights = log_family_weights(names, [log_predictive(one.log_weights, one.left_out) for one in each])
+    counted = log_weights >= log_weights.max() + LEAST_LOG_SHARE
+    return _Weighted.together(
+        [
+            replace(one, log_weights=one.log_weights + log_weight)
+            for one, log_weight, counts in zip(each, log_weights, counted, strict=True)
+            if counts
+        ]
+    )
+
+
+def _of_family(models: list[_Inference], xy: FloatArray, places: FloatArray, *, predicts: bool) -> _Weighted:
+    """The points that stand for all models of a family that count, by their evidence."""
     best = max(model.log_evidence for model in models)
     counted = [model for model in models if model.log_evidence >= best + LEAST_LOG_SHARE]
     each = [
         replace(found, log_weights=found.log_weights + model.log_evidence - best)
-        for model, found in ((model, model.weighted(xy, places)) for model in counted)
+        for model, found in ((model, model.weighted(xy, places, predicts=predicts)) for model in counted)
     ]
     return _Weighted.together(each)
 
 
-def _mixed(models: list[_Inference], xy: FloatArray, extent_m: float) -> Hyperparameters:
+def _mixed(families: list[list[_Inference]], xy: FloatArray, extent_m: float) -> Hyperparameters:
     """The hyperparameters for planners, those of the first model, with the kernels that stand for all models."""
-    points = _points(models, xy, extent_m)
+    points = _points(families, xy, extent_m)
     weights = np.exp(points.log_weights - points.log_weights.max())
     chosen, shares = condensed(weights, points.means, points.variances, COMPONENTS)
-    fitted = models[0].fitted
+    guide = families[0][0]
+    fitted = guide.fitted
     alternatives = tuple((float(share), points.kernels[number]) for number, share in zip(chosen, shares, strict=True))
     noises = points.noises[chosen]
-    if np.all(noises == models[0].posterior.likelihood.noise):
+    if np.all(noises == guide.posterior.likelihood.noise):
         return replace(fitted, alternatives=alternatives)
     stds = fitted.scale_ppb * np.sqrt(noises)
     return replace(

@@ -23,11 +23,13 @@ class MissionPhase(StrEnum):
 
 
 class WeightedKernel(Wire):
-    """One of the kernels of a mixture, of the same name and in the same units as the one in use."""
+    """One of the kernels of a mixture, in the same units as the one in use."""
 
     weight: Annotated[float, Field(gt=0, le=1)]
+    name: Text | None = Field(default=None, exclude_if=is_none)
+    """None where it is of the same name as the kernel in use."""
     parameters: dict[str, float]
-    """Those of the kernel in use, and ``stretch`` and ``bearing_deg`` where it has two lengths."""
+    """Those that a kernel of its name has, and ``stretch`` and ``bearing_deg`` where it has two lengths."""
     noise_std_ppb: float | None = Field(default=None, exclude_if=is_none)
     """None where the noise is that of the kernel in use."""
 

@@ -79,7 +79,12 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
         mean_ppb=hyperparameters.mean_ppb,
         scale_ppb=hyperparameters.scale_ppb,
         alternatives=tuple(
-            WeightedKernel(weight=weight, parameters=kernel.parameters(), noise_std_ppb=noise)
+            WeightedKernel(
+                weight=weight,
+                name=None if kernel.name == hyperparameters.kernel.name else kernel.name,
+                parameters=kernel.parameters(),
+                noise_std_ppb=noise,
+            )
             for (weight, kernel), noise in zip(hyperparameters.alternatives, noises, strict=True)
         )
         or None,
@@ -95,7 +100,9 @@ def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
         kernel.mean_ppb,
         kernel.scale_ppb,
         trend=None if kernel.mean_std_ppb is None else unknown_level(kernel.mean_std_ppb, kernel.level_extent_m or 0.0),
-        alternatives=tuple((each.weight, kernel_from(kernel.name, each.parameters)) for each in alternatives),
+        alternatives=tuple(
+            (each.weight, kernel_from(each.name or kernel.name, each.parameters)) for each in alternatives
+        ),
         noises_ppb=tuple(each.noise_std_ppb for each in alternatives if each.noise_std_ppb is not None),
         trend_shares=kernel.trend_shares or (),
     )

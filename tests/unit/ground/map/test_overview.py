@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from he3.gp import Hyperparameters
-from he3.kernels import Matern32, Stretched
+from he3.kernels import Matern12, Matern32, SmoothPlusRough, Stretched
 from he3.trend import UnknownConstant, UnknownLevel
 from schemas.ground import KernelParameters
 from services.ground.map.overview import hyperparameters_from, kernel_parameters
 
 PLAIN = ((0.75, Matern32(1.0, 60.0)), (0.25, Matern32(0.2, 150.0)))
 ALTERNATIVES = ((0.75, Matern32(1.0, 60.0)), (0.25, Stretched(Matern32(0.2, 150.0), 3.0, 120.0)))
+FAMILIES = ((0.5, Matern32(1.0, 60.0)), (0.3, SmoothPlusRough()), (0.2, Stretched(Matern12(0.2, 150.0), 3.0, 120.0)))
 
 
 def seen(hyperparameters: Hyperparameters) -> Hyperparameters:
@@ -20,7 +21,7 @@ def seen(hyperparameters: Hyperparameters) -> Hyperparameters:
 
 def test_an_operator_sees_every_kernel_with_its_lengths_and_noise() -> None:
     trend = UnknownConstant(4.0)
-    for alternatives, noises in ((PLAIN, ()), (ALTERNATIVES, (0.1, 0.35)), ((), ())):
+    for alternatives, noises in ((PLAIN, ()), (ALTERNATIVES, (0.1, 0.35)), (FAMILIES, ()), ((), ())):
         own = Hyperparameters(
             Matern32(0.8, 70.0), 0.2, 7.5, 1.5, trend=trend, alternatives=alternatives, noises_ppb=noises
         )
