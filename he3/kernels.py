@@ -32,8 +32,9 @@ from he3.frames import Float32Array, FloatArray, as_points
 class Kernel(Protocol):
     """A covariance function of the squared distance between two places."""
 
-    half_correlation_scales: ClassVar[float]
-    """Distance at which the correlation (that of the rough part, if there are two) is a half, in length scales."""
+    @property
+    def half_correlation_scales(self) -> float:
+        """Distance at which the correlation (that of the rough part, if there are two) is a half, in length scales."""
 
     @property
     def name(self) -> str:
@@ -310,8 +311,6 @@ class Stretched:
     stretch: float
     bearing_deg: float
 
-    half_correlation_scales: ClassVar[float] = 1.0  # planners are guided by isotropic kernels
-
     def __post_init__(self) -> None:
         if not (math.isfinite(self.stretch) and self.stretch >= 1.0 and 0.0 <= self.bearing_deg <= 180.0):
             raise InvalidInput(
@@ -323,6 +322,11 @@ class Stretched:
     def name(self) -> str:
         """That of the isotropic kernel; the parameters tell them apart."""
         return self.isotropic.name
+
+    @property
+    def half_correlation_scales(self) -> float:
+        """That of the isotropic kernel: in the metric the lengths are the same in all directions."""
+        return self.isotropic.half_correlation_scales
 
     @property
     def prior_variance(self) -> float:
