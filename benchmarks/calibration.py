@@ -1,4 +1,4 @@
-"""Coverage of the intervals: the share of the truth within 1 and 2 posterior deviations, by kernel, over fields.
+"""Coverage of the intervals: the share of the truth in the central ones of 68.3 and 95.4 %, by kernel, over fields.
 
 A probability of 68 % is about all fields of a kind, not about one. So each seed draws its own variation of an embedded
 region and its own noise; for a region from a file, only the noise varies. Samples are taken where the paper's `rrtstar`
@@ -101,7 +101,7 @@ def coverage(flight: Flight) -> list[Row]:
         request = belief.fit_request(1, (flight.seed, count))
         assert request is not None
         belief.adopt(fit(request))
-        score = scorer.score(belief.map.mean_ppb, belief.map.std_ppb, count, count, 0)
+        score = scorer.score(belief.map.mean_ppb, belief.map.std_ppb, count, count, 0, belief.interval_ends())
         fitted = belief.hyperparameters
         rows.append(
             {

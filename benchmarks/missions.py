@@ -225,5 +225,5 @@ def _nearest(region: Region, cells: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def _score(scorer: Scorer, belief: Belief, samples: int) -> tuple[float, float, float]:
-    score = scorer.score(belief.map.mean_ppb, belief.map.std_ppb, samples, samples, 0)
+    score = scorer.score(belief.map.mean_ppb, belief.map.std_ppb, samples, samples, 0, belief.interval_ends())
     return score.rmse_ppb, score.coverage_68, score.coverage_95

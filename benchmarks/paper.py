@@ -222,7 +222,7 @@ def table(
             lines.append(f"{name} compared with its floor: RMSE {error:+.1%}, metres {metres:+.1%}")
     lines.append(
         f"ratios are to {YARDSTICK}, '/ m52' to the RMSE of {HARDER}; "
-        "coverage: share of the cells within 1 and 2 std (nominal 68.3 %, 95.4 %)"
+        "coverage: share of the cells in the intervals of 68.3 and 95.4 %"
     )
     shown = {MISMATCHED.get(mission.row["kernel"]) for mission in missions.values()} if region in EMBEDDED else set()
     lines += [mark for mark in MARKS if mark[0] in shown]

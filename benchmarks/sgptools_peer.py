@@ -139,7 +139,8 @@ def fly_sgptools(
     places, path, blocked = planned.places_m, planned.path_m, planned.blocked_legs
     values = region.he3_ppb[region.grid.cells_of(places)] + noise[: len(places)]
     belief = belief_of(region, places, values, kernel, seed, noise_std_ppb)
-    score = Scorer(region.he3_ppb).score(belief.map.mean_ppb, belief.map.std_ppb, len(places), len(places), 0)
+    shown, count = belief.map, len(places)
+    score = Scorer(region.he3_ppb).score(shown.mean_ppb, shown.std_ppb, count, count, 0, belief.interval_ends())
     own, _ = map_of_sgptools(region, places, values)
     row = {
         "region": region.name,

@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from he3.frames import Float32Array, FloatArray, SiteGrid
+from he3.coarse_grid import coarser, on_cells
+from he3.frames import SiteGrid
+from he3.intervals import Intervals
 from he3.mixture import alternatives_of, mixture_moments
 
 if TYPE_CHECKING:
     from he3.gp import GaussianProcess
     from he3.hyperparameters import Hyperparameters
     from he3.posterior.grid import GridPosterior, PosteriorMap
-
-MOST_CELLS = 4096
 
 
 class MixturePosterior:
@@ -90,29 +90,10 @@ class MixturePosterior:
             self._map = replace(one, mean_ppb=mean_ppb, std_ppb=std_ppb)
         return self._map
 
-
-def coarser(grid: SiteGrid, most_cells: int = MOST_CELLS) -> SiteGrid:
-    """The grid of at most that many cells over the same site; the grid itself if it has no more."""
-    step = 1
-    while -(-grid.rows // step) * -(-grid.columns // step) > most_cells:
-        step += 1
-    if step == 1:
-        return grid
-    return SiteGrid(-(-grid.rows // step), -(-grid.columns // step), step * grid.resolution_m)
-
-
-def on_cells(values: FloatArray | Float32Array, grid: SiteGrid, coarse: SiteGrid) -> Float32Array:
-    """Values (rows, columns) of the coarse grid at the cells of the grid: bilinear, constant beyond the outermost."""
-    across = values.astype(np.float32)
-    if coarse == grid:
-        return across
-    step = coarse.resolution_m / grid.resolution_m
-    for axis, cells in enumerate(grid.shape):
-        count = across.shape[axis]
-        at = np.clip((np.arange(cells) + 0.5) / step - 0.5, 0.0, count - 1.0)
-        below = np.minimum(at.astype(np.intp), max(count - 2, 0))
-        share = (at - below).astype(np.float32)[(slice(None), None) if axis == 0 else (None, slice(None))]
-        above = np.minimum(below + 1, count - 1)
-        low, high = across.take(below, axis=axis), across.take(above, axis=axis)
-        across = low + share * (high - low)
-    return across
+    def intervals(self) -> Intervals | None:
+        """The central intervals of the mixture; None where the kernel is certain, and every cell is normal."""
+        if not self._parts:
+            return None
+        maps = [part.snapshot() for part in self._parts]
+        means, stds = np.stack([part.mean_ppb for part in maps]), np.stack([part.std_ppb for part in maps])
+        return Intervals.of(self._coarse_one.grid, self._weights, means, stds)

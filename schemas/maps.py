@@ -68,6 +68,12 @@ class MapPoint(Wire):
     """Mutual information between one measurement there and the field."""
     exceedance: Probability | None = None
     """Probability that the abundance exceeds the threshold, if one was given."""
+    low_68_ppb: float | None = None
+    """Ends of the central interval that holds 68.3 % of the belief, which need not be normal."""
+    high_68_ppb: float | None = None
+    low_95_ppb: float | None = None
+    """Ends of the central interval that holds 95.4 %."""
+    high_95_ppb: float | None = None
 
 
 class MapLayer(StrEnum):
@@ -176,9 +182,9 @@ class MapScore(Wire):
 
     rmse_ppb: Annotated[float, Field(ge=0)]
     coverage_68: Annotated[float, Field(ge=0, le=1)]
-    """Share of the cells within 1 posterior standard deviation of the truth (nominal: 0.683)."""
+    """Share of the cells whose central interval of 68.3 % holds the truth; of a normal belief, mean +- 1 std."""
     coverage_95: Annotated[float, Field(ge=0, le=1)]
-    """Share of the cells within 2 posterior standard deviations of the truth (nominal: 0.954)."""
+    """Share of the cells whose central interval of 95.4 % holds the truth; of a normal belief, mean +- 2 std."""
     mean_std_ppb: Annotated[float, Field(ge=0)]
     revision: Count
     samples: Count

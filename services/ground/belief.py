@@ -15,17 +15,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from he3.coarse_grid import coarser, on_cells
 from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import MEAN_PPB, Hyperprior
 from he3.kernels import AUTO, kernel_from
-from he3.mixture_posterior import MixturePosterior, coarser, on_cells
+from he3.mixture_posterior import MixturePosterior
 from he3.posterior.grid import GridPosterior, PosteriorMap, expect_map_fits
 from services.ground.fitting import FitRequest, fit
 
 if TYPE_CHECKING:
-    from he3.frames import FloatArray, SiteGrid
+    from he3.frames import Float32Array, FloatArray, SiteGrid
+    from he3.intervals import Intervals
     from he3.trend import CovariateTrend
     from services.ground.observation import Observation
     from services.runtime.node import SavedState
@@ -71,6 +73,7 @@ class Belief:
         self._observations: dict[str, Observation] = {}
         self._posterior: MixturePosterior | None = None
         self._map: PosteriorMap | None = None
+        self._intervals: Intervals | None = None  # follows from the rest, as the posterior does
         self._process = GaussianProcess(self._first())
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
@@ -138,6 +141,17 @@ class Belief:
         return self._map
 
     @property
+    def intervals(self) -> Intervals | None:
+        """The central intervals of the map, computed when they are asked for; None where every cell is normal."""
+        if self.hyperparameters.alternatives and self._intervals is None:
+            self._intervals = self._standing().intervals()
+        return self._intervals
+
+    def interval_ends(self) -> Float32Array | None:
+        """Ends of the intervals (4, rows, columns) on the cells, in standard deviations; None where all are normal."""
+        return None if self.intervals is None else self.intervals.on(self.grid)
+
+    @property
     def places_m(self) -> FloatArray:
         """(n, 2) [m], in the order in which the samples were planned."""
         return np.array([observed.place_m for observed in self._in_order()], dtype=np.float64).reshape(-1, 2)
@@ -157,7 +171,7 @@ class Belief:
         self.grid.cells_of(places)
         expect_map_fits(self.grid, self.hyperparameters.kernel.name, len(self) + 1)
         self._process = self._process.condition(places, [observation.value_ppb])
-        self._observations[sample_id], self._map = observation, None
+        self._observations[sample_id], self._map, self._intervals = observation, None, None
         return True
 
     def fit_request(self, up_to_round: int, seed: tuple[int, ...]) -> FitRequest | None:
@@ -185,7 +199,7 @@ class Belief:
         self._process = GaussianProcess(self._with_trend(fitted))
         if self._built:
             self._process = self._process.condition(*self._samples(self._built))
-        self._posterior = self._map = None
+        self._posterior = self._map = self._intervals = None
 
     def begin_with(self, observations: Mapping[str, Observation], fitted: Hyperparameters) -> None:
         """Take in these samples at once, as if they had been added and these hyperparameters then adopted."""
@@ -248,7 +262,7 @@ class Belief:
     def restore(self, state: SavedState) -> None:
         """Restore the belief from this state."""
         self._observations, self._built, self._fits = state["observations"], state["built"], state["fits"]
-        self._process, self._posterior = state["process"], None
+        self._process, self._posterior, self._intervals = state["process"], None, None
         self._map = state["map"]  # None: it follows from the rest
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
+from he3.intervals import NORMAL_ENDS
 from schemas.maps import MapScore
 
 if TYPE_CHECKING:
@@ -29,22 +30,32 @@ class Scorer:
         self._miss = np.empty_like(self._reference)
 
     def score(
-        self, mean_ppb: Float32Array, std_ppb: Float32Array, revision: int, samples: int, now: MissionTime
+        self,
+        mean_ppb: Float32Array,
+        std_ppb: Float32Array,
+        revision: int,
+        samples: int,
+        now: MissionTime,
+        ends: Float32Array | None = None,
     ) -> MapScore:
-        """RMSE [ppb], coverage at one and two standard deviations, and mean standard deviation [ppb] of that map."""
+        """RMSE [ppb], coverage of the central intervals, and mean standard deviation [ppb] of that map.
+
+        ends: (4, rows, columns) of the intervals of 68.3 and 95.4 %, as ``he3.intervals`` gives them; None for a map
+        that is normal in every cell. Raises InvalidInput for maps of another shape than the reference.
+        """
         if mean_ppb.shape != self._shape or std_ppb.shape != self._shape:
             raise InvalidInput(f"score: expected maps of shape {self._shape}, got {mean_ppb.shape} and {std_ppb.shape}")
         mean_ppb, std_ppb = mean_ppb[self._known], std_ppb[self._known]
         miss = self._miss
-        np.subtract(mean_ppb, self._reference, out=miss)
-        np.abs(miss, out=miss)
-        cells = miss.size
-        within_1 = np.count_nonzero(miss <= std_ppb) / cells
-        miss *= np.float32(0.5)
-        within_2 = np.count_nonzero(miss <= std_ppb) / cells
+        np.subtract(self._reference, mean_ppb, out=miss)
+        reach = NORMAL_ENDS if ends is None else [end[self._known] for end in ends]
+        within_2, within_1 = (
+            np.count_nonzero((miss >= low * std_ppb) & (miss <= high * std_ppb)) / miss.size
+            for low, high in ((reach[0], reach[3]), (reach[1], reach[2]))
+        )
         np.square(miss, out=miss)
-        # Pairwise sums of float32 are good to 1e-6 here; the factor undoes the halving, squared.
-        mean_square = 4.0 * float(miss.mean(dtype=np.float64))
+        # Pairwise sums of float32 are good to 1e-6 here.
+        mean_square = float(miss.mean(dtype=np.float64))
         return MapScore(
             rmse_ppb=mean_square**0.5,
             coverage_68=within_1,

@@ -12,6 +12,7 @@ from he3.driving_cost import TerrainCost
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import Hyperprior
+from he3.intervals import Intervals
 from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential, Stretched
 from he3.posterior.grid import PosteriorMap
 from he3.trend import CovariateTrend, UnknownConstant, UnknownLevel
@@ -40,6 +41,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     HeardEvent,
     Hyperparameters,
     Hyperprior,
+    Intervals,
     KeepOutArea,
     LinkConditions,
     LogEntry,

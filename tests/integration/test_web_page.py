@@ -987,7 +987,7 @@ def test_what_is_said_of_a_place_and_of_an_area_follows_the_map_or_says_that_it_
         "const real = window.fetch; window.fetch = async (url, options) => {"
         "if (!String(url).startsWith('/api/map/point')) return real(url, options);"
         "const told = await (await real(url, options)).json();"
-        "return new Response(JSON.stringify({...told, mean_ppb: 0.1, std_ppb: 1}));};"
+        "return new Response(JSON.stringify({...told, low_95_ppb: -1.9, high_95_ppb: 2.06}));};"
         "window.giveBack = () => { window.fetch = real; }",
     )
     script(browser, "document.getElementById('threshold').dispatchEvent(new Event('change'))")

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from he3.frames import BoolArray
     from he3.gp import GaussianProcess
+    from he3.intervals import Intervals
     from he3.posterior.grid import PosteriorMap
     from he3.reference import Region
     from schemas.ground import MapOverview
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
     from services.runtime.queries.server import Encoded
 
-    _Rebuilt = tuple[PosteriorMap, GaussianProcess, tuple[str, ...]]
+    _Rebuilt = tuple[PosteriorMap, Intervals | None, GaussianProcess, tuple[str, ...]]
 
 MAX_KEPT_BYTES: Final = 256 * 1024 * 1024  # of maps that were rebuilt
 
@@ -113,14 +114,14 @@ class RecordedMaps:
         overview: MapOverview = overviews[index].body
         shown_until = now if index + 1 == len(overviews) else min(now, overviews[index + 1].at - 1)
         with self._lock:
-            current, process, samples = self._map(index)
+            current, intervals, process, samples = self._map(index)
             driven, planned = self._ground.paths(self._tape.told_by_ground(shown_until))
             terrain = self._ground.terrain.traversable
         open_cells = terrain if self._region is not None else _open_cells(overview)
         origin = overview.origin_lat_deg, overview.origin_lon_deg
         return MapSnapshot(
             grid=SiteGrid(overview.rows, overview.columns, overview.resolution_m),
-            mean_ppb=current.mean_ppb, std_ppb=current.std_ppb, traversable=open_cells,
+            mean_ppb=current.mean_ppb, std_ppb=current.std_ppb, intervals=intervals, traversable=open_cells,
             samples=tuple(self._tape.evidence.samples[name] for name in samples),
             driven_path_m=driven, planned_path_m=planned, plan_ends=None, revision=overview.revision,
             mission_time_ns=overview.mission_time_ns, score=self._tape.scores.get(overview.revision),
@@ -133,7 +134,7 @@ class RecordedMaps:
     # --- the belief, which the lock protects ------------------------------------------------------------------------
 
     def _map(self, index: int) -> _Rebuilt:
-        """The map of that revision, the process behind it, and its samples in the order of their arrival."""
+        """The map of that revision, its intervals, the process behind it, and its samples in the order of arrival."""
         if index in self._kept:
             self._kept.move_to_end(index)
             return self._kept[index]
@@ -151,7 +152,7 @@ class RecordedMaps:
             belief.follow(overviews[number])
             self._rebuilt = number, belief
         current = belief.belief.map
-        self._kept[index] = kept = current, belief.belief.process, self._samples(index)
+        self._kept[index] = kept = current, belief.belief.intervals, belief.belief.process, self._samples(index)
         each = current.mean_ppb.nbytes + current.std_ppb.nbytes
         while len(self._kept) > max(1, MAX_KEPT_BYTES // each):
             self._kept.popitem(last=False)

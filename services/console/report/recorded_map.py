@@ -74,7 +74,7 @@ def recorded_map(
         grid=belief.belief.grid, mean_ppb=current.mean_ppb, std_ppb=current.std_ppb, traversable=open_cells,
         samples=samples, driven_path_m=tuple(facts.path.corners), planned_path_m=(), plan_ends=None,
         revision=overview.revision, mission_time_ns=overview.mission_time_ns, score=None, score_history=(),
-        process=belief.belief.process,
+        process=belief.belief.process, intervals=belief.belief.intervals,
     )  # fmt: skip
 
     def layer(name: MapLayer) -> RasterLayer:

@@ -83,8 +83,8 @@ def _closed(report: MissionReport) -> list[tuple[str, str]]:
 def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
     if report.rmse_ppb is None or report.coverage_68 is None or report.coverage_95 is None:
         return [("RMSE", "not known: the map was not compared with a reference field")]
-    one, two = f"{report.coverage_68:.1%} within 1 std", f"{report.coverage_95:.1%} within 2 std"
-    within = f"{one} (nominal 68.3 %), {two} (nominal 95.4 %)"
+    one, two = f"{report.coverage_68:.1%}", f"{report.coverage_95:.1%}"
+    within = f"{one} within the intervals of 68.3 %, {two} within those of 95.4 %"
     unknown = report.closed_ground is not None and report.closed_ground.unknown > 0
     cells = "all cells with a reference" if unknown else "all cells"
     return [("RMSE", f"{report.rmse_ppb:.4f} ppb over {cells}"), ("coverage", within)]

@@ -93,8 +93,9 @@ class MapPublisher:
         self._mean_std_ppb = float(current.std_ppb.mean(dtype="f8"))
         if self._scorer is not None:
             self._score = self._scorer.score(
-                current.mean_ppb, current.std_ppb, self.revision, self._samples_noted, self._map_time
-            )
+                current.mean_ppb, current.std_ppb, self.revision, self._samples_noted, self._map_time,
+                self._belief.interval_ends(),
+            )  # fmt: skip
 
     def present(self, now: MissionTime, plan_ends: Callable[[MissionTime], MissionTime | None]) -> MapSnapshot | None:
         """The map as operators see it now; None before there is one. plan_ends: as for `publish`."""
@@ -144,6 +145,7 @@ class MapPublisher:
             grid=self._belief.grid,
             mean_ppb=current.mean_ppb,
             std_ppb=current.std_ppb,
+            intervals=self._belief.intervals,
             traversable=self._terrain.traversable,
             samples=self._samples.reports,
             driven_path_m=driven,

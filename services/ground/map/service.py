@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from he3.errors import InvalidInput, NotFound, NotReady, OutsideRegion
+from he3.intervals import NORMAL_ENDS
 from schemas.ground import MissionTrack
 from schemas.maps import (
     MapBoxQuery,
@@ -70,6 +71,9 @@ def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
     above = None
     if request.threshold is not None:
         above = 0.5 * math.erfc((request.threshold - mean) / (max(std, 1e-12) * math.sqrt(2)))
+    x_m, y_m = ((index + 0.5) * grid.resolution_m for index in (column, row))
+    reach = NORMAL_ENDS if snapshot.intervals is None else snapshot.intervals.at(x_m, y_m)
+    low_95, low_68, high_68, high_95 = (mean + end * std for end in reach)
     return MapPoint(
         x_m=x,
         y_m=y,
@@ -81,6 +85,10 @@ def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
         mission_time_ns=snapshot.mission_time_ns,
         information_nats=0.5 * math.log1p((std / snapshot.noise_std_ppb) ** 2),
         exceedance=above,
+        low_68_ppb=low_68,
+        high_68_ppb=high_68,
+        low_95_ppb=low_95,
+        high_95_ppb=high_95,
     )
 
 

@@ -14,6 +14,7 @@ from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 if TYPE_CHECKING:
     from he3.frames import SiteGrid
     from he3.gp import GaussianProcess
+    from he3.intervals import Intervals
     from schemas.ground import KeepOutArea
     from schemas.maps import MapRegion, MapScore
     from schemas.plans import Waypoint
@@ -49,6 +50,8 @@ class MapSnapshot:
     """The belief that the arrays were computed from, for answers about several cells at once."""
     origin_deg: tuple[float, float] | None = None
     """Latitude and longitude of the site's south-west corner; None if the region does not give them."""
+    intervals: Intervals | None = None
+    """The central intervals of the belief; None where it is normal in every cell."""
     provenance: str = ""
     """Of the region's data, in one line."""
     region: MapRegion | None = None

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from he3.coarse_grid import MOST_CELLS, coarser
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperdraws import redrawn
 from he3.kernels import Matern32, SmoothPlusRough
 from he3.mixture import ProcessMixture, mixture_moments
-from he3.mixture_posterior import MOST_CELLS, MixturePosterior, coarser
+from he3.mixture_posterior import MixturePosterior
 from he3.posterior.grid import GridPosterior
 from he3.resource import area_mean, drawn_fields
 from he3.trend import UnknownConstant

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import typer
 
 from services.console.cli.coordinates import X, Y
@@ -9,6 +11,9 @@ from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.options import AsOf, Threshold
 from services.console.cli.options import AsJson
 from services.console.cli.session import Session
+
+if TYPE_CHECKING:
+    from schemas.maps import MapPoint
 
 
 @with_flags
@@ -26,9 +31,9 @@ def at(
     if json:
         typer.echo(point.model_dump_json(indent=2))
         return
-    low, high = point.mean_ppb - 1.96 * point.std_ppb, point.mean_ppb + 1.96 * point.std_ppb
     rows = [
-        ("helium-3", f"{point.mean_ppb:.3f} ppb, std {point.std_ppb:.3f} ppb (95 %: {low:.3f} to {high:.3f} ppb)"),
+        ("helium-3", f"{point.mean_ppb:.3f} ppb, std {point.std_ppb:.3f} ppb"),
+        *_intervals(point),
         ("place", f"({point.x_m:g}, {point.y_m:g}) m, {'traversable' if point.traversable else 'not traversable'}"),
     ]
     if point.exceedance is not None:
@@ -37,6 +42,13 @@ def at(
         rows.append(("information", f"{point.information_nats:.3f} nat from one sample"))
     rows.append(("map", f"revision {point.revision}, {point.samples} samples"))
     typer.echo("\n".join(f"{name:<11} {text}" for name, text in rows))
+
+
+def _intervals(point: MapPoint) -> list[tuple[str, str]]:
+    """The central intervals that the ground gives; none if it gives none."""
+    each = ("68.3 %", point.low_68_ppb, point.high_68_ppb), ("95.4 %", point.low_95_ppb, point.high_95_ppb)
+    told = [f"{name}: {low:.3f} to {high:.3f} ppb" for name, low, high in each if low is not None and high is not None]
+    return [("intervals", ", ".join(told))] if told else []
 
 
 @with_flags
@@ -52,7 +64,7 @@ def score(
         return
     typer.echo(f"RMSE        {figures.rmse_ppb:.4f} ppb over all cells, mean std {figures.mean_std_ppb:.4f} ppb")
     typer.echo(
-        f"coverage    {figures.coverage_68:.1%} within 1 std (nominal 68.3 %), "
-        f"{figures.coverage_95:.1%} within 2 std (nominal 95.4 %)"
+        f"coverage    {figures.coverage_68:.1%} within the intervals of 68.3 %, "
+        f"{figures.coverage_95:.1%} within those of 95.4 %"
     )
     typer.echo(f"map         revision {figures.revision}, {figures.samples} samples")

@@ -77,10 +77,10 @@ function ofPlace(point, threshold) {
   });
 }
 
-function factsOf(text, { mean_ppb, std_ppb }, threshold, { above, information, ground }) {
-  const [low, high] = [-1.96, 1.96].map((factor) => fixed(Math.max(0, mean_ppb + factor * std_ppb)));
+function factsOf(text, { low_95_ppb, high_95_ppb }, threshold, { above, information, ground }) {
+  const [low, high] = [low_95_ppb, high_95_ppb].map((end) => Number.isFinite(end) ? fixed(Math.max(0, end)) : "…"); // the page has no shape
   return element("dl", { class: "facts" }, ...[
-    ["Helium-3", text, true], ["95 % interval", `${low} to ${high} ppb`], [`More than ${threshold} ppb`, above],
+    ["Helium-3", text, true], ["95.4 % interval", `${low} to ${high} ppb`], [`More than ${threshold} ppb`, above],
     ["Information of one sample", information], ["Ground", ground],
   ].map(fact));
 }

@@ -12,6 +12,7 @@ import pytest
 from he3.errors import InvalidInput, NotFound, NotReady, OutsideRegion
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
+from he3.intervals import Intervals
 from he3.kernels import kernel_from
 from schemas.commands import NoParameters
 from schemas.ground import KeepOutArea
@@ -72,6 +73,17 @@ def test_a_point_is_that_of_the_cell_that_holds_it() -> None:
         assert reply.std_ppb == float(shown.std_ppb[row, column])
         assert reply.traversable is bool(shown.traversable[row, column])
         assert (reply.x_m, reply.y_m, reply.revision, reply.mission_time_ns) == (x, y, 7, 123)
+
+
+def test_a_point_has_the_ends_of_its_intervals_of_a_normal_belief_and_of_another() -> None:
+    shown = snapshot()
+    normal = point(MapPointQuery(x=4.5, y=3.0), shown)
+    assert normal.high_68_ppb == pytest.approx(normal.mean_ppb + normal.std_ppb)
+    assert normal.low_95_ppb == pytest.approx(normal.mean_ppb - 2.0 * normal.std_ppb)
+    ends = np.stack([np.full(GRID.shape, end, np.float32) for end in (-2.5, -0.5, 0.75, 3.0)])
+    other = point(MapPointQuery(x=4.5, y=3.0), replace(shown, intervals=Intervals(GRID, ends)))
+    assert other.low_68_ppb == pytest.approx(other.mean_ppb - 0.5 * other.std_ppb)
+    assert other.high_95_ppb == pytest.approx(other.mean_ppb + 3.0 * other.std_ppb)
 
 
 @pytest.mark.parametrize(("x", "y"), [(-0.01, 5.0), (100.01, 5.0), (5.0, 80.5)])
@@ -144,6 +156,17 @@ def test_the_score_agrees_with_direct_arithmetic() -> None:
     assert got.coverage_95 == pytest.approx(float(np.mean(miss <= 2 * shown.std_ppb)), abs=1e-3)
     assert got.mean_std_ppb == pytest.approx(float(shown.std_ppb.mean(dtype=float)))
     assert (got.revision, got.samples, got.mission_time_ns) == (3, 11, 99)
+
+
+def test_the_coverage_of_a_belief_that_is_not_normal_is_that_of_its_own_intervals() -> None:
+    shown = snapshot()
+    truth = shown.mean_ppb + 1.5 * shown.std_ppb
+    known = np.arange(GRID.rows * GRID.columns).reshape(GRID.shape) % 3 > 0
+    ends = np.stack([np.full(GRID.shape, end, np.float32) for end in (-2.0, -1.0, 1.0, 2.0)])
+    ends[2, :, ::2], ends[3, ::4] = 1.6, 1.4
+    got = Scorer(truth, known).score(shown.mean_ppb, shown.std_ppb, 3, 11, 99, ends)
+    assert got.coverage_68 == pytest.approx(float((ends[2] > 1.5)[known].mean()))
+    assert got.coverage_95 == pytest.approx(float((ends[3] > 1.5)[known].mean()))
 
 
 def test_cells_without_a_reference_are_not_scored() -> None:
