@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from services.runtime.files.output import replace_output
 
 Row = dict[str, Any]
@@ -35,7 +35,16 @@ def read(path: Path | None, *lists: str) -> dict[str, Any]:
 
 
 def write(path: Path | None, document: dict[str, Any]) -> None:
-    """Write that file in one step, so that a run that is killed meanwhile leaves the earlier rows; None: nothing."""
-    if path is not None:
+    """Write that file in one step, so that a run that is killed meanwhile leaves the earlier rows; None: nothing.
+
+    Raises He3Error if it cannot be written, as on a full disk.
+    """
+    if path is None:
+        return
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_output(path, (json.dumps(document, indent=1) + "\n").encode())
+    except OSError as error:
+        raise He3Error(
+            f"{path}: expected a file that can be written, got {error.strerror}; it has the earlier rows"
+        ) from None

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import kept
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 
 
 @contextmanager
@@ -53,7 +53,8 @@ def test_a_link_and_a_device_are_refused_and_not_replaced(tmp_path):
 def test_a_disk_that_is_full_leaves_the_earlier_rows(tmp_path):
     file = tmp_path / "rows.json"
     kept.write(file, {"rows": [{"seed": 1}]})
-    with limited_file_size(20), pytest.raises(OSError, match="File too large"):
+    told = f"{file}: expected a file that can be written, got File too large; it has the earlier rows"
+    with limited_file_size(20), pytest.raises(He3Error, match=re.escape(told)):
         kept.write(file, {"rows": [{"seed": k} for k in range(1000)]})
     assert kept.read(file, "rows") == {"rows": [{"seed": 1}]}
     assert [path.name for path in tmp_path.iterdir()] == ["rows.json"]
