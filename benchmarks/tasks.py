@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -27,7 +26,7 @@ from he3.errors import He3Error, InvalidInput
 from services.console.campaign.engines import Engine, engine_named
 from services.console.campaign.identity import planner_checksum, region_checksum, software_identity
 from services.console.campaign.runner import Progress, replies
-from services.console.campaign.store import Store
+from services.console.campaign.store import IN_MEMORY, Store
 from services.console.campaign.task import DONE, Task
 
 Asked = TypeVar("Asked")
@@ -52,7 +51,7 @@ class Tasks:
         """
         if jobs < 1:
             raise InvalidInput(f"expected one job at least, got {jobs}")
-        self._jobs, self._name, self._path = jobs, engine, store
+        self._jobs, self._name, self._path = jobs, engine, store or IN_MEMORY
         self._engine: Engine | None = None
         self._stack = ExitStack()
         self._stopped: signal.Signals | None = None
@@ -66,11 +65,7 @@ class Tasks:
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():  # other threads may not set handlers
             self._handlers = {number: signal.signal(number, self._stop) for number in _SIGNALS}
-        if self._path is None:
-            folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="he3-tasks-"))
-            self._store = self._stack.enter_context(Store(Path(folder) / "tasks.sqlite", write=True))
-        else:
-            self._store = self._stack.enter_context(Store(self._path, write=True))
+        self._store = self._stack.enter_context(Store(self._path, write=True))
         return self
 
     def __exit__(

@@ -92,10 +92,11 @@ def test_a_test_run_that_is_killed_leaves_no_service(killed: str, marked: Marked
 
 
 @pytest.mark.parametrize("killed", ["benchmark", "worker"])
-def test_a_benchmark_that_is_killed_leaves_no_process(killed: str, marked: Marked, tmp_path: Path) -> None:
+def test_a_benchmark_that_is_killed_leaves_no_process_and_no_file(killed: str, marked: Marked, tmp_path: Path) -> None:
     plugin = "examples.most_uncertain:most_uncertain"  # plug-ins plan in processes of their own, below the workers
     command = he3("bench", "paper", "--planners", plugin, "--regions", "t1", "--seeds", "9", "--no-floor")
-    with start(command, env=marked.environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as benchmark:
+    environment = {**marked.environment, "TMPDIR": str(tmp_path)}
+    with start(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as benchmark:
         until(lambda: planners_of(marked), "a planner process")
         if killed == "worker":  # another one takes its place, and flies its mission
             planner, worker = next(iter(planners_of(marked).items()))
@@ -105,6 +106,7 @@ def test_a_benchmark_that_is_killed_leaves_no_process(killed: str, marked: Marke
             assert benchmark.poll() is None
         benchmark.kill()
         marked.wait_until_gone()
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

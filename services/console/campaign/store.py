@@ -22,6 +22,8 @@ from services.console.campaign.task import DONE, FAILED, Reply, Task, canonical
 from services.runtime.files.lock import FileLock, lock_beside
 
 FORMAT: Final = "1"
+IN_MEMORY: Final = Path(":memory:")
+"""The path of a store that ends with its process, and leaves no file however that ends."""
 _TABLES: Final = """
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rows (
@@ -92,16 +94,17 @@ class Store:
     """A store that is open; use it in a `with` statement."""
 
     def __init__(self, path: Path, *, write: bool) -> None:
-        """write: make it if it does not exist, and lock it; else it is read, also while a campaign writes it.
+        """path: the file, or IN_MEMORY. write: make it if it does not exist, and lock it; else it is read, also while a
+        campaign writes it.
 
         Raises InvalidInput for a file that is no store, or one that another process writes; He3Error if it cannot be
         opened.
         """
         self._path = path
         self._lock: FileLock | None = None
-        if write:
+        if write and path != IN_MEMORY:
             self._lock = lock_beside(path, f"{path}: expected a store that no other campaign writes")
-        elif not path.is_file():
+        elif not write and not path.is_file():
             raise InvalidInput(f"{path}: expected a campaign's store, got no such file")
         try:
             with self._told():
