@@ -188,7 +188,7 @@ def run_mission(
 
 
 def start_of(region: Region, terrain: GroundTerrain | None = None) -> tuple[float, float]:
-    """Where a mission begins that is told no start [m]: in the largest connected part of the open ground.
+    """The start [m] of a mission without a stated one: in the largest connected part of the open ground.
 
     It is START_M if that lies in this part, else the centre of the part's cell that is nearest to it. Raises
     InvalidInput without open ground.

@@ -1,4 +1,4 @@
-"""One JSON document in, one out: what every script of this folder does, in whatever environment it runs."""
+"""One JSON document in, one out: how every script of this folder is asked and answers."""
 
 from __future__ import annotations
 

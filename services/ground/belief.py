@@ -61,7 +61,7 @@ class Belief:
         """likeliest: take the hyperparameters of maximum likelihood for certain, as the paper does.
 
         most_cells: the map is computed on a coarser grid of so many cells at most, and interpolated between them.
-        followed: whether the map is looked at after each sample.
+        followed: whether the map is read after each sample.
         """
         self.grid = grid
         self._coarse = grid if most_cells is None else coarser(grid, most_cells)

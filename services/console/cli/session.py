@@ -70,7 +70,7 @@ class Session(FlagGroup):
 
 @dataclass(frozen=True, slots=True)
 class NamedSession(Session):
-    """A session in which something is commanded or changed, by somebody with a name."""
+    """A session that commands or changes something, under the name of a person or program."""
 
     as_name: AsName = None
 

@@ -153,7 +153,7 @@ def fly(
     nodes = (
         DrawnField(truth, belief, scenario.field.noise_std_ppb, random),
         _rover(scenario, region, fork, place_m),
-        build_link(scenario.model_copy(update={"seed": seed}), reports=False),  # nobody hears them
+        build_link(scenario.model_copy(update={"seed": seed}), reports=False),  # no process reads them
         ground,
     )
     computing = executor or InlineExecutor()

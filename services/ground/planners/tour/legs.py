@@ -86,7 +86,7 @@ def consecutive_lengths(
 ) -> FloatArray:
     """Lengths (n - 1,) [m], or with a cost [level m], of the legs from each of n stops (n, 2) [m] to the next.
 
-    As those of ``leg_table``, but that each leg is looked at, however many other stops are nearer.
+    As those of ``leg_table``, but each leg is computed, however many other stops are nearer.
     """
     a, b = stops_m[:-1], stops_m[1:]
     lengths, corner, free = legs_with_one_corner(ground, a, b)
