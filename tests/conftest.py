@@ -40,3 +40,14 @@ def quarter_of_t1(tmp_path_factory):
         path, he3_ppb=whole.he3_ppb[:250:2, :250:2], traversable=whole.traversable[:250:2, :250:2], resolution_m=2.0
     )
     return path
+
+
+@pytest.fixture(scope="session")
+def coarse_t1(tmp_path_factory):
+    """A region file with all of t1, every fourth cell: 125 x 125 cells of 4 m, whose maps cost next to nothing."""
+    from services.mission.regions import load_region
+
+    whole = load_region("t1")
+    path = tmp_path_factory.mktemp("region") / "coarse.npz"
+    np.savez(path, he3_ppb=whole.he3_ppb[2::4, 2::4], traversable=whole.traversable[2::4, 2::4], resolution_m=4.0)
+    return path

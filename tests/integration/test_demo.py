@@ -42,10 +42,10 @@ def children_of(pid: int) -> dict[int, str]:
 
 
 def test_the_demo_ends_with_a_line_that_compares_it_with_the_published_protocol_on_the_same_seed(
-    tmp_path: Path, environment: dict[str, str]
+    tmp_path: Path, environment: dict[str, str], coarse_t1: Path
 ) -> None:
     out = tmp_path / "demo"
-    shorter = ("--set", "rounds=1", "--set", "samples_per_round=3")
+    shorter = ("--set", "rounds=1", "--set", "samples_per_round=3", "--set", f"region={coarse_t1}")
     ended = run(he3("demo", *shorter, "--seed", "5", "--out", str(out)), env=environment)
     assert ended.returncode == 0, ended.stderr
     report = MissionReport.model_validate_json((out / "report.json").read_text())

@@ -92,9 +92,10 @@ def transmission(size: int, rate: int) -> int:
 
 
 def test_lockstep_and_in_process_runs_have_the_same_events_to_the_byte_with_losses_and_repetitions(
-    tmp_path: Path,
+    tmp_path: Path, coarse_t1: Path
 ) -> None:
-    settings = (*THIN, "link.down.loss=0.05", "link.up.loss=0.05", "link.down.duplicate=0.05", "link.down.reorder=0.1")
+    faults = ("link.down.loss=0.05", "link.up.loss=0.05", "link.down.duplicate=0.05", "link.down.reorder=0.1")
+    settings = (*THIN, *faults, f"region={coarse_t1}")
     alone = ran(tmp_path / "in-process", "--in-process", settings=settings)
     apart = ran(tmp_path / "lockstep", "--lockstep", settings=settings)
     assert alone.events.count(b"\n") > 500

@@ -70,9 +70,9 @@ class Lockstep:
 
 
 @pytest.fixture
-def lockstep(missions: Callable[..., object], tmp_path: Path) -> Callable[..., Lockstep]:
+def lockstep(missions: Callable[..., object], tmp_path: Path, coarse_t1: Path) -> Callable[..., Lockstep]:
     def begin(*settings: str, journal: bool = True) -> Lockstep:
-        flags = [word for setting in settings for word in ("--set", setting)]
+        flags = [word for setting in (*settings, f"region={coarse_t1}") for word in ("--set", setting)]
         flags += ["--journal", str(tmp_path / "journal")] if journal else []
         mission = missions("short", "--lockstep", *SHORTER, *flags)
         mission.start("link", flags=WAIT_FOR)
@@ -84,9 +84,9 @@ def lockstep(missions: Callable[..., object], tmp_path: Path) -> Callable[..., L
 
 
 @pytest.fixture(scope="module")
-def shared_lockstep(shared_missions: Callable[..., object]) -> Lockstep:
+def shared_lockstep(shared_missions: Callable[..., object], coarse_t1: Path) -> Lockstep:
     """A mission shared by tests that leave it unchanged and do not wait for its end."""
-    mission = shared_missions("short", "--lockstep", "--set", "rounds=200")
+    mission = shared_missions("short", "--lockstep", "--set", "rounds=200", "--set", f"region={coarse_t1}")
     mission.start("link", flags=WAIT_FOR)
     mission.start("field", "rover", "ground")
     mission.ready()

@@ -33,8 +33,8 @@ def test_a_second_service_on_the_same_journal_is_refused_until_the_first_is_gone
     second["rover"].line("restarted from its journal")
 
 
-def test_of_two_processes_of_one_role_the_second_is_refused_until_the_first_is_gone(missions):
-    first, second = missions("short"), missions("short")
+def test_of_two_processes_of_one_role_the_second_is_refused_until_the_first_is_gone(missions, coarse_t1):
+    first, second = (missions("short", "--set", f"region={coarse_t1}") for _ in range(2))
     second.moon, second.earth = first.moon, first.earth
     first.start("link", "ground", "field")
     second.start("field")  # at once

@@ -80,9 +80,12 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def starter(request: pytest.FixtureRequest, tmp_path: Path, environment: dict[str, str]) -> Iterator[int]:
+def starter(
+    request: pytest.FixtureRequest, tmp_path: Path, environment: dict[str, str], coarse_t1: Path
+) -> Iterator[int]:
     """Process id of a process that has started a whole mission; all of that mission's processes run."""
-    he3 = python_command("services.console", "run", "short", "--rate", "100", "--quiet", "--out", str(tmp_path / "out"))
+    flags = ("--rate", "100", "--quiet", "--out", str(tmp_path / "out"), "--set", f"region={coarse_t1}")
+    he3 = python_command("services.console", "run", "short", *flags)
     command = [sys.executable, "-c", request.param, *he3]
     process = subprocess.Popen(
         command, cwd=ROOT, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,

@@ -230,10 +230,10 @@ def test_a_client_says_which_role_a_query_takes(site):
         client.query(ISSUE_COMMAND, Telecommand(command_id="c", kind=CommandKind.PAUSE))
 
 
-def test_a_mission_with_keys_runs_to_its_end_in_lockstep(tmp_path):
+def test_a_mission_with_keys_runs_to_its_end_in_lockstep(tmp_path, coarse_t1):
     keys = str(tmp_path / "keys")
     assert run(he3("keys", "init", keys)).returncode == 0
-    small = ["--set", "rounds=1", "--set", "samples_per_round=2", "--json", "-q"]
+    small = ["--set", "rounds=1", "--set", "samples_per_round=2", "--set", f"region={coarse_t1}", "--json", "-q"]
     flown = run(he3("run", "short", "--lockstep", "--keys", keys, *small))
     assert flown.returncode == 0, flown.stderr
     report = json.loads(flown.stdout)
