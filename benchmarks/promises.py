@@ -123,7 +123,8 @@ def fly(promise: Promise) -> Row:
         "field": promise.field, "seed": promise.seed, "planner": promise.planner, "share": promise.share,
         "blocks_m": promise.blocks_m, "probability": promise.probability, "rounds": promise.rounds,
         "reached": goal.holds, "samples": ground.status.samples, "metres": ground.status.driven_m,
-        "worst_ppb": goal.worst_ppb, "weight": goal.weight, "within": within,
+        "worst_ppb": goal.worst_ppb, "weight": goal.weight, "likely_ppb": goal.likely_ppb,
+        "unseen": goal.unseen, "within": within,
         "kept": within is not None and within >= promise.probability,
         "seconds": time.process_time() - began,
     }  # fmt: skip

@@ -8,11 +8,20 @@ pattern (block kriging: Journel & Huijbregts 1978). With c the posterior covaria
 
 What is not known of the hyperparameters is counted twice. The *stated* standard deviation is that of the mixture, by
 the law of total variance. And the *weight* is the probability of those kernels of the mixture under which the
-standard deviation is at most the goal at every target. The certificate holds when the greatest stated standard
-deviation is at most the goal, and the weight at least the probability.
+standard deviation is at most the goal at every target.
 
-It promises that of the area at least a share of ``probability`` lies within z std of the map, z being the normal
-quantile of that probability (1.96 for 0.95).
+Promised is that of the area at least a share of ``probability`` lies within z std of the map, z being the normal
+quantile of that probability (1.96 for 0.95). Where each target lies so with that probability, the share of them that
+does does is as often below it as above: targets near to each other miss together. So the third figure is the *likely
+distance*: that within which such a share of the targets lies with that probability. It is read from draws of the field
+at all targets at once, each from one of the mixture's kernels, by their weights, and widened by `UNLIKE`.
+
+All three rest on the field being alike everywhere, which samples in one part of the area cannot show. So the fourth
+figure asks where the rover has been, whatever it has found there: of a field as it is thought to be before landing, the
+samples are to tell most of the variance at every target.
+
+The certificate holds when the greatest stated standard deviation is at most the goal, the weight at least the
+probability, the likely distance at most what is promised, and the variance left of such a field small enough.
 """
 
 from __future__ import annotations
@@ -27,11 +36,13 @@ from scipy.special import ndtri
 
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
+from he3.gp import GaussianProcess, Hyperparameters
+from he3.hyperprior import LENGTH_SCALES
+from he3.kernels import SquaredExponential
 from he3.mixture import ProcessMixture, mixture_moments
 
 if TYPE_CHECKING:
     from he3.frames import BoolArray, IntArray
-    from he3.gp import GaussianProcess
     from he3.kernels import Kernel
 
 ROUNDING = 1e-9  # 1, share by which a standard deviation may exceed the goal
@@ -40,6 +51,19 @@ MOST_POINTS = 4096
 MOST_A_SIDE = 4
 """Points on a side of a block."""
 MOST_BLOCKS = 1024
+MOST_UNSEEN_PLACE, MOST_UNSEEN_BLOCK = 0.25, 0.1
+"""Share of the variance of a field as it is thought to be before landing that may be left at a place, as in a corner of
+the site, or of a block's mean. With either some 24 samples do, evenly spread over the site."""
+MOST_DRAWN, MOST_DRAWN_POINTS = 400, 1600
+"""Targets at which the field is drawn, and points of these."""
+DRAWS = 1000
+"""Of each kernel."""
+UNLIKE = 1.3
+"""Factor on the distance that draws have: real fields vary more in some parts than in others, and draws do not.
+[measured: docs/scenarios.md]"""
+_NOISE_BEFORE_LANDING = 0.1  # 1, of that field's standard deviation
+_SEED = 23  # of the draws; always the same, so that a certificate follows from the samples
+_ROUNDING_OF_DRAWS = 1e-7  # 1, of the field's variance, so that the covariance of close targets has a factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,9 +82,18 @@ class Targets:
         centres: FloatArray = self.points_m.mean(axis=1)
         return centres
 
+    @property
+    def most_unseen(self) -> float:
+        """Share of the variance of a field as it is thought to be before landing that may be left at a target."""
+        return MOST_UNSEEN_PLACE if self.points_m.shape[1] == 1 else MOST_UNSEEN_BLOCK
+
     def only(self, chosen: BoolArray) -> Targets:
         """Those targets that are chosen (T,)."""
         return Targets(self.points_m[chosen])
+
+    def thinned(self, most: int) -> Targets:
+        """At most that many of the targets, evenly spread over their order."""
+        return Targets(self.points_m[:: -(-len(self) // most)])
 
     def means(self, values: FloatArray) -> FloatArray:
         """Means (n, T) over each target's points, of values (n, T q) at all of them."""
@@ -96,6 +129,14 @@ class Targets:
         least = process.least_variance() if self.points_m.shape[1] == 1 else 0.0
         return mean, own.scale_ppb * np.sqrt(np.maximum(variance, least))
 
+    def covariance(self, process: GaussianProcess) -> FloatArray:
+        """Posterior covariance (T, T) [ppb^2] of the field among the targets, or of its means over blocks."""
+        count, q = self.points_m.shape[:2]
+        covariance = process.posterior_covariance(self.points_m.reshape(-1, 2))
+        if q > 1:
+            covariance = covariance.reshape(count, q, count, q).mean(axis=(1, 3))
+        return covariance
+
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
@@ -111,13 +152,29 @@ class Certificate:
     """Share of the area whose stated standard deviation is at most the goal."""
     weight: float | None
     """Probability of the hyperparameters under which the goal holds over the whole area; None: not computed."""
+    likely_ppb: float
+    """Distance from the map [ppb] within which a share of ``probability`` of the area lies with that probability."""
+    unseen: float
+    """Greatest share that is left of the variance of a field as it is thought to be before landing."""
+    most_unseen: float
+    """The share that may be left."""
 
     @property
     def holds(self) -> bool:
         """Whether the goal holds."""
         if self.weight is None or self.worst_ppb > self.std_ppb * (1.0 + ROUNDING):
             return False
-        return self.weight >= self.probability - ROUNDING
+        seen = self.unseen <= self.most_unseen * (1.0 + ROUNDING)
+        return seen and self.weight >= self.probability - ROUNDING and self.likely_ppb <= self.within_ppb
+
+    @property
+    def aim_ppb(self) -> float:
+        """Greatest standard deviation [ppb], at most the goal, at which the likely distance is what is promised.
+
+        As far as the two fall in proportion.
+        """
+        normal = self.within_ppb / self.std_ppb * self.worst_ppb
+        return self.std_ppb * min(1.0, normal / self.likely_ppb)
 
     @property
     def within_ppb(self) -> float:
@@ -125,8 +182,10 @@ class Certificate:
         return float(ndtri(0.5 + 0.5 * self.probability)) * self.std_ppb
 
 
-def certify(mixture: ProcessMixture, targets: Targets, std_ppb: float, probability: float) -> Certificate:
-    """The certificate of that goal [ppb] over the targets."""
+def certify(
+    mixture: ProcessMixture, targets: Targets, std_ppb: float, probability: float, extent_m: float
+) -> Certificate:
+    """The certificate of that goal [ppb] over the targets. extent_m: width of the site."""
     means, stds = (np.array(each) for each in zip(*map(targets.moments, mixture.processes), strict=True))
     _, stated = mixture_moments(mixture.weights, means, stds)
     most = std_ppb * (1.0 + ROUNDING)
@@ -138,8 +197,59 @@ def certify(mixture: ProcessMixture, targets: Targets, std_ppb: float, probabili
         worst_ppb=float(stated[worst]),
         worst_at_m=(float(x), float(y)),
         share=float(np.mean(stated <= most)),
-        weight=min(1.0, float(mixture.weights @ (stds.max(axis=1) <= most))),
+        weight=_weight(mixture, stds, most),
+        likely_ppb=likely_distance(mixture, targets, probability),
+        unseen=unseen_share(mixture.processes[0].places_m, targets, extent_m),
+        most_unseen=targets.most_unseen,
     )
+
+
+def certified_weight(mixture: ProcessMixture, targets: Targets, std_ppb: float) -> float:
+    """Probability of the kernels under each of which the standard deviation is at most that [ppb] at every target."""
+    stds = np.array([targets.moments(process)[1] for process in mixture.processes])
+    return _weight(mixture, stds, std_ppb * (1.0 + ROUNDING))
+
+
+def _weight(mixture: ProcessMixture, stds: FloatArray, most: float) -> float:
+    return min(1.0, float(mixture.weights @ (stds.max(axis=1) <= most)))
+
+
+def thought_before_landing(targets: Targets, std_ppb: float, extent_m: float) -> Hyperparameters:
+    """A field as it is thought to be before landing on a site of that width.
+
+    It is scaled so that samples which tell enough of its variance leave that standard deviation [ppb] at a target.
+    """
+    kernel = SquaredExponential(1.0, LENGTH_SCALES["smooth_length_scale_m"][0] * extent_m)
+    scale_ppb = std_ppb / math.sqrt(targets.most_unseen * float(targets.prior_variance(kernel).min()))
+    return Hyperparameters(kernel, _NOISE_BEFORE_LANDING * scale_ppb, 0.0, scale_ppb)
+
+
+def unseen_share(places_m: FloatArray, targets: Targets, extent_m: float) -> float:
+    """Greatest share over the targets that samples at places (n, 2) [m] leave of such a field's variance."""
+    field = GaussianProcess(thought_before_landing(targets, 1.0, extent_m)).condition_on_places(places_m)
+    return targets.most_unseen * float(targets.moments(field)[1].max()) ** 2
+
+
+def likely_distance(mixture: ProcessMixture, targets: Targets, probability: float) -> float:
+    """Distance [ppb] from the mixture's mean within which a share of that probability of the targets lies, with it.
+
+    At most `MOST_DRAWN` of the targets are looked at, evenly spread over them.
+    """
+    drawn = targets.thinned(min(MOST_DRAWN, MOST_DRAWN_POINTS // targets.points_m.shape[1]))
+    means = np.array([drawn.moments(process)[0] for process in mixture.processes])
+    middle = mixture.weights @ means
+    rng = np.random.default_rng(_SEED)
+    rank = min(len(drawn), math.ceil(probability * len(drawn) - ROUNDING)) - 1
+    distances = []
+    for process, mean in zip(mixture.processes, means, strict=True):
+        covariance = drawn.covariance(process)
+        covariance.flat[:: len(drawn) + 1] += _ROUNDING_OF_DRAWS * process.hyperparameters.field_std_ppb**2
+        missed = np.abs(mean - middle + rng.standard_normal((DRAWS, len(drawn))) @ np.linalg.cholesky(covariance).T)
+        distances.append(np.partition(missed, rank, axis=1)[:, rank])
+    flat = np.concatenate(distances)
+    order = np.argsort(flat, kind="stable")
+    summed = np.cumsum(np.repeat(mixture.weights / DRAWS, DRAWS)[order])
+    return UNLIKE * float(flat[order[min(len(flat) - 1, int(np.searchsorted(summed, probability)))]])
 
 
 def places_of(grid: SiteGrid, area: BoolArray, most: int = MOST_POINTS) -> Targets:
@@ -160,7 +270,7 @@ def places_of(grid: SiteGrid, area: BoolArray, most: int = MOST_POINTS) -> Targe
     if not thinned.any():  # a narrow area between the rows
         thinned = area
     places = (np.argwhere(thinned)[:, ::-1].astype(np.float64) + 0.5) * grid.resolution_m
-    return Targets(places[:: -(-len(places) // most), None, :])
+    return Targets(places[:, None, :]).thinned(most)
 
 
 def _evenly(count: int, step: int) -> IntArray:
@@ -173,10 +283,10 @@ def blocks_of(grid: SiteGrid, side_m: float) -> Targets:
 
     Raises InvalidInput for blocks that are smaller than a cell, larger than the site, or too many.
     """
-    if not grid.resolution_m <= side_m <= max(grid.width_m, grid.height_m):
+    if not grid.resolution_m <= side_m <= grid.extent_m:
         raise InvalidInput(
             f"expected blocks from a cell of {grid.resolution_m:g} m to the site's "
-            f"{max(grid.width_m, grid.height_m):g} m, got {side_m:g} m"
+            f"{grid.extent_m:g} m, got {side_m:g} m"
         )
     edges = [np.append(np.arange(0.0, size - 1e-6 * side_m, side_m), size) for size in (grid.width_m, grid.height_m)]
     count = (len(edges[0]) - 1) * (len(edges[1]) - 1)

@@ -52,6 +52,11 @@ class SiteGrid:
         return self.rows * self.resolution_m
 
     @property
+    def extent_m(self) -> float:
+        """The greater of width and height [m]."""
+        return max(self.width_m, self.height_m)
+
+    @property
     def x_m(self) -> FloatArray:
         """Eastward coordinate of the cell centres, (columns,) [m]."""
         return _centres(self.columns, self.resolution_m)

@@ -169,7 +169,7 @@ class CovariateTrend:
         stds = np.where(np.isnan(self.weight_std_ppb), WEIGHT_SHARE, self.weight_std_ppb / scale_ppb)
         stds = np.minimum(stds, MAX_TREND_STD / np.maximum(self._reach, 1e-300))
         offset_std = min(self.offset_std_ppb / scale_ppb, MAX_TREND_STD)
-        extent_m = max(self.grid.width_m, self.grid.height_m) if self.level_varies else 0.0
+        extent_m = self.grid.extent_m if self.level_varies else 0.0
         offset = level_columns(points_m, extent_m) * offset_std
         columns: FloatArray = np.column_stack((self._standardised(points_m) * stds, offset))
         return columns

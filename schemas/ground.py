@@ -93,6 +93,10 @@ class GoalStatus(Wire):
     """Share of the area that reaches the goal."""
     weight: Annotated[float, Field(ge=0, le=1)] | None
     """Probability of the hyperparameters under which all of the area does; None while the share is below 1."""
+    likely_ppb: Annotated[float, Field(ge=0)] | None = None
+    """Distance from the map [ppb] within which a share `probability` of the area lies with that probability."""
+    unseen: Annotated[float, Field(ge=0)] | None = None
+    """Greatest share that the samples leave of the variance of a field as it was thought to be before landing."""
     within_ppb: Annotated[float, Field(gt=0)] | None = None
     """Distance from the map [ppb] within which a share `probability` of the area is promised to lie, once it holds."""
     forecast: GoalForecast | None = None

@@ -99,7 +99,7 @@ class Belief:
     @property
     def _extent_m(self) -> float:
         """The site's longer side [m]."""
-        return max(self.grid.width_m, self.grid.height_m)
+        return self.grid.extent_m
 
     def __len__(self) -> int:
         """Number of measurements in the map."""
@@ -268,7 +268,7 @@ class Belief:
 
 def hyperprior(grid: SiteGrid, trend: CovariateTrend | None) -> Hyperprior:
     """What is known of the site's hyperparameters before landing."""
-    extent_m = max(grid.width_m, grid.height_m)
+    extent_m = grid.extent_m
     spread_ppb = 0.0 if trend is None else trend.spread_ppb
     # A map that shows no contrast says nothing of what it does not resolve.
     return Hyperprior(extent_m) if spread_ppb < MIN_ORBITAL_STD_PPB else Hyperprior(extent_m, field_std_ppb=spread_ppb)

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from he3.certificate import Certificate, Targets, blocks_of, certify, places_of
+from he3.certificate import (
+    Certificate,
+    Targets,
+    blocks_of,
+    certified_weight,
+    certify,
+    likely_distance,
+    places_of,
+    unseen_share,
+)
 from he3.errors import InvalidInput
 from he3.mixture import ProcessMixture
 from schemas.ground import GoalStatus
@@ -78,12 +87,12 @@ class MissionGoal:
         self._made_of: tuple[Certificate | None, GoalForecast | None] = (None, None)
         """What the status was made of, which is asked for at every event."""
 
-    @property
     def for_planners(self) -> PlanningGoal | None:
         """What planners are told of it."""
         if self._config is None or self._ground is None:
             return None
-        return PlanningGoal(self._ground.targets, self._config.std_ppb, self._config.probability)
+        aim_ppb = self._config.std_ppb if self._certificate is None else self._certificate.aim_ppb
+        return PlanningGoal(self._ground.targets, aim_ppb, self._config.probability)
 
     @property
     def note(self) -> str:
@@ -107,8 +116,9 @@ class MissionGoal:
         return self._certificate is not None and self._certificate.holds
 
     def _certified(self, config: GoalConfig, ground: GoalGround) -> Certificate:
+        mixture, extent_m = ProcessMixture.of(self._belief.process), self._belief.grid.extent_m
         if ground.cells is None:
-            return certify(ProcessMixture.of(self._belief.process), ground.targets, config.std_ppb, config.probability)
+            return certify(mixture, ground.targets, config.std_ppb, config.probability, extent_m)
         std = np.where(ground.cells, self._belief.map.std_ppb, 0.0)
         row, column = np.unravel_index(int(np.argmax(std)), std.shape)
         cell_m = self._belief.grid.resolution_m
@@ -119,11 +129,13 @@ class MissionGoal:
             worst_at_m=((float(column) + 0.5) * cell_m, (float(row) + 0.5) * cell_m),
             share=float(np.mean(std[ground.cells] <= config.std_ppb)),
             weight=None,
+            likely_ppb=likely_distance(mixture, ground.targets, config.probability),
+            unseen=unseen_share(self._belief.places_m, ground.targets, extent_m),
+            most_unseen=ground.targets.most_unseen,
         )
         if stated.worst_ppb > config.std_ppb:
             return stated
-        mixture = ProcessMixture.of(self._belief.process)
-        return replace(stated, weight=certify(mixture, ground.targets, config.std_ppb, config.probability).weight)
+        return replace(stated, weight=certified_weight(mixture, ground.targets, config.std_ppb))
 
     @property
     def why(self) -> str:
@@ -140,12 +152,19 @@ class MissionGoal:
                 f"hyperparameters' probability ({config.probability:.1%} wanted); {config.probability:.1%} of {parts} "
                 f"{'are' if blocks else 'is'} within {found.within_ppb:.2f} ppb of the map"
             )
-        under = "" if found.weight is None else (
-            f", but under {found.weight:.1%} of the hyperparameters' probability ({config.probability:.1%} wanted)"
-        )  # fmt: skip
+        lacks = []
+        if found.weight is not None and found.weight < config.probability:
+            lacks.append(
+                f"under {found.weight:.1%} of the hyperparameters' probability ({config.probability:.1%} wanted)"
+            )
+        if found.likely_ppb > found.within_ppb:
+            lacks.append(f"likely within {found.likely_ppb:.2f} ppb of the map ({found.within_ppb:.2f} wanted)")
+        if found.unseen > found.most_unseen:
+            lacks.append(f"{found.unseen:.0%} unseen where samples are far ({found.most_unseen:.0%} wanted)")
         reach = f"{found.share:.1%} of {parts} {'reach' if blocks else 'reaches'} it"
         x, y = found.worst_at_m
-        return f"{head}: greatest {found.worst_ppb:.3f} ppb at ({x:.0f}, {y:.0f}) m, {reach}{under}"
+        but = f", but {', '.join(lacks)}" if lacks else ""
+        return f"{head}: greatest {found.worst_ppb:.3f} ppb at ({x:.0f}, {y:.0f}) m, {reach}{but}"
 
     def planned(self, planned: PlannedRound, now_known: int) -> list[LogRecord]:
         """Note what the planner foresees; a warning when the goal is found to be out of reach.
@@ -186,6 +205,8 @@ class MissionGoal:
             worst_ppb=None if found is None else found.worst_ppb,
             share=None if found is None else found.share,
             weight=None if found is None else found.weight,
+            likely_ppb=None if found is None else found.likely_ppb,
+            unseen=None if found is None else found.unseen,
             within_ppb=found.within_ppb if found is not None and holds else None,
             forecast=None if holds else self._forecast,
             text=text[:500],

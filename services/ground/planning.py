@@ -54,7 +54,7 @@ class RoundPlanning:
         interests: InterestAreas,
         planner: str | Planner | None = None,
         cost: TerrainCost | None = None,
-        goal: PlanningGoal | None = None,
+        goal: Callable[[], PlanningGoal | None] = lambda: None,
     ) -> None:
         """planner: in place of the scenario's. Raises InvalidInput for a plug-in planner that cannot be imported."""
         self._scenario = scenario
@@ -144,7 +144,7 @@ class RoundPlanning:
             options=options,
             outlook_m=self._outlook_m,
             cost=self._cost,
-            goal=self._goal,
+            goal=self._goal(),
             back_m=back_m,
         )
 

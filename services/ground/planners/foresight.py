@@ -26,6 +26,7 @@ def forecast_of(
     takes = f"{samples} more sample{'' if samples == 1 else 's'}"
     if not enough:
         text = f"with the {samples_left} samples left the greatest std is about {worst_ppb:.3f} ppb"
+        text += f"; the goal takes {std_ppb:.3f}"
     elif metres > budget_m:
         text = f"it takes about {takes} and {metres:,.0f} {unit}, of {budget_m:,.0f} {unit} left"
     else:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import binom, norm
 
-from he3.certificate import Targets, blocks_of, certify, places_of
+from he3.certificate import UNLIKE, Targets, blocks_of, certify, likely_distance, places_of
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
@@ -58,34 +59,72 @@ def test_the_blocks_together_are_the_site() -> None:
 
 
 def test_the_goal_holds_from_the_worst_standard_deviation_on_and_not_below_it() -> None:
-    targets, known = places_of(GRID, np.ones(GRID.shape, dtype=bool)), mixture((1.0, 1e-12))
-    worst = certify(known, targets, 1.0, 0.95).worst_ppb
-    assert certify(known, targets, worst, 0.95).holds
-    below = certify(known, targets, 0.99 * worst, 0.95)
+    targets, known = Targets(PLACES[:, None] + 12.0), mixture((1.0, 1e-12))
+    worst = certify(known, targets, 1.0, 0.95, GRID.extent_m).worst_ppb
+    at_worst = certify(known, targets, worst, 0.5, GRID.extent_m)
+    assert at_worst.holds
+    below = certify(known, targets, 0.99 * worst, 0.5, GRID.extent_m)
     assert not below.holds
     assert 0.0 < below.share < 1.0
 
 
 def test_kernels_under_which_the_goal_fails_count_with_their_weight() -> None:
-    near = Targets(PLACES[:, None] + 12.0)  # where the rough kernel knows less
+    near = Targets(PLACES[:1, None] + 12.0)  # where the rough kernel knows less
     for rough, holds in ((0.04, True), (0.06, False)):
         known = mixture((1.0 - rough, rough))
         smooth_std, rough_std = (near.moments(process)[1].max() for process in known.processes)
         goal = 0.5 * (smooth_std + rough_std)
-        found = certify(known, near, goal, 0.95)
+        found = certify(known, near, goal, 0.95, GRID.extent_m)
         assert found.worst_ppb < goal  # the mixture alone would be content
         assert found.weight == pytest.approx(1.0 - rough)
-        assert found.holds is holds
+        assert bool(found.holds) is holds
 
 
 def test_the_stated_standard_deviation_is_the_mixtures() -> None:
     targets, known = places_of(GRID, np.ones(GRID.shape, dtype=bool)), mixture((0.5, 0.5))
-    assert certify(known, targets, 1.0, 0.5).worst_ppb == pytest.approx(known.predict(targets.centres_m)[1].max())
+    found = certify(known, targets, 1.0, 0.5, GRID.extent_m)
+    assert found.worst_ppb == pytest.approx(known.predict(targets.centres_m)[1].max())
 
 
 def test_the_promise_is_the_normal_interval_of_the_probability() -> None:
-    found = certify(mixture(), places_of(GRID, np.ones(GRID.shape, dtype=bool)), 0.5, 0.95)
+    found = certify(mixture(), places_of(GRID, np.ones(GRID.shape, dtype=bool)), 0.5, 0.95, GRID.extent_m)
     assert found.within_ppb == pytest.approx(1.959964 * 0.5)
+
+
+def test_the_likely_distance_of_one_place_is_its_normal_interval() -> None:
+    one = Targets(np.array([[[150.0, 100.0]]]))
+    known = mixture((1.0, 1e-12))
+    std = one.moments(known.processes[0])[1][0]
+    assert likely_distance(known, one, 0.95) == pytest.approx(UNLIKE * 1.96 * std, rel=0.06)
+
+
+def test_the_likely_distance_of_places_that_tell_nothing_of_each_other_is_binomial() -> None:
+    far = Targets(np.stack(np.meshgrid(np.arange(5) * 1e4, np.arange(4) * 1e4), axis=-1).reshape(20, 1, 2) + 1e5)
+    known = mixture((1.0, 1e-12), trend=False)
+    std = far.moments(known.processes[0])[1][0]
+    within = likely_distance(known, far, 0.9) / std / UNLIKE
+    assert binom.sf(17, 20, 2.0 * norm.cdf(within) - 1.0) == pytest.approx(0.9, abs=0.03)
+
+
+def test_targets_that_miss_together_take_a_stricter_aim_than_the_goal() -> None:
+    far = Targets(np.array([[[1e5, 0.0]], [[2e5, 0.0]], [[3e5, 0.0]], [[4e5, 0.0]]]))
+    found = certify(mixture((1.0, 1e-12)), far, 9.0, 0.9, 1e6)
+    assert found.likely_ppb > 1.645 * found.worst_ppb
+    assert found.aim_ppb == pytest.approx(9.0 * 1.645 * found.worst_ppb / found.likely_ppb, rel=1e-3)
+    assert certify(mixture((1.0, 1e-12)), Targets(PLACES[:, None]), 0.5, 0.95, 300.0).aim_ppb <= 0.5
+
+
+def test_an_area_in_which_the_rover_has_been_in_one_corner_is_not_certified_whatever_it_found() -> None:
+    targets = places_of(GRID, np.ones(GRID.shape, dtype=bool))
+    known = Hyperparameters(SquaredExponential(1e-4, 900.0), 0.1, 7.5, 1.5)
+    lattice = np.stack(np.meshgrid((np.arange(6) + 0.5) * 50.0, (np.arange(4) + 0.5) * 50.0), axis=-1).reshape(-1, 2)
+    for places, holds in ((lattice, True), (lattice / 3.0, False)):
+        belief = ProcessMixture.of(GaussianProcess(known).condition(places, np.full(len(places), 7.5)))
+        found = certify(belief, targets, 0.5, 0.95, GRID.extent_m)
+        assert found.worst_ppb < 0.1
+        assert found.likely_ppb < 0.1
+        assert (found.unseen <= found.most_unseen) is holds
+        assert bool(found.holds) is holds
 
 
 def test_many_cells_are_thinned_evenly_and_an_area_keeps_its_own() -> None:

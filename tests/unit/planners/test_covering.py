@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from he3.certificate import Targets, blocks_of, places_of
+from he3.certificate import MOST_UNSEEN_PLACE, Targets, blocks_of, places_of, unseen_share
 from he3.cover import CoverProblem
 from he3.frames import SiteGrid
 from he3.gp import Hyperparameters
@@ -126,10 +126,19 @@ def test_where_the_goal_holds_already_for_the_planner_one_sample_is_taken_where_
     assert np.linalg.norm(sample - unknown) < 25.0
 
 
+def test_what_the_samples_seem_to_make_known_is_looked_at_all_over_the_site() -> None:
+    corner = np.stack(np.meshgrid((np.arange(4) + 0.5) * 25.0, (np.arange(4) + 0.5) * 25.0), axis=-1).reshape(-1, 2)
+    answer = plan("tour", request(everywhere(5.0), observed_m=corner, start_m=(37.5, 37.5)))
+    assert (
+        unseen_share(np.vstack((corner, answer.samples_m)), everywhere(5.0).targets, GRID.extent_m) <= MOST_UNSEEN_PLACE
+    )
+
+
 def test_the_kernels_to_satisfy_have_the_probability_and_leave_out_the_most_uncertain() -> None:
     belief = replace(BELIEF, alternatives=((0.5, SMOOTH), (0.46, ROUGH), (0.04, Matern12(9.0, 5.0))))
-    assert [one.kernel for one in kernels_to_satisfy(belief, everywhere(0.7), NONE)] == [SMOOTH, ROUGH]
-    assert len(kernels_to_satisfy(belief, everywhere(0.7, 0.97), NONE)) == 3
+    *learned, _ = kernels_to_satisfy(belief, everywhere(0.7), NONE, GRID.extent_m)
+    assert [one.kernel for one in learned] == [SMOOTH, ROUGH]
+    assert len(kernels_to_satisfy(belief, everywhere(0.7, 0.97), NONE, GRID.extent_m)) == 4
     goal = everywhere(0.85)
     answer = plan("tour", request(goal, hyperparameters=belief))
     for kernel in (SMOOTH, ROUGH):

@@ -5,7 +5,8 @@ where the goal holds with room to spare, and down the excess of the variance whe
 needed least is left out and the others close the gap; as long as they can, that is repeated. Last, each place slides
 along its tour's short cuts. What is shorter and still holds is kept.
 
-The goal is to hold under kernels that together have the goal's probability: those under which it holds soonest.
+The goal is to hold under kernels that together have the goal's probability, those under which it holds soonest, and
+enough is to be seen of a field as it is thought to be before landing (``he3.certificate``).
 If the samples that are left do not suffice for all of them, the heaviest kernel alone decides; if they do not suffice
 for that either, there is no cover, and `tour` plans as without a goal: what is learned then may show a way.
 """
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from he3.certificate import Targets
+from he3.certificate import Targets, thought_before_landing
 from he3.cover import CoverProblem
 from he3.i_optimal_design import field_nodes
 from he3.mixture import alternatives_of, heaviest_of
@@ -71,7 +72,7 @@ class Covering:
 def covering(request: PlanningRequest, goal: PlanningGoal, site: Site, budget_m: float) -> Covering:
     """The cover for the rest of the mission with what it is expected to take. budget_m: as the request's."""
     left, sampled = request.samples_left, request.observed_m
-    kernels = kernels_to_satisfy(request.hyperparameters, goal, sampled)
+    kernels = kernels_to_satisfy(request.hyperparameters, goal, sampled, request.grid.extent_m)
     places, worst = cover(kernels, goal, site, sampled, left, _former(request))
     found = worst <= 1.0
     metres = tour_metres(site, places) if found else 0.0
@@ -89,8 +90,8 @@ def foreseen(request: PlanningRequest, goal: PlanningGoal) -> GoalForecast:
     """What a greedy cover takes, for planners that foresee nothing. Raises NoRoute for a rover that is walled in."""
     nodes = field_nodes(request.grid, request.interest)
     site = reachable_site(request.grid, request.traversable, request.start_m, nodes, request.cost)
-    kernels = kernels_to_satisfy(request.hyperparameters, goal, request.observed_m)
-    problem = CoverProblem(kernels, request.observed_m, _thinned(goal.targets, TARGETS), goal.std_ppb)
+    kernels = kernels_to_satisfy(request.hyperparameters, goal, request.observed_m, request.grid.extent_m)
+    problem = CoverProblem(kernels, request.observed_m, goal.targets.thinned(TARGETS), goal.std_ppb)
     places = problem.added(np.zeros((0, 2)), _candidates(site, goal.targets), request.samples_left)
     worst = float(np.sqrt(max(0.0, 1.0 + problem.excess(places).max())))
     metres = tour_metres(site, in_order(site, places)) if len(places) and worst <= 1.0 + _ALMOST else 0.0
@@ -100,11 +101,14 @@ def foreseen(request: PlanningRequest, goal: PlanningGoal) -> GoalForecast:
 
 
 def kernels_to_satisfy(
-    hyperparameters: Hyperparameters, goal: PlanningGoal, sampled_m: FloatArray
+    hyperparameters: Hyperparameters, goal: PlanningGoal, sampled_m: FloatArray, extent_m: float
 ) -> list[Hyperparameters]:
-    """The kernels of the mixture, the least uncertain first, until they have the goal's probability together."""
+    """The kernels of the mixture, the least uncertain first, until they have the goal's probability together.
+
+    The last one is what is thought of the field before landing on a site of that width.
+    """
     each = alternatives_of(hyperparameters)
-    thinned = _thinned(goal.targets, TARGETS // 4)
+    thinned = goal.targets.thinned(TARGETS // 4)
     worst = [
         float(CoverProblem([one], sampled_m, thinned, goal.std_ppb).excess(np.zeros((0, 2))).max()) for _, one in each
     ]
@@ -114,7 +118,7 @@ def kernels_to_satisfy(
         weight += each[number][0]
         if weight >= goal.probability:
             break
-    return chosen
+    return [*chosen, thought_before_landing(goal.targets, goal.std_ppb, extent_m)]
 
 
 def cover(
@@ -342,7 +346,3 @@ def _candidates(site: Site, targets: Targets) -> FloatArray:
         thinned[step // 2 :: step, step // 2 :: step] = reachable[step // 2 :: step, step // 2 :: step]
     places: FloatArray = (np.argwhere(thinned)[:, ::-1].astype(np.float64) + 0.5) * grid.resolution_m
     return places
-
-
-def _thinned(targets: Targets, most: int) -> Targets:
-    return Targets(targets.points_m[:: -(-len(targets) // most)])
