@@ -21,6 +21,7 @@ from schemas.topics import PLAN
 from services.ground.excursions import Excursions
 from services.ground.fitting import fit
 from services.ground.mission_end import MissionEnd
+from services.ground.recall import RoundRecall
 from services.ground.rejections import PlanRejections
 from services.ground.terrain import GroundTerrain, leads_through
 from services.mission.mission_time import MissionTime, seconds
@@ -103,6 +104,7 @@ class Director:
         self._rejections = PlanRejections()
         self._end = MissionEnd()
         self._goal = goal
+        self.recall = RoundRecall()
         self._next_start_m: Place | None = scenario.start_m
         """Where the next round begins; None: at the end of the chain."""
         self._stateful: dict[str, Stateful] = {
@@ -118,6 +120,7 @@ class Director:
             "excursions": self._excursions,
             "rejections": self._rejections,
             "end": self._end,
+            "recall": self.recall,
         }
         """The parts of which the director is made, each with a state of its own."""
 
@@ -251,6 +254,10 @@ class Director:
                 self._next_start_m = self._execution.place_m
         return self._advance(now)
 
+    def command_ended(self, command_id: str, carried_out: bool, now: MissionTime) -> list[Effect]:
+        """Handle the end of a command: after a recall the mission may end, or another recall may be due."""
+        return self._advance(now) if self.recall.ended(command_id, carried_out) else []
+
     def send_back(self, now: MissionTime) -> list[Effect]:
         """Plan the round again whose plan the operator does not approve."""
         self._planning.send_back()
@@ -312,8 +319,7 @@ class Director:
             return [fit]
         if self._goal.holds():
             self._planning.cancel()
-            self._end.goal_reached(self._goal.why)
-            return [LogRecord(Level.INFO, self._goal.why), self._finish()]
+            return self._end_with_goal()
         if self._planning.busy:
             return []
         if not self._end.nothing_more_to_plan and self._samples_wanted > 0:
@@ -324,6 +330,17 @@ class Director:
             if effects:
                 return effects
         return self._end_if_over()
+
+    def _end_with_goal(self) -> list[Effect]:
+        """End the mission, or first recall what the rover has on board, and wait for all that it has measured."""
+        log = self._round_log
+        recalled = log.executing or next(iter(log.not_begun), None)
+        if recalled is not None and recalled.pending and self.recall.want(recalled):
+            return [LogRecord(Level.INFO, f"round {recalled.number} is recalled: {self._goal.why}")]
+        if log.open_rounds or self.recall.under_way:
+            return []
+        self._end.goal_reached(self._goal.why)
+        return [LogRecord(Level.INFO, self._goal.why), self._finish()]
 
     @property
     def _samples_missing(self) -> int:
@@ -393,7 +410,10 @@ class Director:
         """End the mission with the samples it has, because nothing more will arrive."""
         if self.ended:
             return []
-        self._end.give_up_planning(why, failed=self._samples_missing > 0)
+        if self._goal.holds():
+            self._end.goal_reached(f"{self._goal.why}; {why}")
+        else:
+            self._end.give_up_planning(why, failed=self._samples_missing > 0)
         return [self._finish()]
 
     def _end_if_over(self) -> list[Effect]:

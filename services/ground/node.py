@@ -210,6 +210,7 @@ class GroundNode:
             case QueryReceived(topic, _, token) if topic is FORK:
                 return [SendReply(token, self._forking.fork(self.checkpoint(), self._status.rover, now))]
         effects = list(self._changed_by(event, now))
+        effects += self._telecommands.recall(now)
         effects += [
             self._operations.planned(effect.body, now)
             for effect in effects

@@ -25,7 +25,7 @@ from schemas.topics import COMMAND, COMMAND_STATUS, LINK_SHOW
 from services.ground.authority import CommandAuthority
 from services.ground.command_history import LOOK_AGAIN_S, CommandHistory
 from services.mission.mission_time import MissionTime, seconds
-from services.runtime.node import Effect, RefuseQuery, Send, SendQuery, SendReply, SetTimer
+from services.runtime.node import Effect, Level, LogRecord, RefuseQuery, Send, SendQuery, SendReply, SetTimer
 
 if TYPE_CHECKING:
     from services.ground.director import Director
@@ -75,9 +75,25 @@ class TelecommandHandler:
             yield RefuseQuery(token, str(error))
             return
         yield SendReply(token, status)
-        if not new:
+        if new:
+            self._authority.commanded(command, now)
+            yield from self._sent(status, now)
+
+    def recall(self, now: MissionTime) -> Iterable[Effect]:
+        """Send the command that recalls the rover's rounds, if the director wants one."""
+        command = self._director.recall.due()
+        if command is None:
             return
-        self._authority.commanded(command, now)
+        try:
+            status, _ = self._history.issue(command, now)
+        except InvalidInput as error:
+            yield LogRecord(Level.WARNING, f"the rounds on board are not recalled: {error}")
+            yield from self._director.command_ended(command.command_id, False, now)
+            return
+        yield from self._sent(status, now)
+
+    def _sent(self, status: CommandStatus, now: MissionTime) -> Iterable[Effect]:
+        command = status.command
         yield Send(COMMAND, command)
         yield from self.look()
         overdue = self._history.overdue_at(command)
@@ -105,6 +121,8 @@ class TelecommandHandler:
         command = status.command
         if report.stage in ENDS:
             yield from self._set_keep_out(command, now)
+            carried_out = report.stage is CommandStage.COMPLETED
+            yield from self._director.command_ended(command.command_id, carried_out, now)
         if command.kind in _EXCURSIONS:
             yield from self._follow_excursion(status, report.stage, now)
 

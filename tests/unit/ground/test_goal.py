@@ -10,10 +10,10 @@ import pytest
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.reference import Region
-from schemas.commands import NoParameters
+from schemas.commands import CommandKind, CommandStage, NoParameters
 from schemas.ground import MissionPhase
 from schemas.mission_log import LogKind
-from schemas.topics import SHOW_LOG
+from schemas.topics import LIST_COMMANDS, SHOW_LOG
 from services.ground.belief import Belief
 from services.ground.fitting import fit
 from services.ground.goal import MissionGoal
@@ -23,15 +23,17 @@ from services.ground.planners.interface import PlannedRound
 from services.ground.state_types import STATE_TYPES
 from services.mission.in_process import InProcessMission, build_nodes
 from services.mission.scenario import Scenario, checked_scenario
+from services.rover.node import RoverNode
 from services.runtime.state_codec import StateCodec
 
 GRID = SiteGrid(30, 40, 5.0)
 
 
-def scenario(goal: dict[str, Any], **ground: Any) -> Scenario:
+def scenario(goal: dict[str, Any], link: dict[str, Any] | None = None, **ground: Any) -> Scenario:
     document = {
         "name": "goal", "region": "unused.npz", "rounds": 8, "samples_per_round": 4, "start_m": [7.5, 7.5],
         "ground": {"planner": "rrtstar", "kernel": "se", "goal": goal, **ground},
+        "link": {"up": link or {}, "down": link or {}},
     }  # fmt: skip
     return checked_scenario(document, "test")
 
@@ -95,7 +97,7 @@ def test_what_a_checkpoint_keeps_of_it_is_restored() -> None:
     again.restore(codec.decode(codec.encode(goal.checkpoint())))
     assert again.status() == goal.status()
     assert again.news() == goal.news()
-    told = codec.decode(codec.encode(goal.for_planners))
+    told = codec.decode(codec.encode(goal.for_planners()))
     assert told.std_ppb == 0.9
 
 
@@ -160,3 +162,35 @@ def test_a_mission_ends_as_soon_as_its_goal_holds() -> None:
     forecast = [entry for entry in mission.ask(SHOW_LOG, NoParameters()).entries if entry.kind is LogKind.GOAL]
     assert forecast[-1].text == status.goal.text
     assert status.detail.startswith(f"{status.samples} of 32 samples are in the map; the goal holds: std at most 0.8")
+
+
+LINKS = {
+    "no-light-time": {"one_way_light_time_s": 0.0},
+    "a-lossy-minute": {
+        "one_way_light_time_s": 60.0, "loss": 0.3, "duplicate": 0.1, "reorder": 0.1, "corrupt": 0.05, "jitter_s": 5.0,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("link", LINKS.values(), ids=list(LINKS))
+def test_the_rounds_on_board_are_recalled_when_the_goal_holds_and_nothing_measured_is_lost(
+    link: dict[str, float],
+) -> None:
+    corner = [[5.0, 5.0], [65.0, 5.0], [65.0, 65.0], [5.0, 65.0]]
+    goal = {"std_ppb": 0.9, "area": corner}
+    chosen = scenario(goal, link, planner="informative", pipeline=2, hyperparameters="ml")
+    nodes = build_nodes(chosen, region())
+    mission = InProcessMission(chosen, nodes=nodes)
+    assert mission.run(until_s=1e6) is MissionPhase.COMPLETED
+    status = mission.status
+    assert status is not None
+    assert status.goal is not None
+    assert status.goal.holds
+    (recalled,) = mission.ask(LIST_COMMANDS, NoParameters()).commands
+    assert recalled.command.kind is CommandKind.ABORT_ROUND
+    assert recalled.end is not None
+    assert recalled.end.stage is CommandStage.COMPLETED
+    rover = next(node for node in nodes if isinstance(node, RoverNode))
+    on_board = rover.checkpoint()["executive"]["plan_queue"]
+    assert not on_board["on_board"]
+    assert status.samples == len(on_board["measured"]) < 4 * on_board["plan"].rounds[-1].round
