@@ -153,7 +153,7 @@ def flown(chosen: Scenario) -> InProcessMission:
 
 
 def test_a_mission_ends_as_soon_as_its_goal_holds() -> None:
-    mission = flown(scenario({"std_ppb": 0.8}, planner="informative"))
+    mission = flown(scenario({"std_ppb": 0.8}, planner="informative", hyperparameters="ml"))
     status = mission.status
     assert status is not None
     assert status.goal is not None
