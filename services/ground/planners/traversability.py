@@ -42,7 +42,6 @@ class OpenGround:
         distance = ndimage.distance_transform_cdt(padded, metric="chessboard")[1:-1, 1:-1]
         self.clearance = np.minimum(distance, 255).astype(np.uint8)
         """(rows, columns): chessboard distance to the nearest closed or outside cell [cells]; 0 for a closed cell."""
-        self._by_column = np.ascontiguousarray(self.clearance.T)
 
     def is_open(self, points_m: FloatArray) -> BoolArray:
         """Whether each of the places (N, 2) [m] lies in the region and in a traversable cell, (N,)."""
@@ -88,15 +87,13 @@ class OpenGround:
             raise InvalidInput(f"expected as many ends as starts of legs, got {a.shape} and {b.shape}")
         p, q = a / self.grid.resolution_m, b / self.grid.resolution_m
         steep = np.abs(q[:, 1] - p[:, 1]) > np.abs(q[:, 0] - p[:, 0])
-        free = np.empty(len(a), dtype=np.bool_)
-        # The longer axis comes first: x for flat legs, whose clearance is indexed [x, y], and y for steep ones.
-        free[~steep] = _march(self._by_column, p[~steep], q[~steep])
-        free[steep] = _march(self.clearance, p[steep][:, ::-1], q[steep][:, ::-1])
-        return free
+        # The longer axis comes first: x for flat legs, and y for steep ones.
+        p[steep], q[steep] = p[steep][:, ::-1], q[steep][:, ::-1]
+        return _march(self.clearance, steep, p, q)
 
     def segment_check(self) -> SegmentCheck:
         """A function that checks one leg, for planners that make tens of thousands of checks per second."""
-        return _scalar_check(self.grid, self.clearance.tobytes(), self._by_column.tobytes())
+        return _scalar_check(self.grid, self.clearance.tobytes(), self.clearance.T.tobytes())
 
 
 def open_ground(grid: SiteGrid, traversable: BoolArray) -> OpenGround:
@@ -114,35 +111,44 @@ def _open_ground(grid: SiteGrid, traversable: bytes) -> OpenGround:
     return OpenGround(grid, np.frombuffer(traversable, dtype=np.bool_).reshape(grid.shape))
 
 
-def _march(clearance: NDArray[np.uint8], p: FloatArray, q: FloatArray) -> BoolArray:
+def _march(clearance: NDArray[np.uint8], steep: BoolArray, p: FloatArray, q: FloatArray) -> BoolArray:
     """Whether each leg from p (N, 2) to q (N, 2) [cells], longer axis first, touches only open cells, (N,).
 
-    clearance: indexed [first coordinate, second coordinate].
+    clearance: (rows, columns). steep: (N,), whether the longer axis is that of the rows.
     """
-    n, m = clearance.shape
-    inside: BoolArray = (np.minimum(p, q) >= 0.0) & (np.maximum(p, q) <= (n, m))
+    rows, columns = int(clearance.shape[0]), int(clearance.shape[1])
+    n, m = np.where(steep, rows, columns), np.where(steep, columns, rows)
+    inside: BoolArray = (np.minimum(p, q) >= 0.0) & (np.maximum(p, q) <= np.column_stack((n, m)))
     free = inside[:, 0] & inside[:, 1]
     forward = (p[:, 0] <= q[:, 0])[:, None]
     low, high = np.where(forward, p, q), np.where(forward, q, p)
-    extent = high[:, 0] - low[:, 0]
-    slope = (high[:, 1] - low[:, 1]) / np.where(extent > 0.0, extent, 1.0)
-    slab = np.maximum(np.floor(low[:, 0] - TOUCH), 0.0).astype(np.intp)
-    last = np.minimum(np.floor(high[:, 0] + TOUCH), n - 1).astype(np.intp)
-    alive = np.flatnonzero(free & (slab <= last))
-    while alive.size:
-        i, x0, x1, y0, s = slab[alive], low[alive, 0], high[alive, 0], low[alive, 1], slope[alive]
+    x0, x1, y0 = low[:, 0], high[:, 0], low[:, 1]
+    extent = x1 - x0
+    s = (high[:, 1] - y0) / np.where(extent > 0.0, extent, 1.0)
+    i = np.maximum(np.floor(x0 - TOUCH), 0.0).astype(np.intp)
+    last = np.minimum(np.floor(x1 + TOUCH), n - 1).astype(np.intp)
+    cells = clearance.reshape(-1)
+    # Cells between neighbours along the longer axis, and across it.
+    along, across = np.where(steep, columns, 1), np.where(steep, 1, columns)
+    alive, going = np.arange(len(p)), free & (i <= last)
+    while True:
+        if not going.all():  # few legs end at any one slab
+            alive, i, last, m = alive[going], i[going], last[going], m[going]
+            x0, x1, y0, s, along, across = x0[going], x1[going], y0[going], s[going], along[going], across[going]
+        if not alive.size:
+            return free
         ya = y0 + s * (np.minimum(np.maximum(x0, i), x1) - x0)
         yb = y0 + s * (np.maximum(np.minimum(x1, i + 1), x0) - x0)
         first = np.maximum(np.floor(np.minimum(ya, yb) - TOUCH), 0.0).astype(np.intp)
         final = np.minimum(np.floor(np.maximum(ya, yb) + TOUCH), m - 1).astype(np.intp)
-        room = clearance[i, first].astype(np.intp)
+        at = i * along + first * across
+        room = cells[at].astype(np.intp)
+        width = final - first
         # A slab of a leg no steeper than one cell a cell crosses at most three cells.
-        middle = np.minimum(first + 1, final)
-        blocked = (room == 0) | (clearance[i, middle] == 0) | (clearance[i, final] == 0)
+        blocked = (room == 0) | (cells[at + np.minimum(width, 1) * across] == 0) | (cells[at + width * across] == 0)
         free[alive[blocked]] = False
-        slab[alive] = i + np.maximum(room - (final - first), 1)
-        alive = alive[~blocked & (slab[alive] <= last[alive])]
-    return free
+        i = i + np.maximum(room - width, 1)
+        going = ~blocked & (i <= last)
 
 
 def _scalar_check(grid: SiteGrid, by_row: bytes, by_column: bytes) -> SegmentCheck:
