@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from schemas.codec import header_of
+from schemas.codec import Passed, header_of
 from schemas.commands import CommandKind
 from schemas.topics import COMMAND, Custody, Latest, Topic
 from schemas.wire import MAX_COUNT, printable
@@ -90,6 +91,9 @@ def _distinct(service: Latest, payload: bytes) -> tuple[str, ...]:
 
 def _body_value(payload: bytes, name: str) -> Any:
     """That field of the body as it is in the payload, unchecked; '?' if it cannot be read."""
+    if isinstance(payload, Passed):
+        value = getattr(payload.body, name, "?")
+        return value.value if isinstance(value, Enum) else value
     try:
         return json.loads(payload)["body"][name]
     except (ValueError, TypeError, KeyError, IndexError, RecursionError):

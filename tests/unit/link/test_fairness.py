@@ -6,10 +6,10 @@ from random import Random
 
 import pytest
 
-from schemas.codec import encode
+from schemas.codec import encode, passed
 from schemas.commands import CommandKind, Telecommand
-from schemas.link import DirectionConditions, LinkConditions
-from schemas.topics import COMMAND, PLAN, Topic
+from schemas.link import Acknowledgement, DirectionConditions, LinkConditions
+from schemas.topics import ACK_UP, COMMAND, PLAN, Topic
 from schemas.wire import Header
 from services.link.channel import Channel, Limits
 from services.link.contact import Contact
@@ -82,3 +82,13 @@ def test_a_flow_in_flight_is_bounded_and_leaves_room_for_the_others() -> None:
     link.arrived(START + 10**10)
     link.offer(packet(2_000, size=50_000), START + 10**10)
     assert len(link.flights()) == 1, "what arrived has made room"
+
+
+def test_a_message_passed_as_objects_is_the_same_packet_as_one_that_is_parsed() -> None:
+    header = Header(mission="m", source="ground", incarnation=2, sequence=5, made_at=9)
+    ack = Acknowledgement(stream="tm/event", source="rover", incarnation=3, next_sequence=7)
+    safe = Telecommand(command_id="c", kind=CommandKind.SAFE)
+    for topic, body in ((ACK_UP, ack), (COMMAND, safe)):
+        parsed, of_objects = (packet_of(topic, make(header, body), 9, 1) for make in (encode, passed))
+        assert parsed == of_objects
+    assert of_objects.urgent
