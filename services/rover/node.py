@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from he3 import constants
 from he3.frames import Place, SiteGrid
+from schemas.telemetry import RoverMode
 from schemas.topics import COMMAND, MEASURE, PLAN, STATE, TERRAIN, Side
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.mission_time import MissionTime, seconds
@@ -30,12 +31,15 @@ from services.runtime.node import (
 )
 
 if TYPE_CHECKING:
-    from schemas.telemetry import RoverMode
+    from schemas.telemetry import RoverState
     from services.mission.scenario import RoverConfig, Scenario
     from services.runtime.node import SavedState
 
 REPORT_STATE: Final = "state"
 """Timer: report the state again."""
+
+WORK: Final = frozenset({RoverMode.DRIVING, RoverMode.DRILLING, RoverMode.ANALYSING})
+"""Modes between which the rover changes as it works, several times a sample."""
 
 
 class RoverNode:
@@ -48,8 +52,13 @@ class RoverNode:
         start_m: Place,
         start: MissionTime,
         keep_outs: Mapping[str, Sequence[Place]] | None = None,
+        reports_steps: bool = True,
     ) -> None:
-        """keep_outs: corners [m] of the areas closed from the beginning, by their ids."""
+        """keep_outs: corners [m] of the areas closed from the beginning, by their ids.
+
+        reports_steps: whether the state is reported between one step of the work and the next, too.
+        """
+        self._reports_steps = reports_steps
         self._queue_depth = 0
         """Messages not yet acknowledged by the ground."""
         self._config = config
@@ -82,8 +91,14 @@ class RoverNode:
             case Started():
                 self._start(now)
         if self._reported is not executive.mode:
-            self._report_state(now)
+            if self._reports_steps or self._reported not in WORK or executive.mode not in WORK:
+                self._report_state(now)
+            self._reported = executive.mode
         return executive.effects.copy()
+
+    def state(self, now: MissionTime) -> RoverState:
+        """The state at that time, as it would be reported."""
+        return self._executive.report_state(now, self._queue_depth)
 
     def _start(self, now: MissionTime) -> None:
         """Reports the state. After a restart the timers and queries of the earlier start still stand."""
@@ -115,7 +130,7 @@ class RoverNode:
 
     def _report_state(self, now: MissionTime) -> None:
         self._reported = self._executive.mode
-        self._executive.effects.append(Send(STATE, self._executive.report_state(now, self._queue_depth)))
+        self._executive.effects.append(Send(STATE, self.state(now)))
 
     # --- checkpoints ----------------------------------------------------------------------------------------------
 
@@ -144,11 +159,15 @@ class RoverNode:
         self._queue_depth, self._reported, self._running = state["queue_depth"], state["reported"], state["running"]
 
 
-def build_node(scenario: Scenario, site: SiteGrid | None = None) -> RoverNode:
-    """The rover of that scenario. site: the extent of its region, read from the region if it is not given."""
+def build_node(scenario: Scenario, site: SiteGrid | None = None, *, reports_steps: bool = True) -> RoverNode:
+    """The rover of that scenario. site: the extent of its region, read from the region if it is not given.
+
+    reports_steps: see `RoverNode`.
+    """
     if site is None:
         site = _site_of(scenario)
-    return RoverNode(scenario.rover, site, scenario.start_m, scenario.start_ns, scenario.ground.keep_outs)
+    keep_outs = scenario.ground.keep_outs
+    return RoverNode(scenario.rover, site, scenario.start_m, scenario.start_ns, keep_outs, reports_steps)
 
 
 def _site_of(scenario: Scenario) -> SiteGrid:

@@ -43,6 +43,16 @@ def test_a_round_is_driven_drilled_analysed_and_reported():
     assert not moon.finished
 
 
+def test_a_rover_that_does_not_report_its_steps_reports_when_it_begins_and_ends_to_work():
+    moon = Moon()
+    moon.rover = RoverNode(moon.config, GRID, START, 0, reports_steps=False)
+    moon.plan(plan_of(1, round_plan(1, [(5.5, 5.5), (15.5, 5.5), (15.5, 15.5)], (10.5, 5.5), (15.5, 10.5))))
+    moon.run()
+    assert moon.modes() == ["idle", "driving", "parked"]
+    assert moon.kinds() == ["plan_accepted", "round_started", "round_completed", "parked"]
+    assert moon.rover.state(moon.now) == moon.state
+
+
 def test_the_rover_scans_each_section_once_before_it_drives_it():
     moon = Moon()
     moon.plan(plan_of(1, east(1, 5.5, 40.5)))
