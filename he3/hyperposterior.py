@@ -96,29 +96,43 @@ def infer_hyperparameters(
     return _mixed(families, xy, prior.extent_m)
 
 
-def draw_hyperparameters(
-    xy_m: FloatArray,
-    values_ppb: FloatArray,
-    kernel_name: str,
-    prior: Hyperprior,
-    random: np.random.Generator,
-    *,
-    noise_std_ppb: float,
-    trend: CovariateTrend | None = None,
-    previous: Hyperparameters | None = None,
-) -> Hyperparameters:
-    """One draw from the posterior whose few representatives ``infer_hyperparameters`` returns; the same arguments.
+@dataclass(frozen=True, slots=True, eq=False)
+class HyperparameterDraws:
+    """The posterior whose few representatives ``infer_hyperparameters`` returns, to draw from.
 
     The representatives have the moments of the map, but most of their weight is on one or two of them: what follows
     from the kernel in other ways varies less among them than in the posterior.
     """
+
+    fitted: Hyperparameters
+    kernels: list[Kernel]
+    noises: FloatArray
+    """Variances (N,) in standardised units."""
+    shares: FloatArray
+    """(N,), of which the sum is 1."""
+
+    def draw(self, random: np.random.Generator) -> Hyperparameters:
+        """One draw."""
+        number = int(random.choice(len(self.shares), p=self.shares))
+        noise_ppb = self.fitted.scale_ppb * math.sqrt(self.noises[number])
+        return replace(self.fitted, kernel=self.kernels[number], noise_std_ppb=noise_ppb, log_likelihood=math.nan)
+
+
+def hyperparameter_draws(
+    xy_m: FloatArray,
+    values_ppb: FloatArray,
+    kernel_name: str,
+    prior: Hyperprior,
+    *,
+    noise_std_ppb: float,
+    trend: CovariateTrend | None = None,
+    previous: Hyperparameters | None = None,
+) -> HyperparameterDraws:
+    """The posterior to draw from; arguments and errors of ``infer_hyperparameters``."""
     xy, families = _families(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
     points = _points(families, xy, prior.extent_m)
     shares = np.exp(points.log_weights - np.logaddexp.reduce(points.log_weights))
-    number = int(random.choice(len(shares), p=shares))
-    fitted = families[0][0].fitted
-    noise_ppb = fitted.scale_ppb * math.sqrt(points.noises[number])
-    return replace(fitted, kernel=points.kernels[number], noise_std_ppb=noise_ppb, log_likelihood=math.nan)
+    return HyperparameterDraws(families[0][0].fitted, points.kernels, points.noises, shares)
 
 
 def _families(

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
-from he3.hyperposterior import draw_hyperparameters, infer_hyperparameters
+from he3.hyperposterior import hyperparameter_draws, infer_hyperparameters
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
+    from he3.hyperposterior import HyperparameterDraws
     from he3.hyperprior import Hyperprior
     from he3.trend import CovariateTrend
 
@@ -21,7 +22,7 @@ class FitRequest:
     """The input of a refit: places (n, 2) [m], values (n,) [ppb], previous hyperparameters, extent of the site [m].
 
     prior: of the hyperparameters; None for those of maximum likelihood. whole: whether the alternatives are inferred
-    too, or kept as they were.
+    too, or kept as they were. nearby: whether the one kernel is searched from the previous one alone.
     """
 
     xy_m: FloatArray
@@ -34,6 +35,7 @@ class FitRequest:
     extent_m: float
     prior: Hyperprior | None = None
     whole: bool = True
+    nearby: bool = False
 
 
 MORE_SAMPLES = 1.25  # 1, ratio of the samples from which alternatives are inferred and those of the time before
@@ -60,26 +62,33 @@ def fit(request: FitRequest) -> Hyperparameters:
     return _inferred(request, request.prior) if request.whole else fit_kernel(request)
 
 
-def drawn_fit(request: FitRequest, random: np.random.Generator) -> Hyperparameters | None:
-    """Hyperparameters drawn from their posterior, without the request's trend; None without a prior."""
+def draws(request: FitRequest) -> HyperparameterDraws | None:
+    """The posterior of the hyperparameters to draw from, without the request's trend; None without a prior."""
     if request.prior is None:
         return None
-    drawn = draw_hyperparameters(
+    found = hyperparameter_draws(
         request.xy_m,
         request.values_ppb,
         request.kernel,
         request.prior,
-        random,
         noise_std_ppb=request.noise_std_ppb,
         trend=request.trend,
         previous=request.previous,
     )
-    return drawn if request.trend is None else replace(drawn, trend=None)
+    return found if request.trend is None else replace(found, fitted=replace(found.fitted, trend=None))
 
 
-def _inferred(request: FitRequest, prior: Hyperprior) -> Hyperparameters:
-    """The hyperparameters, their alternatives inferred anew."""
-    inferred = infer_hyperparameters(
+def infer(request: FitRequest, prior: Hyperprior) -> Hyperparameters:
+    """The alternatives inferred anew, and the most probable kernel among them, without the request's trend.
+
+    The map under the alternatives does not depend on the one kernel, which is all that `fit` adds.
+    """
+    inferred = _alternatives(request, prior)
+    return inferred if request.trend is None else replace(inferred, trend=None)
+
+
+def _alternatives(request: FitRequest, prior: Hyperprior) -> Hyperparameters:
+    return infer_hyperparameters(
         request.xy_m,
         request.values_ppb,
         request.kernel,
@@ -88,6 +97,11 @@ def _inferred(request: FitRequest, prior: Hyperprior) -> Hyperparameters:
         trend=request.trend,
         previous=request.previous,
     )
+
+
+def _inferred(request: FitRequest, prior: Hyperprior) -> Hyperparameters:
+    """The hyperparameters, their alternatives inferred anew."""
+    inferred = _alternatives(request, prior)
     if len(request.xy_m):
         likeliest = _likeliest(request, inferred.kernel.name, inferred.noise_std_ppb, inferred.trend_shares)
         if likeliest.field_std_ppb >= prior.least_field_std_ppb:
@@ -127,4 +141,5 @@ def _likeliest(
         trend=request.trend,
         trend_shares=trend_shares,
         extent_m=request.extent_m,
+        nearby=request.nearby,
     )

@@ -16,16 +16,16 @@ from schemas.codec import decode, encode
 from schemas.commands import CommandKind
 from schemas.link import LinkChange
 from schemas.telemetry import EventKind, RoverMode
-from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, PLAN, STATE, Side, Topic
+from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, PLAN, SAMPLE, STATE, Side, Topic
 from schemas.wire import Header
 from services.console.rehearsal.alternative import AS_PLANNED, HOLDING, Alternative
 from services.console.rehearsal.drawn_field import DrawnField
 from services.field.node import FieldNode
 from services.ground.belief import Belief
-from services.ground.fitting import drawn_fit, fit, fit_kernel
+from services.ground.fitting import draws, fit, fit_kernel, infer
 from services.ground.node import NAME as GROUND
 from services.ground.node import build_node as build_ground
-from services.ground.planning import IGNORE_STD
+from services.ground.planning import IGNORE_STD, run_planner
 from services.link.node import build_node as build_link
 from services.mission.mission_time import SECOND, MissionTime
 from services.mission.scenario import Scenario
@@ -41,12 +41,14 @@ if TYPE_CHECKING:
 
     from he3.frames import Place
     from he3.gp import GaussianProcess
+    from he3.hyperposterior import HyperparameterDraws
     from he3.reference import Region
     from schemas.commands import Telecommand
     from schemas.fork import MissionFork
     from schemas.link import LinkConditions, LinkStatus
     from schemas.plans import MissionPlan
     from services.ground.fitting import FitRequest
+    from services.ground.planners.interface import PlanningRequest
     from services.rover.node import RoverNode
     from services.runtime.scheduler import Executor
 
@@ -55,10 +57,14 @@ LONGEST_S: Final = 200 * 86_400.0
 TRACK_EVERY_S: Final = 300.0
 MAP_CELLS: Final = 4096
 """Cells of a rehearsal's map, on which its mean standard deviation is that of all cells but for some thousandths."""
+FINAL_CELLS: Final = 2048
+"""The same where only the end of the mission needs the map: its mean is off by less than a thousandth [measured]."""
 GUIDED_BY_ONE_KERNEL: Final = frozenset({"tour"})
 """Planners that read no alternatives to the one kernel."""
 STATE_PERIOD_S: Final = 1200.0
 """Mission time between two reports when nothing changes, of rover and ground, where the link has no data rate."""
+LOOK_AHEAD_M: Final = 80.0
+"""How far the rover looks ahead, at least, where nothing can stop it on its way."""
 REPORTS_IN_TIMEOUT: Final = 3
 """Reports at least in the time after which the ground takes the rover for silent."""
 _SEED: Final = 0x7265  # separates the draws of rehearsals from all other uses of the mission's seed
@@ -133,13 +139,14 @@ def fly(
     fork, conditions = start.fork, start.link.conditions
     live = scenario_of(fork)
     seed = live.seed + 1_000_003 * (draw + 1)
-    scenario = _simplified(live, conditions, alternative.planner)
+    surprised = bool(live.field.hidden_hazards or fork.keep_outs_m or start.commands or alternative.commands)
+    scenario = _simplified(live, conditions, alternative.planner, surprised)
     beliefs: list[Belief] = []
     planner, certified = scenario.ground.planner, scenario.ground.goal is not None  # a goal is certified by the map
-    deferred = planner in IGNORE_STD and not certified
+    guided = planner in GUIDED_BY_ONE_KERNEL and planner in IGNORE_STD and not certified
 
     def make_belief(*arguments: Any, **options: Any) -> Belief:
-        beliefs.append(Belief(*arguments, **options, most_cells=MAP_CELLS))
+        beliefs.append(Belief(*arguments, **options, most_cells=FINAL_CELLS if guided else MAP_CELLS))
         return beliefs[-1]
 
     ground = build_ground(scenario, region, make_belief=make_belief, map_use="asked")
@@ -149,45 +156,55 @@ def fly(
     place_m = scenario.start_m if fork.rover is None else (fork.rover.x_m, fork.rover.y_m)
     truth = FieldNode(region, scenario.field, seed, place_m)
     random = np.random.default_rng((live.seed, _SEED, draw))
-    belief = _drawn(state["director"]["belief"]["process"], beliefs[0].fit_request(sys.maxsize, ()), random)
+    belief = _drawn(fork, state["director"]["belief"]["process"], beliefs[0].fit_request(sys.maxsize, ()), random)
+    rover = _rover(scenario, region, fork, place_m)
     nodes = (
         DrawnField(truth, belief, scenario.field.noise_std_ppb, random),
-        _rover(scenario, region, fork, place_m),
+        rover,
         build_link(scenario.model_copy(update={"seed": seed}), reports=False),  # no process reads them
         ground,
     )
     computing = executor or InlineExecutor()
-    quick = QuickFits(computing) if deferred and planner in GUIDED_BY_ONE_KERNEL else None
-    if quick is not None:
-        computing = quick
+    tasks = QuickTasks(computing) if guided else None
+    if tasks is not None:
+        computing = tasks
     simulation = Simulation(nodes, scenario.name, fork.at, computing, link=conditions)
     simulation.step()  # the nodes start
     if start.link.contact_forced:
         simulation.ask(LINK_SET, LinkChange(contact=True))
-    flight = _Watch(simulation, start, draw).run(alternative.commands)
-    if quick is not None and quick.last is not None:
-        beliefs[0].adopt(fit(replace(quick.last, whole=True)))
+    flight = _Watch(simulation, rover, start, draw).run(alternative.commands)
+    if tasks is not None and tasks.last is not None and tasks.last.prior is not None:
+        beliefs[0].adopt(infer(tasks.last, tasks.last.prior))
     flight.samples = len(beliefs[0])
     flight.mean_std_ppb = float(beliefs[0].map.std_ppb.mean(dtype="f8"))
     return flight
 
 
-def _drawn(known: GaussianProcess, request: FitRequest | None, random: np.random.Generator) -> GaussianProcess:
+def _drawn(
+    fork: MissionFork, known: GaussianProcess, request: FitRequest | None, random: np.random.Generator
+) -> GaussianProcess:
     """The same observations under hyperparameters drawn from their posterior. request: for a fit to all of them."""
-    drawn = None if request is None else drawn_fit(request, random)
-    if drawn is None:
+    if not (_newest and _newest[0][0] is fork):
+        _newest[:] = [(fork, None if request is None else draws(request))]
+    posterior = _newest[0][1]
+    if request is None or posterior is None:
         return redrawn(known, random)
-    assert request is not None
+    drawn = posterior.draw(random)
     return known.under(drawn if request.trend is None else replace(drawn, trend=request.trend))
 
 
-def _simplified(live: Scenario, conditions: LinkConditions, planner: str | None) -> Scenario:
+_newest: list[tuple[MissionFork, HyperparameterDraws | None]] = []
+"""The mission that was last rehearsed in this process, and its posterior, which is the same for each of its draws."""
+
+
+def _simplified(live: Scenario, conditions: LinkConditions, planner: str | None, surprised: bool) -> Scenario:
     """The scenario of a rehearsal: no reference, no approval, and fewer reports where none is ahead of another.
 
-    planner: from now on; None: as before.
+    planner: from now on; None: as before. surprised: whether the rover may have to stop on its way, for what it sees
+    there or for a command; else it looks at whole legs at once, of which it drives the same.
     """
     ground: dict[str, Any] = {"approval": "auto", "score": False, "planner": planner or live.ground.planner}
-    rover: dict[str, Any] = {}
+    rover: dict[str, Any] = {} if surprised else {"look_ahead_m": max(live.rover.look_ahead_m, LOOK_AHEAD_M)}
     if conditions.up.rate_bit_s is None and conditions.down.rate_bit_s is None:
         often_s = min(STATE_PERIOD_S, live.ground.rover_timeout_s / REPORTS_IN_TIMEOUT)
         ground["status_period_s"] = max(live.ground.status_period_s, often_s)
@@ -201,8 +218,11 @@ def _simplified(live: Scenario, conditions: LinkConditions, planner: str | None)
     )
 
 
-class QuickFits:
-    """An executor that fits the one kernel alone: for planners that nothing else guides."""
+class QuickTasks:
+    """An executor whose fits and plans take less time: for `tour`, which nothing but the one kernel guides.
+
+    Fits are of the one kernel alone, searched from the one before it. Plans keep the order of the plan before them.
+    """
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
@@ -211,10 +231,21 @@ class QuickFits:
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         """The future result."""
-        if function is not fit:
-            return self._executor.submit(function, *arguments)
-        self.last = arguments[0]
-        return self._executor.submit(fit_kernel, *arguments)
+        if function is fit:
+            self.last = arguments[0]
+            return self._executor.submit(fit_kernel, replace(arguments[0], nearby=True))
+        if function is run_planner:
+            planner, request, pending = arguments
+            return self._executor.submit(function, planner, quick(request), pending)
+        return self._executor.submit(function, *arguments)
+
+
+def quick(request: PlanningRequest) -> PlanningRequest:
+    """The request without a search for a shorter order of places, where they come in the order of the plan before."""
+    if request.outlook_m is None:
+        return request
+    extra = {"kicks": 0.0, **request.options.extra}
+    return replace(request, options=replace(request.options, extra=extra))
 
 
 def scenario_of(fork: MissionFork) -> Scenario:
@@ -227,7 +258,8 @@ def scenario_of(fork: MissionFork) -> Scenario:
 
 def _rover(scenario: Scenario, region: Region, fork: MissionFork, place_m: Place) -> RoverNode:
     """The rover as the ground knows it: its place, battery and odometer, the last round begun, and keep-outs."""
-    rover = build_rover(scenario, region.grid)
+    unlimited = scenario.link.up.rate_bit_s is None and scenario.link.down.rate_bit_s is None
+    rover = build_rover(scenario, region.grid, reports_steps=not unlimited)
     if fork.rover is None:
         return rover
     known, config = fork.rover, scenario.rover
@@ -252,15 +284,15 @@ def _rover(scenario: Scenario, region: Region, fork: MissionFork, place_m: Place
 class _Watch:
     """A simulation that is flown to its end, and what is seen of it."""
 
-    def __init__(self, simulation: Simulation, start: Start, draw: int) -> None:
-        self._simulation = simulation
+    def __init__(self, simulation: Simulation, rover: RoverNode, start: Start, draw: int) -> None:
+        self._simulation, self._rover = simulation, rover
         self._commands, self._fork = start.commands, start.fork
         fork = start.fork
         driven_m = 0.0 if fork.rover is None else fork.rover.driven_m
         charge_wh = 0.0 if fork.rover is None else fork.rover.energy_wh
         self._driven_before_m = driven_m
         self._flight = Flight(draw, False, "", 0.0, driven_m, 0, 0.0, charge_wh, charge_wh or float("inf"))
-        simulation.tap(self._listen, (STATE, EVENT))
+        simulation.tap(self._listen, (STATE, EVENT, SAMPLE))
 
     def run(self, commands: Sequence[Telecommand]) -> Flight:
         """Fly it to its end. commands: issued at its beginning."""
@@ -291,15 +323,17 @@ class _Watch:
         self._simulation.step()
 
     def _listen(self, topic: Topic, side: Side, payload: bytes, now: MissionTime) -> None:
+        """Look at the rover whenever it reports anything."""
         if side is not Side.MOON:
             return
-        body = decode(topic, payload, self._simulation.host(GROUND).mission)[1]
         flight, since_s = self._flight, (now - self._fork.at) / SECOND
-        if topic is EVENT and body.kind is EventKind.ROUND_COMPLETED:
-            flight.rounds_s.setdefault(body.round, since_s)
-        elif topic is STATE:
-            flight.driven_m, flight.charge_wh = body.driven_m, body.energy_wh
-            flight.lowest_wh = min(flight.lowest_wh, body.energy_wh)
-            if not flight.track_m or since_s - flight.track_m[-1][0] >= TRACK_EVERY_S:
-                flight.track_m.append((since_s, body.x_m, body.y_m))
-                flight.charges_wh.append((since_s, body.energy_wh))
+        if topic is EVENT:
+            body = decode(topic, payload, self._simulation.host(GROUND).mission)[1]
+            if body.kind is EventKind.ROUND_COMPLETED:
+                flight.rounds_s.setdefault(body.round, since_s)
+        state = self._rover.state(now)
+        flight.driven_m, flight.charge_wh = state.driven_m, state.energy_wh
+        flight.lowest_wh = min(flight.lowest_wh, state.energy_wh)
+        if not flight.track_m or since_s - flight.track_m[-1][0] >= TRACK_EVERY_S:
+            flight.track_m.append((since_s, state.x_m, state.y_m))
+            flight.charges_wh.append((since_s, state.energy_wh))

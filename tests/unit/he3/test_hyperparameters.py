@@ -145,6 +145,21 @@ def test_on_an_even_lattice_auto_is_not_led_to_intervals_that_are_too_narrow() -
     assert covered["auto"] == pytest.approx(0.68, abs=0.1)
 
 
+def test_a_refit_with_a_few_more_samples_finds_the_same_kernel_from_the_one_before_it_alone() -> None:
+    places, values = drawn_from(SmoothPlusRough(1.0, 120.0, 0.3, 25.0), 100, seed=5)
+    before = fit_hyperparameters(places[:95], values[:95], "smooth+rough", rng=np.random.default_rng(0))
+    searched, nearby = (
+        fit_hyperparameters(
+            places, values, "smooth+rough", rng=np.random.default_rng(1), previous=before, nearby=nearby
+        )
+        for nearby in (False, True)
+    )
+    assert nearby.log_likelihood == pytest.approx(searched.log_likelihood, abs=1e-4)
+    assert list(nearby.kernel.parameters().values()) == pytest.approx(
+        list(searched.kernel.parameters().values()), rel=0.02
+    )
+
+
 def test_the_same_seed_gives_the_same_hyperparameters_to_the_bit() -> None:
     places, values = drawn_from(Matern12(), 40, seed=5)
     first, second = (fit_hyperparameters(places, values, "auto", rng=np.random.default_rng(9)) for _ in range(2))

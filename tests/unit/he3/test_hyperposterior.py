@@ -7,7 +7,7 @@ import pytest
 
 from he3.frames import FloatArray
 from he3.gp import GaussianProcess, Hyperparameters
-from he3.hyperposterior import COMPONENTS, draw_hyperparameters, infer_hyperparameters
+from he3.hyperposterior import COMPONENTS, hyperparameter_draws, infer_hyperparameters
 from he3.hyperprior import Hyperprior
 from he3.kernels import Matern52, squared_distances
 from he3.likelihood import log_marginal_likelihood
@@ -62,9 +62,8 @@ def test_draws_from_the_posterior_have_its_moments_and_are_more_kernels_than_sta
     places, values = samples(6)
     mean, std = by_quadrature(places, values)
     random = np.random.default_rng(3)
-    draws = [
-        draw_hyperparameters(places, values, "matern52", PRIOR, random, noise_std_ppb=NOISE_PPB) for _ in range(30)
-    ]
+    posterior = hyperparameter_draws(places, values, "matern52", PRIOR, noise_std_ppb=NOISE_PPB)
+    draws = [posterior.draw(random) for _ in range(30)]
     assert len({draw.kernel for draw in draws}) > 2 * COMPONENTS
     means, stds = zip(*(GaussianProcess(draw).condition(places, values).predict(POINTS) for draw in draws), strict=True)
     drawn_mean, drawn_std = mixture_moments(np.full(30, 1.0 / 30), np.array(means), np.array(stds))

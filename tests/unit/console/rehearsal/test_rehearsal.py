@@ -109,6 +109,20 @@ def test_a_rehearsal_foretells_the_round_that_follows_and_ends_with_every_sample
         assert 0.3 * real_m < flight.driven_m < 3.0 * real_m
 
 
+def test_how_far_the_rover_looks_ahead_in_a_rehearsal_changes_nothing_where_nothing_is_hidden(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    live = Live(planner="tour")
+    live.until_samples(4)
+    start = live.start()
+    far = fly(start, live.region, 0)
+    monkeypatch.setattr("services.console.rehearsal.flight.LOOK_AHEAD_M", 1.0)
+    near = fly(start, live.region, 0)
+    assert near.driven_m == pytest.approx(far.driven_m, rel=1e-9)
+    assert near.lasts_s == pytest.approx(far.lasts_s, rel=1e-9)
+    assert near.mean_std_ppb == pytest.approx(far.mean_std_ppb, rel=1e-6)
+
+
 def test_a_rehearsal_from_the_middle_of_a_round_takes_what_is_left_of_it() -> None:
     live = Live(pipeline=1)
     live.until_samples(3)
