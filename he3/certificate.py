@@ -51,9 +51,9 @@ MOST_POINTS = 4096
 MOST_A_SIDE = 4
 """Points on a side of a block."""
 MOST_BLOCKS = 1024
-MOST_UNSEEN_PLACE, MOST_UNSEEN_BLOCK = 0.25, 0.1
+MOST_UNSEEN_PLACE, MOST_UNSEEN_BLOCK = 0.5, 0.2
 """Share of the variance of a field as it is thought to be before landing that may be left at a place, as in a corner of
-the site, or of a block's mean. With either some 24 samples do, evenly spread over the site."""
+the site, or of a block's mean. For blocks some 24 samples do, evenly spread over the site; for places some 34."""
 MOST_DRAWN, MOST_DRAWN_POINTS = 400, 1600
 """Targets at which the field is drawn, and points of these."""
 DRAWS = 1000
@@ -219,7 +219,7 @@ def thought_before_landing(targets: Targets, std_ppb: float, extent_m: float) ->
 
     It is scaled so that samples which tell enough of its variance leave that standard deviation [ppb] at a target.
     """
-    kernel = SquaredExponential(1.0, LENGTH_SCALES["smooth_length_scale_m"][0] * extent_m)
+    kernel = SquaredExponential(1.0, LENGTH_SCALES["length_scale_m"][0] * extent_m)
     scale_ppb = std_ppb / math.sqrt(targets.most_unseen * float(targets.prior_variance(kernel).min()))
     return Hyperparameters(kernel, _NOISE_BEFORE_LANDING * scale_ppb, 0.0, scale_ppb)
 
