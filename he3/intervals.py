@@ -6,8 +6,9 @@ to place. The ends of its central intervals are quantiles of the mixture's own d
 
     sum w_i Phi((end - m_i) / s_i) = (1 -+ probability) / 2
 
-at each cell of the coarser grid on which the kernels have their posteriors. In standard deviations from the mean they
-change slowly from cell to cell, as the mixture's correction of the map does (``he3.mixture_posterior``), and are
+at each cell of the coarser grid on which the kernels have their posteriors. What the samples tell of the field's own
+tails (``he3.tails``) moves the probabilities at which the quantiles are taken. In standard deviations from the mean
+they change slowly from cell to cell, as the mixture's correction of the map does (``he3.mixture_posterior``), and are
 interpolated bilinearly.
 """
 
@@ -43,10 +44,18 @@ class Intervals:
 
     @classmethod
     def of(
-        cls, grid: SiteGrid, weights: FloatArray, means: NDArray[np.floating], stds: NDArray[np.floating]
+        cls,
+        grid: SiteGrid,
+        weights: FloatArray,
+        means: NDArray[np.floating],
+        stds: NDArray[np.floating],
+        levels: FloatArray,
     ) -> Intervals:
-        """Those of a mixture with these weights (K,), means and standard deviations (K, rows, columns) of its parts."""
-        ends = mixture_ends(weights, means.reshape(len(weights), -1), stds.reshape(len(weights), -1))
+        """Those of a mixture with these weights (K,), means and standard deviations (K, rows, columns) of its parts.
+
+        levels: (4,) for ``mixture_ends``.
+        """
+        ends = mixture_ends(weights, means.reshape(len(weights), -1), stds.reshape(len(weights), -1), levels)
         found = ends.reshape(-1, *grid.shape).astype(np.float32)
         found.setflags(write=False)
         return cls(grid, found)
@@ -70,16 +79,19 @@ class Intervals:
         return found[0], found[1], found[2], found[3]
 
 
-def mixture_ends(weights: FloatArray, means: NDArray[np.floating], stds: NDArray[np.floating]) -> FloatArray:
-    """Ends (4, m) of the intervals at m places, in the mixture's standard deviations from its mean.
+def mixture_ends(
+    weights: FloatArray, means: NDArray[np.floating], stds: NDArray[np.floating], levels: FloatArray
+) -> FloatArray:
+    """Quantiles (L, m) of a mixture at m places, in its standard deviations from its mean.
 
-    weights: (K,), their sum is 1. means and stds: (K, m) of the parts, stds positive.
+    weights: (K,), their sum is 1. means and stds: (K, m) of the parts, stds positive. levels: (L,), a quantile is at
+    the probability that a standard normal variable is below its level.
     """
     mean = weights @ means
     apart = means - mean
     std = np.sqrt(weights @ (stds.astype(np.float64) ** 2 + apart * apart))
     offsets, widths = (apart / std)[:, None, :], (stds / std)[:, None, :]
-    wanted = np.array(NORMAL_ENDS)[:, None]
+    wanted = levels[:, None]
     # A quantile of the mixture lies between the least and the greatest of those of its parts.
     of_parts = offsets + widths * wanted
     low, high = of_parts.min(axis=0), of_parts.max(axis=0)

@@ -22,10 +22,12 @@ from numpy.typing import ArrayLike
 
 from he3.coarse_grid import coarser, on_cells
 from he3.frames import SiteGrid
-from he3.intervals import Intervals
+from he3.intervals import NORMAL_ENDS, Intervals
 from he3.mixture import alternatives_of, mixture_moments
+from he3.tails import interval_levels, residuals
 
 if TYPE_CHECKING:
+    from he3.frames import FloatArray
     from he3.gp import GaussianProcess
     from he3.hyperparameters import Hyperparameters
     from he3.posterior.grid import GridPosterior, PosteriorMap
@@ -46,6 +48,8 @@ class MixturePosterior:
         self._weights = np.empty(0)
         self._parts: list[GridPosterior] = []
         self._map: PosteriorMap | None = None
+        self._levels: FloatArray | None = None
+        self._made_from = len(self._one)
         if hyperparameters.alternatives:
             coarse = coarser(grid)
             weights, each = zip(*alternatives_of(hyperparameters), strict=True)
@@ -91,9 +95,16 @@ class MixturePosterior:
         return self._map
 
     def intervals(self) -> Intervals | None:
-        """The central intervals of the mixture; None where the kernel is certain, and every cell is normal."""
+        """The central intervals of the field; None where the kernel is certain, and every cell is normal.
+
+        What the samples tell of the field's tails is learned from those that it was made from, not from those added.
+        """
         if not self._parts:
             return None
+        if self._levels is None:
+            scores = residuals(self._weights, [part.process for part in self._parts], self._made_from)
+            two, one = interval_levels(scores, NORMAL_ENDS[:1:-1])
+            self._levels = np.array([-two, -one, one, two])
         maps = [part.snapshot() for part in self._parts]
         means, stds = np.stack([part.mean_ppb for part in maps]), np.stack([part.std_ppb for part in maps])
-        return Intervals.of(self._coarse_one.grid, self._weights, means, stds)
+        return Intervals.of(self._coarse_one.grid, self._weights, means, stds, self._levels)

@@ -13,8 +13,10 @@ from he3.kernels import Matern32
 from he3.mixture import ProcessMixture, mixture_moments
 from he3.mixture_posterior import MixturePosterior
 from he3.posterior.grid import GridPosterior
+from he3.tails import interval_levels, residuals
 
 WEIGHTS = np.array([0.6, 0.3, 0.1])
+NORMAL = np.array(NORMAL_ENDS)
 
 
 def drawn(places: int, apart: float, factor: float) -> tuple[FloatArray, FloatArray]:
@@ -27,20 +29,22 @@ def drawn(places: int, apart: float, factor: float) -> tuple[FloatArray, FloatAr
 def test_the_ends_are_the_quantiles_of_the_distribution(apart: float, factor: float) -> None:
     means, stds = drawn(200, apart, factor)
     mean, std = mixture_moments(WEIGHTS, means, stds)
-    ends = mean + std * mixture_ends(WEIGHTS, means, stds)
+    ends = mean + std * mixture_ends(WEIGHTS, means, stds, NORMAL)
     below = np.tensordot(WEIGHTS, ndtr((ends[:, None] - means[:, None].swapaxes(0, 1)) / stds), axes=([0], [1]))
     assert np.allclose(below, ndtr(np.array(NORMAL_ENDS))[:, None], atol=1e-3)
 
 
 def test_one_part_or_equal_ones_have_the_ends_of_a_normal_distribution() -> None:
     means, stds = drawn(5, 1.0, 2.0)
-    assert np.array_equal(mixture_ends(np.ones(1), means[:1], stds[:1]), np.tile(np.array(NORMAL_ENDS)[:, None], 5))
-    same = mixture_ends(WEIGHTS, np.tile(means[:1], (3, 1)), np.tile(stds[:1], (3, 1)))
+    assert np.array_equal(
+        mixture_ends(np.ones(1), means[:1], stds[:1], NORMAL), np.tile(np.array(NORMAL_ENDS)[:, None], 5)
+    )
+    same = mixture_ends(WEIGHTS, np.tile(means[:1], (3, 1)), np.tile(stds[:1], (3, 1)), NORMAL)
     assert np.allclose(same, np.array(NORMAL_ENDS)[:, None], atol=1e-6)
 
 
 def test_of_parts_that_differ_in_width_the_middle_is_narrower_than_one_standard_deviation() -> None:
-    ends = mixture_ends(np.array([0.8, 0.2]), np.zeros((2, 1)), np.array([[0.5], [3.0]]))[:, 0]
+    ends = mixture_ends(np.array([0.8, 0.2]), np.zeros((2, 1)), np.array([[0.5], [3.0]]), NORMAL)[:, 0]
     assert ends == pytest.approx(-ends[::-1], abs=1e-3)
     assert ends[2] < 0.6
     assert ends[3] > 2.0
@@ -60,7 +64,8 @@ def test_the_map_of_a_mixture_has_the_quantiles_of_its_processes_at_each_cell() 
         np.array(each) for each in zip(*(one.predict(grid.points()) for one in mixture.processes), strict=True)
     )
     mean, std = mixture.predict(grid.points())
-    for end, normal in zip(found.on(grid), NORMAL_ENDS, strict=True):
+    two, one = interval_levels(residuals(mixture.weights, mixture.processes, 3), (2.0, 1.0))
+    for end, normal in zip(found.on(grid), (-two, -one, one, two), strict=True):
         below = mixture.weights @ ndtr((mean + std * end.ravel() - means) / stds)
         assert np.allclose(below, ndtr(normal), atol=2e-3)
 
