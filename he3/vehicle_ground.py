@@ -63,8 +63,10 @@ def judged(
     slope: (rows, columns) [deg], if it is known better than from these heights. rock_abundance: (rows, columns), 0 to
     1, NaN where it is not known, which closes nothing. pixel_m: size of the pixels that the heights were interpolated
     from, if larger than the cells. margin: cells on each side that are known, and no part of the site. Raises
-    InvalidInput for shapes that differ.
+    InvalidInput for shapes that differ, and for less than 2 x 2 cells.
     """
+    if min(elevation_m.shape) < 2:
+        raise InvalidInput(f"expected an elevation of at least 2 x 2 cells, got shape {elevation_m.shape}")
     for name, layer in (("slope", slope), ("rock abundance", rock_abundance)):
         if layer is not None and layer.shape != elevation_m.shape:
             raise InvalidInput(f"expected {name} of shape {elevation_m.shape}, got {layer.shape}")

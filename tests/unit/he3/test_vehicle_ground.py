@@ -85,3 +85,9 @@ def test_the_rule_says_what_share_each_limit_closes_of_the_site_within_the_margi
 def test_layers_of_another_shape_are_refused() -> None:
     with pytest.raises(InvalidInput, match="expected rock abundance of shape"):
         judged(FLAT, 1.0, LIMITS, rock_abundance=np.zeros((3, 3)))
+
+
+def test_a_single_row_of_cells_is_refused() -> None:
+    row = np.zeros((1, 5))
+    with pytest.raises(InvalidInput, match=r"at least 2 x 2 cells, got shape \(1, 5\)"):
+        judged(row, 1.0, LIMITS, slope=row)
