@@ -45,6 +45,8 @@ def residuals(weights: FloatArray, processes: Sequence[GaussianProcess], count: 
     The weights are those given all samples: the few kernels of a mixture stand for moments at places, so they cannot
     be weighed without one of the samples.
     """
+    if count == 0:
+        return np.zeros(0)  # LAPACK refuses a factor without a row, and says so on the terminal
     found = [left_out(one.factor[:count, :count], one.whitened[:count]) for one in processes]
     away, variances = np.array(found).swapaxes(0, 1)
     below = weights @ ndtr(away / np.sqrt(variances))

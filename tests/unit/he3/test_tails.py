@@ -46,6 +46,12 @@ def test_later_samples_leave_the_scores_of_the_first_unchanged() -> None:
     assert np.allclose(residuals(whole.weights, whole.processes, 6), residuals(first.weights, first.processes, 6))
 
 
+def test_before_the_first_sample_there_are_no_scores_and_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    mixture = ProcessMixture.of(GaussianProcess(SPREAD))
+    assert residuals(mixture.weights, mixture.processes, 0).shape == (0,)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_many_samples_of_a_normal_field_leave_the_ends_where_they_were() -> None:
     assert interval_levels(scores(2000), (1.0, 2.0)) == pytest.approx([1.0, 2.0], abs=0.03)
 
