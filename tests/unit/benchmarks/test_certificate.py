@@ -91,6 +91,12 @@ def test_what_is_promised_of_blocks_is_the_error_of_their_means(data):
     assert missed.shape == (25,)
     assert missed[0] == pytest.approx(0.5)
     assert missed[1:].max() == pytest.approx(0.0, abs=1e-9)
+    # Blocks of 249 m leave strips of 2 m, which have no cell of their own.
+    odd = errors_of(
+        region, region.he3_ppb + aside, scenario_of(Promise(data, "waves.npy", 1, "tour", 0.5, 249.0, 0.95, 4))
+    )
+    assert odd.shape == (4,)
+    assert np.isfinite(odd).all()
     everywhere = scenario_of(Promise(data, "waves.npy", 1, "tour", 0.5, None, 0.95, 4))
     assert errors_of(region, region.he3_ppb + aside, everywhere).min() >= 0.5
 
