@@ -61,6 +61,14 @@ def test_ours_is_compared_with_the_best_whose_certificate_holds():
     assert certificate.compared(cells | {"tour": row("tour", 80.0, False)}, False) is None
 
 
+def test_the_table_says_in_how_many_cases_ours_fails() -> None:
+    rows = [row("tour", 80.0), row("a", 100.0), row("tour", 90.0, False) | {"ratio": 0.5}]
+    said = certificate.table(rows)
+    assert "mean of x against the planners as they are: 0.800 over 1, at most 0.800" in said
+    assert "tour has no tour with a certificate in 1 of 2 cases, which the means leave out" in said
+    assert not any("leave out" in line for line in certificate.table(rows[:2]))
+
+
 def test_of_a_peers_designs_the_shortest_that_holds_and_has_a_way_is_taken():
     no_way = row("a", None)
     assert min([no_way, row("a", 60.0, False), row("a", 90.0), row("a", 80.0)], key=_order)["metres"] == 80.0
