@@ -60,6 +60,11 @@ class Intervals:
         found.setflags(write=False)
         return cls(grid, found)
 
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays [bytes]."""
+        return self.ends.nbytes
+
     def on(self, grid: SiteGrid) -> Float32Array:
         """The ends (4, rows, columns) on the cells of a finer grid over the same site."""
         return np.stack([on_cells(end, grid, self.grid) for end in self.ends])

@@ -151,9 +151,9 @@ class RecordedMaps:
         for number in range(at + 1, index + 1):
             belief.follow(overviews[number])
             self._rebuilt = number, belief
-        current = belief.belief.map
-        self._kept[index] = kept = current, belief.belief.intervals, belief.belief.process, self._samples(index)
-        each = current.mean_ppb.nbytes + current.std_ppb.nbytes
+        current, intervals = belief.belief.map, belief.belief.intervals
+        self._kept[index] = kept = current, intervals, belief.belief.process, self._samples(index)
+        each = current.mean_ppb.nbytes + current.std_ppb.nbytes + (0 if intervals is None else intervals.nbytes)
         while len(self._kept) > max(1, MAX_KEPT_BYTES // each):
             self._kept.popitem(last=False)
         return kept

@@ -40,7 +40,8 @@ def with_history(shown: MapSnapshot, before: MapSnapshot | None) -> MapSnapshot:
 
 
 def _thinned(held: tuple[MapSnapshot, ...]) -> tuple[MapSnapshot, ...]:
-    each = held[-1].mean_ppb.nbytes + held[-1].std_ppb.nbytes
+    last = held[-1]
+    each = last.mean_ppb.nbytes + last.std_ppb.nbytes + (0 if last.intervals is None else last.intervals.nbytes)
     if len(held) <= max(MIN_HELD, MAX_BYTES // each):
         return held
     half = len(held) // 2

@@ -13,6 +13,7 @@ import pytest
 from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
+from he3.intervals import Intervals
 from schemas.maps import MapAbout, MapBoxQuery, MapFormat, MapLayer, MapLayerQuery, MapPointQuery
 from schemas.plans import Waypoint
 from schemas.telemetry import SampleReport
@@ -74,6 +75,17 @@ def test_the_older_half_is_thinned_when_there_is_too_much(monkeypatch: pytest.Mo
     assert len(held) <= 10
     assert held[-4:] == [37, 38, 39, 40]
     assert held[0] == 1
+
+
+def test_intervals_count_as_much_as_the_maps_they_belong_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(history, "MAX_BYTES", 24 * 2 * snapshot(1).mean_ppb.nbytes)
+    intervals = Intervals(GRID, np.zeros((4, *GRID.shape), np.float32))
+    kept = None
+    for revision in range(1, 25):
+        kept = with_history(replace(snapshot(revision), intervals=intervals), kept)
+    assert kept is not None
+    assert len(revisions(kept)) <= 10
+    assert len(revisions(after(24))) == 24
 
 
 def test_a_revision_or_a_time_names_the_last_map_that_is_not_later() -> None:
