@@ -24,6 +24,8 @@ from scipy.special import ndtr
 from he3.coarse_grid import on_cells
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from he3.frames import Float32Array, FloatArray, SiteGrid
 
 NORMAL_ENDS = (-2.0, -1.0, 1.0, 2.0)
@@ -115,3 +117,17 @@ def mixture_ends(
         if moved < _CLOSE:
             break
     return ends
+
+
+def normal_levels(values: NDArray[np.floating], ends: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
+    """Where values lie in a standard normal distribution that lie at ``values`` in the one with these ends.
+
+    values: in standard deviations from the mean. ends: the four of ``Intervals``, each of the values' shape, ascending.
+    Linear between the ends, and beyond them as between the outer two: a value at an end has the end's probability.
+    """
+    first, second, third, last = ends
+    lower = NORMAL_ENDS[1] + (values - second) / (second - first)
+    middle = NORMAL_ENDS[1] + (NORMAL_ENDS[2] - NORMAL_ENDS[1]) * (values - second) / (third - second)
+    upper = NORMAL_ENDS[2] + (values - third) / (last - third)
+    levels: NDArray[np.floating] = np.where(values < second, lower, np.where(values > third, upper, middle))
+    return levels

@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from he3.errors import InvalidInput, NotFound, OutsideRegion
+from he3.intervals import normal_levels
 from schemas.maps import MAX_CELLS, RASTERS, SIMULATED, TERRAIN, MapBoxQuery, MapLayer, MapLayerQuery
 from services.ground.map.region_rasters import RegionRasters, region_rasters
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from he3.frames import FloatArray
     from services.ground.map.snapshot import MapSnapshot
 
@@ -127,9 +130,13 @@ def information_nats(std_ppb: Any, noise_std_ppb: float) -> Any:
     return 0.5 * np.log1p((std_ppb / np.float32(noise_std_ppb)) ** 2)
 
 
-def exceedance(mean_ppb: Any, std_ppb: Any, threshold_ppb: float) -> Any:
-    """Probability that the field is above the threshold, under a normal posterior."""
-    return ndtr((mean_ppb - np.float32(threshold_ppb)) / np.maximum(std_ppb, np.float32(1e-12)))
+def exceedance(mean_ppb: Any, std_ppb: Any, threshold_ppb: float, ends: Sequence[Any] | None) -> Any:
+    """Probability that the field is above the threshold.
+
+    ends: of the central intervals, in standard deviations from the mean; None for a normal belief.
+    """
+    below = (np.float32(threshold_ppb) - mean_ppb) / np.maximum(std_ppb, np.float32(1e-12))
+    return ndtr(-(below if ends is None else normal_levels(below, ends)))
 
 
 def check_threshold(layer: MapLayer, threshold_ppb: float | None) -> None:
@@ -180,7 +187,7 @@ def _values(layer: MapLayer, threshold_ppb: float | None, snapshot: MapSnapshot,
             values = information_nats(snapshot.std_ppb[part], snapshot.noise_std_ppb)
         case MapLayer.EXCEEDANCE:
             assert threshold_ppb is not None, "checked at the edge"
-            values = exceedance(snapshot.mean_ppb[part], snapshot.std_ppb[part], threshold_ppb)
+            values = exceedance(snapshot.mean_ppb[part], snapshot.std_ppb[part], threshold_ppb, snapshot.ends_at(part))
         case MapLayer.ELEVATION:
             values = _region(layer, snapshot).elevation_m[part]
         case MapLayer.SLOPE:

@@ -71,7 +71,8 @@ def estimate(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
     kg_per_ppb = PPB * REGOLITH_BULK_DENSITY_KG_M3 * area_m2
     reach = float(ndtri(0.5 + request.probability / 2)) * over.std_ppb
     low, high = max(0.0, over.mean_ppb - reach), over.mean_ppb + reach  # there is no less than no helium-3
-    above = exceedance(snapshot.mean_ppb[area], snapshot.std_ppb[area], request.cutoff_ppb)
+    mean, std = snapshot.mean_ppb[area], snapshot.std_ppb[area]
+    above = exceedance(mean, std, request.cutoff_ppb, snapshot.ends_at(area))
     # Equal queries of one revision have equal answers: the draws are seeded by both.
     seed = zlib.crc32(f"{snapshot.revision} {request.polygon}".encode())
     shares = share_above(snapshot.process, grid, area, request.cutoff_ppb, np.random.default_rng(seed), DRAWS)

@@ -28,7 +28,7 @@ from schemas.maps import (
 )
 from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_REGION, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
 from services.ground.map.history import as_of, revisions
-from services.ground.map.layers import EDGE_CELLS, Cells, box, whole_layer
+from services.ground.map.layers import EDGE_CELLS, Cells, box, exceedance, whole_layer
 from services.ground.map.resources import estimate
 
 if TYPE_CHECKING:
@@ -68,12 +68,10 @@ def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
     row = min(int(y / grid.resolution_m + EDGE_CELLS), grid.rows - 1)
     column = min(int(x / grid.resolution_m + EDGE_CELLS), grid.columns - 1)
     mean, std = snapshot.mean_ppb.item(row, column), snapshot.std_ppb.item(row, column)
-    above = None
-    if request.threshold is not None:
-        above = 0.5 * math.erfc((request.threshold - mean) / (max(std, 1e-12) * math.sqrt(2)))
     x_m, y_m = ((index + 0.5) * grid.resolution_m for index in (column, row))
     reach = NORMAL_ENDS if snapshot.intervals is None else snapshot.intervals.at(x_m, y_m)
     low_95, low_68, high_68, high_95 = (mean + end * std for end in reach)
+    above = None if request.threshold is None else float(exceedance(mean, std, request.threshold, reach))
     return MapPoint(
         x_m=x,
         y_m=y,

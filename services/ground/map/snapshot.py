@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 
 if TYPE_CHECKING:
-    from he3.frames import SiteGrid
+    from he3.frames import Float32Array, SiteGrid
     from he3.gp import GaussianProcess
     from he3.intervals import Intervals
     from schemas.ground import KeepOutArea
@@ -65,6 +65,10 @@ class MapSnapshot:
     def mean_std_ppb(self) -> float:
         """Mean over the cells of the standard deviation [ppb]."""
         return float(self.std_ppb.mean(dtype=np.float64))
+
+    def ends_at(self, part: Any) -> list[Float32Array] | None:
+        """Ends of the intervals in those cells, an index of the arrays; None where the belief is normal."""
+        return None if self.intervals is None else [end[part] for end in self.intervals.on(self.grid)]
 
     @property
     def noise_std_ppb(self) -> float:

@@ -104,8 +104,8 @@ def test_a_revision_or_a_time_names_the_last_map_that_is_not_later() -> None:
 
 
 def test_layers_have_the_closed_forms() -> None:
-    assert exceedance(np.float32(8), np.float32(1), 8.0) == pytest.approx(0.5)
-    assert exceedance(np.float32(9.6449), np.float32(1), 8.0) == pytest.approx(0.95, abs=1e-4)
+    assert exceedance(np.float32(8), np.float32(1), 8.0, None) == pytest.approx(0.5)
+    assert exceedance(np.float32(9.6449), np.float32(1), 8.0, None) == pytest.approx(0.95, abs=1e-4)
     assert information_nats(np.float32(0.1), 0.1) == pytest.approx(0.5 * math.log(2))
 
 

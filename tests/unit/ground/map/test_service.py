@@ -86,6 +86,21 @@ def test_a_point_has_the_ends_of_its_intervals_of_a_normal_belief_and_of_another
     assert other.high_95_ppb == pytest.approx(other.mean_ppb + 3.0 * other.std_ppb)
 
 
+def test_the_probability_beyond_an_end_of_an_interval_is_that_of_the_interval() -> None:
+    ends = np.stack([np.full(GRID.shape, end, np.float32) for end in (-2.5, -0.5, 0.75, 3.0)])
+    shown = replace(snapshot(), intervals=Intervals(GRID, ends))
+    ask = MapPointQuery(x=4.5, y=3.0)
+    told = point(ask, shown)
+    for end, above in (
+        (told.low_95_ppb, 0.97725), (told.low_68_ppb, 0.84134), (told.high_68_ppb, 0.15866), (told.high_95_ppb, 0.02275)
+    ):  # fmt: skip
+        assert point(ask.model_copy(update={"threshold": end}), shown).exceedance == pytest.approx(above, abs=1e-4)
+        cells = layer(MapLayerQuery(layer=MapLayer.EXCEEDANCE, threshold=end), shown)
+        values = np.frombuffer(base64.b64decode(cells.data_base64), dtype=cells.dtype).reshape(GRID.shape)
+        assert values[1, 2] == pytest.approx(above, abs=1e-4)
+        assert np.all((values >= 0.0) & (values <= 1.0))
+
+
 @pytest.mark.parametrize(("x", "y"), [(-0.01, 5.0), (100.01, 5.0), (5.0, 80.5)])
 def test_a_point_outside_the_region_is_refused_with_its_bounds(x: float, y: float) -> None:
     with pytest.raises(OutsideRegion, match=r"expected a place within 0\.\.100 m east and 0\.\.80 m north, got"):
