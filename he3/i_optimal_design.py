@@ -101,12 +101,15 @@ class AverageVariance:
 
     def __call__(self, places_m: FloatArray) -> float:
         """V with further samples at places (n, 2) [m]."""
-        return self._conditioned_or_go_direct(as_points(places_m))[0]
+        b, c_fg, _, _ = self._conditioned_or_go_direct(as_points(places_m))
+        contraction = ["einsum_path", (0, 1), (0, 1)]
+        value = self.without - float(np.einsum("ig,ig,g->", b, c_fg, self._weights, optimize=contraction))
+        return max(value, self._least_variance(len(b)))
 
-    def with_gradient(self, places_m: FloatArray) -> tuple[float, FloatArray]:
-        """V, and its derivative (n, 2) [1/m] with respect to the places (n, 2) [m]."""
+    def gradient(self, places_m: FloatArray) -> FloatArray:
+        """The derivative (n, 2) [1/m] of V with respect to the places (n, 2) [m]."""
         p = as_points(places_m)
-        value, b, k_ft, slope_g = self._conditioned_or_go_direct(p)
+        b, _, k_ft, slope_g = self._conditioned_or_go_direct(p)
         weighted = b * self._weights
         # Against the nodes: dk/dp = 2 k' (p - g), with k' the derivative to the squared distance.
         pull = weighted * slope_g
@@ -119,7 +122,7 @@ class AverageVariance:
             m_ft = (weighted @ self._k_tg.T).astype(np.float64) - m_ff @ k_ft
             m_ft = cho_solve((self._factor, True), m_ft.T, check_finite=False).T
             gradient += self._pair_gradient(p, self._sampled, m_ft)
-        return value, gradient
+        return gradient
 
     def _prepare_or_go_direct(self) -> None:
         try:
@@ -132,7 +135,7 @@ class AverageVariance:
 
     def _conditioned_or_go_direct(
         self, p: FloatArray
-    ) -> tuple[float, NDArray[np.floating], FloatArray, NDArray[np.floating]]:
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray, NDArray[np.floating]]:
         try:
             return self._conditioned(p)
         except NumericalFailure:
@@ -161,6 +164,11 @@ class AverageVariance:
         self._x = nodes.places_m[:, 0].astype(self._dtype)
         self._y = nodes.places_m[:, 1].astype(self._dtype)
         self._weights = nodes.weights.astype(self._dtype)
+        columns, rows = np.unique(self._x), np.unique(self._y)
+        on_lattice = np.array_equal(self._x, np.tile(columns, len(rows))) and np.array_equal(
+            self._y, np.repeat(rows, len(columns))
+        )
+        self._lattice = (columns, rows) if on_lattice else None
         k_tg, _ = self._to_nodes(sampled)
         self._factor = self._factored(self._between(sampled, sampled)[0])
         self._whitened = solve_triangular(self._factor, k_tg, lower=True, check_finite=False).astype(self._dtype)
@@ -173,8 +181,13 @@ class AverageVariance:
         """A lower bound on V: half the variance that as many samples at one place would leave there."""
         return 0.5 / (1.0 + (len(self._sampled) + free) / self._noise)
 
-    def _conditioned(self, p: FloatArray) -> tuple[float, NDArray[np.floating], FloatArray, NDArray[np.floating]]:
-        """V, B of the free places (n, G), their covariance with the samples (n, t), and k' against the nodes (n, G)."""
+    def _conditioned(
+        self, p: FloatArray
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray, NDArray[np.floating]]:
+        """What the samples taken leave of the covariance with the nodes, and what else follows from the places (n, 2).
+
+        B (n, G) and that covariance (n, G), the one with the samples (n, t), and k' against the nodes (n, G).
+        """
         k_fg, slope_g = self._to_nodes(p)
         k_ft = self._between(p, self._sampled)[0]
         whitened_f = solve_triangular(self._factor, k_ft.T, lower=True, check_finite=False)
@@ -182,9 +195,7 @@ class AverageVariance:
         c_ff = self._between(p, p)[0] - whitened_f.T @ whitened_f
         factor = self._factored(c_ff)
         inverse = cho_solve((factor, True), np.eye(len(p)), check_finite=False).astype(self._dtype)
-        b = inverse @ c_fg
-        value = self.without - float(np.einsum("ig,ig,g->", b, c_fg, self._weights, optimize=True))
-        return max(value, self._least_variance(len(p))), b, k_ft, slope_g
+        return inverse @ c_fg, c_fg, k_ft, slope_g
 
     def _pair_gradient(self, a: FloatArray, b: FloatArray, m: FloatArray) -> FloatArray:
         """2 sum_j M_ij dk(a_i, b_j)/da_i, (n, 2)."""
@@ -222,17 +233,27 @@ class AverageVariance:
     def _to_nodes(self, p: FloatArray) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Covariance (n, G) between places and nodes, and its derivative to the squared distance."""
         xy = p.astype(self._dtype)
-        dx = xy[:, 0, None] - self._x
-        dy = xy[:, 1, None] - self._y
-        dx *= dx
-        dy *= dy
-        dx += dy
-        dx += self._dtype.type(self._softening)
-        values = self._covariance(dx.astype(np.float64)) / self._prior_variance if self._direct else None
-        np.sqrt(dx, out=dx)
-        dx *= self._dtype.type(1.0 / self._step_m)
-        at = dx.astype(np.intp)  # what `take` needs; it would convert any other integers
-        np.minimum(at, len(self._values) - 2, out=at)
+        r = self._squared_distances(xy)
+        r += self._dtype.type(self._softening)
+        values = self._covariance(r.astype(np.float64)) / self._prior_variance if self._direct else None
+        np.sqrt(r, out=r)
+        r *= self._dtype.type(1.0 / self._step_m)
+        np.minimum(r, self._dtype.type(len(self._values) - 2), out=r)
+        at = r.astype(np.intp)  # what `take` needs; it would convert any other integers
         if values is None:
             values = self._middles.take(at, mode="clip")
         return values, self._slopes.take(at, mode="clip")
+
+    def _squared_distances(self, xy: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Squared distances (n, G) [m^2] between places (n, 2) and nodes."""
+        if self._lattice is None:
+            dx, dy = xy[:, 0, None] - self._x, xy[:, 1, None] - self._y
+            dx *= dx
+            dy *= dy
+            dx += dy
+            return dx
+        columns, rows = self._lattice
+        dx, dy = xy[:, 0, None] - columns, xy[:, 1, None] - rows
+        dx *= dx
+        dy *= dy
+        return (dx[:, None, :] + dy[:, :, None]).reshape(len(xy), len(self._x))

@@ -131,7 +131,7 @@ def optimise_places(
             order, corners = shorter_order(site, places)
             places, momentum = places[order], momentum[order]
             terrain = None if site.cost is None else terrain_pull(site, site.cost, places, corners)
-        _, gradient = variance.with_gradient(places)
+        gradient = variance.gradient(places)
         momentum = gradient if step == 0 else 0.6 * momentum + 0.4 * gradient
         pull, length = length_gradient(site.start_m, places, corners)
         if terrain is not None:
