@@ -18,7 +18,8 @@ ppb.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,6 +62,20 @@ class GaussianProcess:
     def condition_on_places(self, xy_m: ArrayLike) -> GaussianProcess:
         """The belief after samples at places (k, 2) [m] with values yet unknown: less variance, the same mean."""
         return self._extend(as_points(np.asarray(xy_m, dtype=np.float64)), None)
+
+    def drawn(self, place_m: ArrayLike, draw: Callable[[float, float], float]) -> tuple[float, GaussianProcess]:
+        """An observation [ppb] at the place (2,) [m] that is drawn, and the belief after it.
+
+        draw: gives it from the field's mean and standard deviation there [ppb].
+        """
+        place = as_points(np.asarray(place_m, dtype=np.float64).reshape(1, 2))
+        own, n = self.hyperparameters, len(self)
+        planned = self._extend(place, None)
+        expected, pivot = float(planned.factor[n, :n] @ self.whitened), float(planned.factor[n, n])
+        std = np.sqrt(max(pivot**2 - own.noise_variance, self.least_variance()))
+        value = draw(float(own.prior_mean_ppb(place)[0]) + own.scale_ppb * expected, own.scale_ppb * float(std))
+        residual = float(own.standardise(place, np.array([value]))[0]) - expected
+        return value, replace(planned, whitened=np.append(self.whitened, residual / pivot))
 
     def under(self, hyperparameters: Hyperparameters) -> GaussianProcess:
         """The belief after the same observations under other hyperparameters."""

@@ -246,14 +246,10 @@ class AverageVariance:
 
     def _squared_distances(self, xy: NDArray[np.floating]) -> NDArray[np.floating]:
         """Squared distances (n, G) [m^2] between places (n, 2) and nodes."""
-        if self._lattice is None:
-            dx, dy = xy[:, 0, None] - self._x, xy[:, 1, None] - self._y
-            dx *= dx
-            dy *= dy
-            dx += dy
-            return dx
-        columns, rows = self._lattice
+        # On a lattice, each of its columns and rows counts once for all of its nodes.
+        columns, rows = (self._x, self._y) if self._lattice is None else self._lattice
         dx, dy = xy[:, 0, None] - columns, xy[:, 1, None] - rows
         dx *= dx
         dy *= dy
-        return (dx[:, None, :] + dy[:, :, None]).reshape(len(xy), len(self._x))
+        squared: NDArray[np.floating] = dx + dy if self._lattice is None else dx[:, None, :] + dy[:, :, None]
+        return squared.reshape(len(xy), len(self._x))

@@ -61,7 +61,7 @@ class Belief:
         """likeliest: take the hyperparameters of maximum likelihood for certain, as the paper does.
 
         most_cells: the map is computed on a coarser grid of so many cells at most, and interpolated between them.
-        followed: whether the map is read after each sample.
+        followed: whether map and process are read after each sample; else they take it in when they are read.
         """
         self.grid = grid
         self._coarse = grid if most_cells is None else coarser(grid, most_cells)
@@ -75,6 +75,7 @@ class Belief:
         self._map: PosteriorMap | None = None
         self._intervals: Intervals | None = None  # follows from the rest, as the posterior does
         self._process = GaussianProcess(self._first())
+        self._to_take_in: list[Observation] = []  # those of which the process does not know yet
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
 
@@ -123,6 +124,9 @@ class Belief:
 
         ``ProcessMixture.of`` gives those under its alternatives, whose moments the map has.
         """
+        for observed in self._to_take_in:
+            self._process = self._process.condition([observed.place_m], [observed.value_ppb])
+        self._to_take_in.clear()
         return self._process
 
     @property
@@ -170,7 +174,10 @@ class Belief:
         places = np.array([observation.place_m], dtype=np.float64)
         self.grid.cells_of(places)
         expect_map_fits(self.grid, self.hyperparameters.kernel.name, len(self) + 1)
-        self._process = self._process.condition(places, [observation.value_ppb])
+        if self._followed:
+            self._process = self._process.condition(places, [observation.value_ppb])
+        else:
+            self._to_take_in.append(observation)
         self._observations[sample_id], self._map, self._intervals = observation, None, None
         return True
 
@@ -197,6 +204,7 @@ class Belief:
         planned = {name: observed.planned for name, observed in self._observations.items()}
         self._built = tuple(sorted(planned, key=planned.__getitem__))
         self._process = GaussianProcess(self._with_trend(fitted))
+        self._to_take_in.clear()
         if self._built:
             self._process = self._process.condition(*self._samples(self._built))
         self._posterior = self._map = self._intervals = None
@@ -254,7 +262,7 @@ class Belief:
         return {
             "observations": dict(self._observations),
             "map": self._map,
-            "process": self._process,
+            "process": self.process,
             "built": self._built,
             "fits": self._fits,
         }
@@ -263,6 +271,7 @@ class Belief:
         """Restore the belief from this state."""
         self._observations, self._built, self._fits = state["observations"], state["built"], state["fits"]
         self._process, self._posterior, self._intervals = state["process"], None, None
+        self._to_take_in.clear()
         self._map = state["map"]  # None: it follows from the rest
 
 

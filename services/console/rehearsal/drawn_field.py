@@ -59,10 +59,10 @@ class DrawnField:
     def _value_ppb(self, asked: MeasurementRequest) -> float:
         """The measured value; the same one for a sample that is asked for again."""
         if asked.sample_id not in self._drawn:
-            place_m = [(asked.x_m, asked.y_m)]
-            mean, std = self._belief.predict(place_m)
-            noise = max(self._noise_std_ppb, self._belief.hyperparameters.noise_std_ppb)  # it may be learned
-            value = self._random.normal(mean[0], np.hypot(std[0], noise))
-            self._drawn[asked.sample_id] = float(np.clip(value, 0.0, HELIUM3_MAX_PPB))
-            self._belief = self._belief.condition(place_m, [self._drawn[asked.sample_id]])
+            place_m = (asked.x_m, asked.y_m)
+            self._drawn[asked.sample_id], self._belief = self._belief.drawn(place_m, self._measured_ppb)
         return self._drawn[asked.sample_id]
+
+    def _measured_ppb(self, mean_ppb: float, std_ppb: float) -> float:
+        noise = max(self._noise_std_ppb, self._belief.hyperparameters.noise_std_ppb)  # it may be learned
+        return float(np.clip(self._random.normal(mean_ppb, np.hypot(std_ppb, noise)), 0.0, HELIUM3_MAX_PPB))
