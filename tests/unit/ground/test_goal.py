@@ -10,10 +10,11 @@ import pytest
 from he3.errors import InvalidInput
 from he3.frames import SiteGrid
 from he3.reference import Region
+from schemas.codec import decode
 from schemas.commands import CommandKind, CommandStage, NoParameters
 from schemas.ground import MissionPhase
 from schemas.mission_log import LogKind
-from schemas.topics import LIST_COMMANDS, SHOW_LOG
+from schemas.topics import GROUND_STATUS, LIST_COMMANDS, SHOW_LOG
 from services.ground.belief import Belief
 from services.ground.fitting import fit
 from services.ground.goal import MissionGoal
@@ -146,19 +147,21 @@ def test_a_goal_that_no_samples_reach_is_refused_and_one_within_the_noise_is_sai
     assert MissionGoal(scenario({"std_ppb": 0.2}), GRID, belief).note == ""
 
 
-def flown(chosen: Scenario) -> InProcessMission:
-    mission = InProcessMission(chosen, nodes=build_nodes(chosen, region()))
-    assert mission.run(until_s=1e6) is MissionPhase.COMPLETED
-    return mission
-
-
 def test_a_mission_ends_as_soon_as_its_goal_holds() -> None:
-    mission = flown(scenario({"std_ppb": 0.8}, planner="informative", hyperparameters="ml"))
+    chosen = scenario({"std_ppb": 0.8}, planner="informative", hyperparameters="ml")
+    mission, told = InProcessMission(chosen, nodes=build_nodes(chosen, region())), []
+    mission.simulation.tap(
+        lambda topic, _, payload, __: told.append(decode(topic, payload, "goal")[1]), (GROUND_STATUS,)
+    )
+    assert mission.run(until_s=1e6) is MissionPhase.COMPLETED
     status = mission.status
     assert status is not None
     assert status.goal is not None
     assert status.goal.holds
-    assert 4 <= status.samples < 32
+    assert 8 <= status.samples < 32
+    before = [each.goal for each in told if each.samples < status.samples and each.goal.worst_ppb is not None]
+    assert before
+    assert not any(goal.holds for goal in before)
     forecast = [entry for entry in mission.ask(SHOW_LOG, NoParameters()).entries if entry.kind is LogKind.GOAL]
     assert forecast[-1].text == status.goal.text
     assert status.detail.startswith(f"{status.samples} of 32 samples are in the map; the goal holds: std at most 0.8")
