@@ -69,7 +69,7 @@ class MapPoint(Wire):
     exceedance: Probability | None = None
     """Probability that the abundance exceeds the threshold, if one was given."""
     low_68_ppb: float | None = None
-    """Ends of the central interval that holds 68.3 % of the belief, which need not be normal."""
+    """Ends of the central interval that holds 68.3 % of the belief, which need not be normal; not below 0."""
     high_68_ppb: float | None = None
     low_95_ppb: float | None = None
     """Ends of the central interval that holds 95.4 %."""

@@ -83,10 +83,10 @@ def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
         mission_time_ns=snapshot.mission_time_ns,
         information_nats=0.5 * math.log1p((std / snapshot.noise_std_ppb) ** 2),
         exceedance=above,
-        low_68_ppb=low_68,
-        high_68_ppb=high_68,
-        low_95_ppb=low_95,
-        high_95_ppb=high_95,
+        low_68_ppb=max(0.0, low_68),  # there is no less than no helium-3
+        high_68_ppb=max(0.0, high_68),
+        low_95_ppb=max(0.0, low_95),
+        high_95_ppb=max(0.0, high_95),
     )
 
 

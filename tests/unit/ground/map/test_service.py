@@ -86,6 +86,14 @@ def test_a_point_has_the_ends_of_its_intervals_of_a_normal_belief_and_of_another
     assert other.high_95_ppb == pytest.approx(other.mean_ppb + 3.0 * other.std_ppb)
 
 
+def test_no_interval_reaches_below_zero() -> None:
+    shown = snapshot()
+    told = point(MapPointQuery(x=4.5, y=3.0), replace(shown, mean_ppb=shown.mean_ppb - 8.0))
+    assert told.mean_ppb - 2.0 * told.std_ppb < 0.0
+    assert told.low_95_ppb == 0.0
+    assert told.high_95_ppb == max(0.0, told.mean_ppb + 2.0 * told.std_ppb)
+
+
 def test_the_probability_beyond_an_end_of_an_interval_is_that_of_the_interval() -> None:
     ends = np.stack([np.full(GRID.shape, end, np.float32) for end in (-2.5, -0.5, 0.75, 3.0)])
     shown = replace(snapshot(), intervals=Intervals(GRID, ends))
