@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from he3.frames import FloatArray
 
-PRIOR_WEIGHTS = {"smooth+rough": 1.0, "matern12": 1.0, "matern32": 1.0, "matern52": 0.5, "se": 0.25}
+PRIOR_WEIGHTS = {"smooth+rough": 1.0, "matern12": 1.0, "matern32": 1.0, "matern52": 0.25, "se": 0.1}
 """1, of each family. Soil is rough at the scale of samples rather than smooth, and maps of smooth kernels are too
 certain where it is [chosen on the fields of the exam]."""
 POWER = 0.2

@@ -19,6 +19,7 @@ from he3.coarse_grid import coarser, on_cells
 from he3.constants import HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
 from he3.gp import GaussianProcess, Hyperparameters
+from he3.hyperparameters import CAUTIOUS_FIRST
 from he3.hyperprior import MEAN_PPB, Hyperprior
 from he3.kernels import AUTO, kernel_from
 from he3.mixture_posterior import MixturePosterior
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 # The map before the first sample, where hyperparameters are the likeliest ones, which no sample determines yet.
 PRIOR_SCALE_PPB = 4.0
-PRIOR_KERNEL = "matern52"  # where the kernel is chosen by the evidence, and there is none yet
+PRIOR_KERNEL = "matern52"  # where the kernel is chosen by the evidence alone, and there is none yet
 BELOW_ZERO_PPB = 1e3  # an instrument may read so far below zero, or beyond what a soil can hold
 MIN_ORBITAL_STD_PPB = 0.05  # spread of an orbital map below which it is uniform [assumed]
 NOISE_STDS = 10.0  # or this many standard deviations of its noise, so that no valid reading is refused
@@ -81,14 +82,15 @@ class Belief:
 
     def _first(self) -> Hyperparameters:
         """The hyperparameters before the first sample."""
-        kernel = PRIOR_KERNEL if self._kernel == AUTO else self._kernel
+        of_auto = PRIOR_KERNEL if self._prior is None else CAUTIOUS_FIRST[0]
+        kernel = of_auto if self._kernel == AUTO else self._kernel
         if self._trend is not None:
             likeliest = Hyperparameters(kernel_from(kernel), self._noise_std_ppb, trend=self._trend)
         else:
             likeliest = Hyperparameters(kernel_from(kernel), self._noise_std_ppb, MEAN_PPB, PRIOR_SCALE_PPB)
         if self._prior is not None:
             request = FitRequest(
-                xy_m=np.empty((0, 2)), values_ppb=np.empty(0), kernel=kernel, noise_std_ppb=self._noise_std_ppb,
+                xy_m=np.empty((0, 2)), values_ppb=np.empty(0), kernel=self._kernel, noise_std_ppb=self._noise_std_ppb,
                 previous=None, trend=self._trend, seed=(), extent_m=self._extent_m, prior=self._prior,
             )  # fmt: skip
             return self._with_trend(fit(request).with_kernel_of(likeliest))

@@ -195,6 +195,15 @@ def _kernel_name(name: str) -> str:
 
 
 KernelName = Annotated[str, AfterValidator(_kernel_name)]
+PUBLISHED_KERNEL = "matern52"
+"""The kernel of the published figures."""
+
+
+def _default_kernel(ground: dict[str, Any]) -> str:
+    """The kernel where none is named. ground: the keys before it."""
+    return PUBLISHED_KERNEL if ground.get("hyperparameters") == "ml" else AUTO
+
+
 PLANNER_NAMES = ("rrt", "rrtstar", "informative", "tour")
 """The built-in planners, as `services.ground.planners.PLANNERS`, which is above this package."""
 PLUGIN_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
@@ -214,11 +223,12 @@ class GroundConfig(Section):
     """The ground station: belief, planning and budgets."""
 
     planner: PlannerName = "rrtstar"
-    kernel: KernelName = "matern52"
-    """The covariance function. The paper states squared exponential, but its figures come from Matern 5/2."""
     hyperparameters: Literal["ml", "bayes"] = "bayes"
     """The kernel's parameters: all that the samples leave possible under priors in ppb and metres, their uncertainty
     and that of the mean in the map's; or those of maximum likelihood, taken for certain, as the paper's."""
+    kernel: KernelName = Field(default_factory=_default_kernel)
+    """The covariance function; auto for a mixture of all, each as much as it predicts the samples. The paper states
+    squared exponential, but its figures come from Matern 5/2, which is the default with ``hyperparameters = "ml"``."""
     prior: Literal["constant", "orbital"] = "constant"
     """Prior mean: a learned constant, or the coarse orbital map with learned gain and offset."""
     covariates: Annotated[tuple[LayerName, ...], Field(max_length=16)] = ()
@@ -367,6 +377,8 @@ class Scenario(Section):
     def changed(self, **sections: dict[str, Any]) -> Scenario:
         """This scenario with other values, validated: ``changed(ground={"planner": "rrt"}, top={"seed": 7})``."""
         document = self.model_dump(mode="json")
+        if "kernel" not in self.ground.model_fields_set:
+            del document["ground"]["kernel"]  # which depends on what may change
         for section, values in sections.items():
             (document if section == "top" else document[section]).update(values)
         return self.replaced(document)

@@ -270,3 +270,10 @@ def test_alternatives_are_inferred_after_every_round_of_few_samples_and_from_all
             inferred.append(samples)
     assert inferred[1:] == [5, 10, 15, 20, 25, 35, 45, 60, 75, 95, 120, 150]
     assert due(33, 30, 33)
+
+
+def test_before_the_first_sample_auto_mixes_all_kernels_and_plans_with_the_most_cautious() -> None:
+    known = Belief(GRID, AUTO, NOISE).hyperparameters
+    assert known.kernel == Belief(GRID, "smooth+rough", NOISE).hyperparameters.kernel
+    assert len({kernel.name for _, kernel in known.alternatives}) > 1
+    assert Belief(GRID, AUTO, NOISE, likeliest=True).hyperparameters.kernel.name == "matern52"

@@ -167,3 +167,13 @@ def test_a_rule_over_several_values_says_once_what_came():
     with pytest.raises(InvalidInput) as refused:
         checked_scenario({"name": "s", "region": "t1", "ground": {"cost": "energy", "budget_m": 100.0}}, "s.toml")
     assert str(refused.value).count("got") == 1
+
+
+def test_a_scenario_that_names_no_kernel_mixes_all_and_one_of_maximum_likelihood_has_the_published_one() -> None:
+    assert GroundConfig().kernel == "auto"
+    assert GroundConfig(hyperparameters="ml").kernel == "matern52"
+    assert GroundConfig(hyperparameters="ml", kernel="auto").kernel == "auto"
+    assert GroundConfig(kernel="se").kernel == "se"
+    plain = checked_scenario({"name": "plain", "region": "t1"}, "plain").changed(top={"seed": 2})
+    assert plain.ground.kernel == "auto"
+    assert plain.changed(ground={"hyperparameters": "ml"}).ground.kernel == "matern52"

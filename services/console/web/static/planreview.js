@@ -151,8 +151,6 @@ async function decided(document) {
     return (await send("plan", { proposal: shown, ...document })).proposal;
   } catch (error) {
     showButtons(isRevised(stops, state.proposal.plan));
-    rewrite($("plan-note"), error.message);
-    $("plan-note").classList.add("outdated");
     throw error;
   } finally { asking = false; }
 }
@@ -167,7 +165,11 @@ async function decide(verdict) {
 async function revise() {
   const figures = JSON.parse($("plan-facts").dataset.figures);
   rewrite($("plan-note"), "The ground looks for the ways …");
-  const next = await decided({ verdict: "revise", places_m: taken(stops).map(placeOf) });
+  const next = await decided({ verdict: "revise", places_m: taken(stops).map(placeOf) }).catch((error) => {
+    rewrite($("plan-note"), error.message);
+    $("plan-note").classList.add("outdated");
+    throw error;
+  });
   draw(next, figures);
   rewrite($("plan-note"), "Checked: the ground has found the ways. Approve the plan, or change it further.");
 }
