@@ -188,6 +188,11 @@ class JournalledMission:
         return [(log.name, log.text()) for log in self._logs]
 
     @property
+    def earth(self) -> str:
+        """Endpoint of the Earth router."""
+        return self._ends.earth
+
+    @property
     def recording(self) -> Path:
         """Where the recorder writes."""
         return self._folder / "mission.mcap"

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from tests.processes import run, start
+from tests.processes import he3, he3_here, run, start
 
 SECOND = 1_000_000_000
 LIGHT = 1_282_000_000
@@ -137,3 +137,21 @@ def test_an_event_log_is_refused_where_times_are_not_exact(words: tuple[str, ...
     done = run(command)
     assert done.returncode == 2
     assert done.stderr.startswith("he3: --events: expected it with --in-process or --lockstep")
+
+
+@pytest.mark.exhaustive
+def test_a_mission_that_is_rehearsed_again_and_again_has_the_same_events_to_the_byte(tmp_path: Path) -> None:
+    longer = ("rounds=8", "samples_per_round=4", "ground.planner=tour")
+    undisturbed = ran(tmp_path / "undisturbed", "--in-process", settings=longer)
+    settings = [word for setting in longer for word in ("--set", setting)]
+    events, environment = tmp_path / "events.log", {"XDG_RUNTIME_DIR": str(tmp_path)}
+    rehearsed_at = set()
+    fly = he3("run", "short", "--lockstep", *settings, "--events", str(events), "--quiet")
+    with start(fly, env=environment) as mission:
+        while mission.poll() is None:
+            done = he3_here("rehearse", "--draws", "2", "--against", "abort-round", "--json", env=environment)
+            if done.returncode == 0:  # the mission has begun, and is not over
+                rehearsed_at.add(json.loads(done.stdout)["at"])
+    assert mission.returncode == 0
+    assert len(rehearsed_at) >= 2
+    assert events.read_bytes() == undisturbed.events

@@ -27,6 +27,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from he3.errors import PeerUnreachable
 from services.console.__main__ import main
 from services.console.client.areas import AreaKind
 from services.console.client.mission_client import MissionClient
@@ -1238,10 +1239,87 @@ def test_no_view_of_the_page_has_a_serious_barrier(browser: Any, address: str, m
 def test_a_page_whose_server_is_gone_says_so_and_knows_neither_time_nor_mission(
     browser: Any, mission: MissionClient, tmp_path: Path
 ) -> None:
-    server = Served(mission)
-    with server as where:
+    before = len(mission.commands())
+    with Served(mission, "--authority") as where:
         browser.get(where)
         until(lambda: written(browser, "#liveness").startswith("live"), "the mission")
+        click(browser, "[data-command=pause]")
+        until(lambda: script(browser, "return document.activeElement.id") == "preview-send", "the preview")
     until(lambda: written(browser, "#liveness").startswith("page disconnected"), "the loss of the server")
     until(lambda: written(browser, "#utc") == "not known", "the clock")
     assert (written(browser, "#pace"), written(browser, "#contact")) == ("not known", "contact not known")
+    # What is decided on an old page is not kept for a server to come.
+    decide(browser, ENTER)
+    nothing = "the page's server does not answer: nothing was sent"
+    until(lambda: nothing in written(browser, "#toast"), "the answer to Enter")
+    write(browser, "#stack-text", "pause")
+    click(browser, "#stack-check")
+    until(lambda: written(browser, "#stack-failure") == nothing, "the answer to a check")
+    write(browser, "#rehearsal-draws", "2" + ENTER)
+    until(lambda: written(browser, "#rehearsal-failure") == nothing, "the answer to a rehearsal")
+    assert len(mission.commands()) == before
+
+
+@pytest.mark.exhaustive
+def test_panels_say_in_a_line_what_was_killed_and_neither_lose_a_plan_nor_send_a_command(
+    browser: Any, tmp_path: Path
+) -> None:
+    from benchmarks.journalled_mission import JournalledMission
+
+    edit = (
+        "const done = arguments[0]; import('/static/layers.js').then(({map}) => {"
+        "const {x_m, y_m} = map.proposal.samples[0]; map.onStop(0, [x_m + 4, y_m + 3]); done(); })"
+    )
+    hidden = "return document.getElementById('stack-asks').hidden"
+    port = free_endpoints().earth.rpartition(":")[2]
+    with (
+        JournalledMission(tmp_path, ["ground.approval=operator", f"rate={RATE}"]) as flown,
+        MissionClient(flown.earth, "short") as other,
+    ):
+        proposal = until(other.proposed_plan, "a plan")
+        with Served(other, "--authority", "--port", port) as where:
+            browser.get(where)
+            until(lambda: "waits for approval" in written(browser, "#plan-title"), "the plan on the page")
+            until(lambda: shown(browser).get("layer") == "mean", "the map")
+            write(browser, "#stack-text", "pause\nresume")
+            click(browser, "#stack-check")
+            until(lambda: browser.find_element("id", "stack-send").is_enabled(), "the check")
+            click(browser, "#stack-step")
+            click(browser, "#stack-send")
+            until(lambda: not script(browser, hidden), "the question")
+            flown.process("ground").kill()
+            flown.process("ground").wait()
+            click(browser, "#stack-yes")
+            until(lambda: "0 of 2 commands sent" in written(browser, "#stack-failure"), "the end of the stack")
+            browser.execute_async_script(edit)
+            click(browser, "#plan-check")
+            until(lambda: "no service answers" in written(browser, "#plan-note"), "the answer of nobody")
+            assert browser.find_element("id", "plan-check").is_enabled()
+            flown.start_again("ground")
+            assert until(lambda: proposed(other), "the ground again").plan == proposal.plan
+            assert other.commands() == ()
+            until(lambda: checked(browser), "another check")
+            click(browser, "#stack-send")
+            until(lambda: not script(browser, hidden), "the question")
+        until(lambda: written(browser, "#liveness").startswith("page disconnected"), "the loss of the server")
+        with Served(other, "--authority", "--port", port):
+            ended = "The stack has ended with the page's server, which was started anew; Commands has what was sent"
+            until(lambda: written(browser, "#stack-failure") == ended, "the end of the stack")
+            assert script(browser, hidden)
+            assert browser.find_element("id", "plan-check").is_enabled()  # what was edited is still there
+            assert other.commands() == ()
+            click(browser, "#plan-undo")
+
+
+def proposed(client: MissionClient) -> Any:
+    """The plan that waits; None while nobody answers."""
+    with suppress(PeerUnreachable):
+        return client.proposed_plan()
+    return None
+
+
+def checked(driver: Any) -> bool:
+    """Have the stack checked; whether it may be sent."""
+    click(driver, "#stack-check")
+    until(lambda: written(driver, "#stack-note") or written(driver, "#stack-failure"), "an answer")
+    return bool(driver.find_element("id", "stack-send").is_enabled())

@@ -151,6 +151,8 @@ async function decided(document) {
     return (await send("plan", { proposal: shown, ...document })).proposal;
   } catch (error) {
     showButtons(isRevised(stops, state.proposal.plan));
+    rewrite($("plan-note"), error.message);
+    $("plan-note").classList.add("outdated");
     throw error;
   } finally { asking = false; }
 }
@@ -165,11 +167,7 @@ async function decide(verdict) {
 async function revise() {
   const figures = JSON.parse($("plan-facts").dataset.figures);
   rewrite($("plan-note"), "The ground looks for the ways …");
-  const next = await decided({ verdict: "revise", places_m: taken(stops).map(placeOf) }).catch((error) => {
-    rewrite($("plan-note"), error.message);
-    $("plan-note").classList.add("outdated");
-    throw error;
-  });
+  const next = await decided({ verdict: "revise", places_m: taken(stops).map(placeOf) });
   draw(next, figures);
   rewrite($("plan-note"), "Checked: the ground has found the ways. Approve the plan, or change it further.");
 }

@@ -2,7 +2,7 @@
 
 import { map } from "./layers.js";
 import { askJson, send } from "./net.js";
-import { $, attempt, numberIn, rewrite, sinceStart, state } from "./state.js";
+import { $, numberIn, rewrite, sinceStart, state } from "./state.js";
 import { line, node, text } from "./svg.js";
 import { duration, elapsed, element, fixed, grouped } from "./words.js";
 
@@ -18,6 +18,7 @@ const WIDE = 420, LEFT = 40, RIGHT = 12;
 let shown = 0;       // the number of the rehearsal whose result is shown; 0 while one is under way
 let underWay = 0;    // the number of the rehearsal that was under way when the server was asked last; 0 for none
 let looking = null;
+let refused = "";    // why the rehearsal that was wanted here last has not begun
 
 // --- what is rehearsed ------------------------------------------------------------------------------------------------
 
@@ -49,16 +50,18 @@ choice.addEventListener("change", () => { $("rehearsal-words-field").hidden = ch
 
 $("rehearsal-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  attempt(async () => {
-    try {
-      follow(await send("rehearsal", { draws: numberIn($("rehearsal-draws")), against: against() }));
-    } catch (error) {
-      look(); // another browser's may be under way
-      throw error;
-    }
-  });
+  refused = "";
+  tried(async () => follow(await send("rehearsal", { draws: numberIn($("rehearsal-draws")), against: against() })));
 });
-$("rehearsal-stop").addEventListener("click", () => attempt(async () => follow(await send("rehearsal/stop", {}))));
+$("rehearsal-stop").addEventListener("click", () => tried(async () => follow(await send("rehearsal/stop", {}))));
+
+async function tried(what) {
+  try { await what(); } catch (error) {
+    refused = error.message;
+    rewrite($("rehearsal-failure"), refused);
+    if (looking === null) look(); // another browser's may be under way
+  }
+}
 
 // --- its progress -----------------------------------------------------------------------------------------------------
 
@@ -75,7 +78,8 @@ function follow({ number, running, done, of: flights, why, result }) {
   if (running) { bar.max = flights; bar.value = done; }
   rewrite($("rehearsal-note"), running ? (done ? `${done} of ${flights}` : "begins …") : "");
   const lost = number < underWay; // numbers begin anew with the server
-  rewrite($("rehearsal-failure"), lost ? "The rehearsal has ended with the page's server, which was started anew" : why || "");
+  if (lost || result) refused = "";
+  rewrite($("rehearsal-failure"), refused || (lost ? "The rehearsal has ended with the page's server, which was started anew" : why || ""));
   underWay = running ? number : 0;
   if (running) shown = 0; // a server that was started anew counts from 1 again
   if (result) { shown = number; draw(result); }

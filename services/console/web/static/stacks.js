@@ -14,6 +14,14 @@ let list = "run"; // what the list shows: "run" for the stack that is or was und
 
 const isUnderWay = () => state.stack !== null && !state.stack.ended;
 
+// Does it; what fails is told in the panel, and stays until the operator goes on.
+async function tried(what) {
+  try { await what(); } catch (error) {
+    showStack();
+    rewrite($("stack-failure"), error.message);
+  }
+}
+
 // --- the text -------------------------------------------------------------------------------------------------------
 
 $("stack-text").value = sessionStorage.getItem("stack") ?? ""; // a reload forgets nothing
@@ -32,7 +40,7 @@ function clear(next) {
 }
 
 $("stack-text").addEventListener("input", textChanged);
-$("stack-text").addEventListener("keydown", (event) => { if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); attempt(check); } });
+$("stack-text").addEventListener("keydown", (event) => { if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); tried(check); } });
 
 $("stack-open").addEventListener("click", () => $("stack-file").click());
 $("stack-file").addEventListener("change", () => attempt(async () => {
@@ -60,7 +68,7 @@ async function check() {
   list = "check";
   showStack();
 }
-$("stack-check").addEventListener("click", () => attempt(check));
+$("stack-check").addEventListener("click", () => tried(check));
 
 function row({ line, command, waits_for }, about, look = "") {
   return element("li", { class: look, "data-line": line }, element("div", { class: "head" }, command, element("span", { class: "dim num" }, `line ${line}, ${waits_for}`)), ...about);
@@ -128,18 +136,18 @@ function showQuestion(asks) {
   map.draw();
 }
 
-const answer = (sends) => attempt(async () => {
+const answer = (sends) => tried(async () => {
   const { number, asks } = state.stack;
   takeStack((await send("stack/answer", { number, line: asks.line, send: sends })).stack);
 });
 $("stack-yes").addEventListener("click", () => answer(true));
 $("stack-no").addEventListener("click", () => answer(false));
-$("stack-send").addEventListener("click", () => attempt(async () => {
+$("stack-send").addEventListener("click", () => tried(async () => {
   const text = checked;
   $("stack-send").disabled = true;
   takeStack((await send("stack", { text, step: $("stack-step").checked })).stack);
   toast("Command stack begun");
 }));
-$("stack-stop").addEventListener("click", () => attempt(async () => {
+$("stack-stop").addEventListener("click", () => tried(async () => {
   takeStack((await send("stack/stop", { number: state.stack.number })).stack);
 }));
