@@ -71,7 +71,7 @@ def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True, sa
 def test_the_report_says_what_the_mission_did() -> None:
     made = report()
     assert made.completed
-    assert (made.scenario, made.region, made.planner, made.kernel, made.seed) == ("m", "t1", "rrtstar", "matern52", 1)
+    assert (made.scenario, made.region, made.planner, made.kernel, made.seed) == ("m", "t1", "rrtstar", "auto", 1)
     assert (made.rounds, made.samples, made.path_length_m, made.drilled_m) == (1, 2, 42.5, 0.2)
     assert (made.rmse_ppb, made.coverage_68, made.coverage_95) == (0.5, 0.7, 0.95)
     assert (made.mission_time_s, made.wall_time_s, made.one_way_light_time_s) == (123.5, 0.25, 3.0)
