@@ -64,7 +64,6 @@ from services.runtime.node import (
     TimerFired,
 )
 from services.runtime.state_codec import StateCodec
-from services.runtime.trust.signing import REQUEST_VALID_NS
 
 if TYPE_CHECKING:
     from services.runtime.audit_trail import AuditTrail
@@ -617,6 +616,8 @@ class Host:
         if self._gate is None:
             return self._encode(header, body)
         if part is Part.QUERY and topic.signed:
+            from services.runtime.trust.signing import REQUEST_VALID_NS  # slow, and only with keys
+
             header = header.model_copy(update={"expires_at": header.made_at + REQUEST_VALID_NS})
         return self._gate.encode(part, topic, header, body)
 

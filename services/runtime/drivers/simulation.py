@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import He3Error
 from schemas.codec import decode_reply, encode
@@ -19,11 +19,13 @@ from schemas.wire import Header, Wire
 from services.mission.mission_time import MissionTime, seconds
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.custody.endpoint import custody_config
-from services.runtime.drivers.simulated_journal import SimulatedJournal
 from services.runtime.host import EventSink, Host
 from services.runtime.inputs import MessageArrived, ProcessStarted, QueryArrived, QueryUnanswered, ReplyArrived
 from services.runtime.node import Finish, LogRecord, Node, NoReply, PublishSnapshot
 from services.runtime.scheduler import Executor, InlineExecutor, Kind, NodeScheduler
+
+if TYPE_CHECKING:
+    from services.runtime.drivers.simulated_journal import SimulatedJournal
 
 Tap = Callable[[Topic, Side, bytes, MissionTime], None]
 """Called for each message published, with its topic, its side, its bytes and the mission time."""
@@ -110,7 +112,7 @@ class Simulation:
         """Keep journals of those nodes; to be called before the first step."""
         for name in names:
             host = self._schedulers[name].host
-            journal = SimulatedJournal(identity, host.codec)
+            journal = _journal(identity, host)
             self._journals[name] = [journal]
             self._schedulers[name] = NodeScheduler(host, self._executor, journal)
             self._receivers.clear()
@@ -156,7 +158,7 @@ class Simulation:
         else:
             later = [entry for journal in journals[latest + 1 :] for entry in journal.entries()]
             kept = [*journals[latest].entries(since_checkpoint=True), *later]
-        journals.append(SimulatedJournal(journals[-1].identity, host.codec))
+        journals.append(_journal(journals[-1].identity, host))
         scheduler = NodeScheduler(host, self._executor, journals[-1])
         remaining = scheduler.replay(kept, state)
         self._add_scheduler(scheduler)
@@ -341,3 +343,10 @@ class _Idle:
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         return Future()
+
+
+def _journal(identity: dict[str, str], host: Host) -> SimulatedJournal:
+    """An empty journal of that host."""
+    from services.runtime.drivers.simulated_journal import SimulatedJournal  # slow, and only with journals
+
+    return SimulatedJournal(identity, host.codec)
