@@ -76,7 +76,7 @@ class Belief:
         self._map: PosteriorMap | None = None
         self._intervals: Intervals | None = None  # follows from the rest, as the posterior does
         self._process = GaussianProcess(self._first())
-        self._to_take_in: list[Observation] = []  # those of which the process does not know yet
+        self._to_take_in: list[tuple[str, ...]] = []  # samples of which the process does not know yet, batch by batch
         self._fits = 0
         self._built: tuple[str, ...] = ()  # the samples that the map was last built from; the others were added since
 
@@ -126,8 +126,8 @@ class Belief:
 
         ``ProcessMixture.of`` gives those under its alternatives, whose moments the map has.
         """
-        for observed in self._to_take_in:
-            self._process = self._process.condition([observed.place_m], [observed.value_ppb])
+        for names in self._to_take_in:
+            self._process = self._process.condition(*self._samples(names))
         self._to_take_in.clear()
         return self._process
 
@@ -179,7 +179,7 @@ class Belief:
         if self._followed:
             self._process = self._process.condition(places, [observation.value_ppb])
         else:
-            self._to_take_in.append(observation)
+            self._to_take_in.append((sample_id,))
         self._observations[sample_id], self._map, self._intervals = observation, None, None
         return True
 
@@ -206,9 +206,9 @@ class Belief:
         planned = {name: observed.planned for name, observed in self._observations.items()}
         self._built = tuple(sorted(planned, key=planned.__getitem__))
         self._process = GaussianProcess(self._with_trend(fitted))
-        self._to_take_in.clear()
-        if self._built:
-            self._process = self._process.condition(*self._samples(self._built))
+        self._to_take_in = [self._built] if self._built else []
+        if self._followed:
+            self._process = self.process
         self._posterior = self._map = self._intervals = None
 
     def begin_with(self, observations: Mapping[str, Observation], fitted: Hyperparameters) -> None:

@@ -63,6 +63,18 @@ def test_before_any_sample_the_map_is_the_prior_of_lunar_soils() -> None:
     assert (likeliest.std_ppb == 4.0).all()
 
 
+def test_a_belief_that_is_read_now_and_then_is_the_same_to_the_bit_when_it_is_read() -> None:
+    followed, asked = Belief(GRID, "matern52", NOISE), Belief(GRID, "matern52", NOISE, followed=False)
+    for number, (name, observation) in enumerate(observations(12).items()):
+        for belief in (followed, asked):
+            belief.add(name, observation)
+            if number == 6:
+                belief.adopt(replace(belief.hyperparameters, kernel=KERNELS["matern52"](1.0, 20.0)))
+    np.testing.assert_array_equal(asked.process.whitened, followed.process.whitened)
+    np.testing.assert_array_equal(asked.process.factor, followed.process.factor)
+    np.testing.assert_array_equal(asked.map.std_ppb, followed.map.std_ppb)
+
+
 def test_each_sample_is_in_the_map_at_once_and_exactly() -> None:
     samples = observations(12)
     belief = belief_of(samples)

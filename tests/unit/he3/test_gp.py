@@ -55,6 +55,18 @@ def test_mean_deviation_and_covariance_are_those_of_scikit_learn(
     np.testing.assert_allclose(belief.posterior_covariance(points, others), 2.25 * joint[:50, 50:], atol=1e-8)
 
 
+def test_a_drawn_observation_comes_from_the_prediction_and_is_then_known() -> None:
+    places, values = samples(30, seed=4)
+    belief = GaussianProcess(PRIOR).condition(places, values)
+    place = np.array([120.0, 310.0])
+    told: list[float] = []
+    value, after = belief.drawn(place, lambda mean, std: told.extend((mean, std)) or mean + 2.0 * std)
+    (mean,), (std,) = belief.predict([place])
+    assert told == pytest.approx([mean, std], rel=1e-9)
+    assert value == pytest.approx(mean + 2.0 * std)
+    np.testing.assert_allclose(after.predict(places), belief.condition([place], [value]).predict(places), rtol=1e-9)
+
+
 def test_one_sample_has_its_closed_form() -> None:
     belief = GaussianProcess(PRIOR).condition([[100.0, 200.0]], [9.5])
     mean, deviation = belief.predict([[130.0, 240.0]])
