@@ -95,6 +95,9 @@ class MissionReport(Wire):
     """Provenance of each layer of the region; empty if the region does not give it."""
     planner: Text
     kernel: Text
+    kernel_weights: dict[str, float] | None = Field(default=None, exclude_if=is_none)
+    """Weight of each kernel in the final map, by name, the heaviest first; None where all of it has one name. As few
+    kernels stand for many, it is not the probability of the name."""
     seed: int
     driver: Text
     """in-process, zenoh or lockstep."""

@@ -26,3 +26,16 @@ def learned(kernel: KernelParameters | None, stated_noise_std_ppb: float) -> Lea
         stretch=heaviest.get(STRETCH),
         bearing_deg=heaviest.get(BEARING),
     )
+
+
+def kernel_weights(kernel: KernelParameters | None) -> dict[str, float] | None:
+    """The weight of each kernel in the mixture, by name, the heaviest first; None where all have one name."""
+    if kernel is None:
+        return None
+    weights: dict[str, float] = {}
+    for each in kernel.alternatives or ():
+        name = each.name or kernel.name
+        weights[name] = weights.get(name, 0.0) + each.weight
+    if len(weights) < 2:
+        return None
+    return dict(sorted(weights.items(), key=lambda one: -one[1]))

@@ -18,7 +18,7 @@ from he3.errors import He3Error
 from schemas.ground import GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore, RegionLayer
 from schemas.report import ClosedGroundReport, DrivingReport, MessageCounts, MissionReport, ReportSample
-from services.console.report.learned import learned
+from services.console.report.learned import kernel_weights, learned
 from services.mission.mission_time import SECOND
 from services.runtime.files.output import write_output
 from services.runtime.heartbeat import software_version
@@ -108,6 +108,7 @@ def build_report(
         region_layers=tuple(RegionLayer(**asdict(origin)) for origin in run.region_layers),
         planner=scenario.ground.planner,
         kernel=scenario.ground.kernel if status.kernel is None else status.kernel.name,
+        kernel_weights=kernel_weights(status.kernel),
         seed=scenario.seed,
         driver=run.driver,
         rate=run.rate,

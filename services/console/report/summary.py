@@ -22,6 +22,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
         ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
         *_goal(report),
         *_accuracy(report),
+        *_mixed(report),
         *_learned(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
         *_driving(report),
@@ -88,6 +89,13 @@ def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
     unknown = report.closed_ground is not None and report.closed_ground.unknown > 0
     cells = "all cells with a reference" if unknown else "all cells"
     return [("RMSE", f"{report.rmse_ppb:.4f} ppb over {cells}"), ("coverage", within)]
+
+
+def _mixed(report: MissionReport) -> list[tuple[str, str]]:
+    if report.kernel_weights is None:
+        return []
+    shown = {name: f"{weight:.0%}" for name, weight in report.kernel_weights.items()}
+    return [("map mixes", ", ".join(f"{name} {share}" for name, share in shown.items() if share != "0%"))]
 
 
 def _learned(report: MissionReport) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, L
 from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MissionReport
 from schemas.telemetry import SampleReport
-from services.console.report.learned import learned
+from services.console.report.learned import kernel_weights, learned
 from services.console.report.mission_report import Run, array_of, build_report
 from services.console.report.outputs import caption
 from services.console.report.summary import summary_lines
@@ -135,6 +135,19 @@ def test_the_report_tells_what_was_learned_of_noise_and_lengths_and_nothing_wher
         "(75% of the mixture)"
     ) in summary_lines(made)
     assert not any(line.startswith("learned") for line in summary_lines(report()))
+
+
+def test_the_report_tells_which_kernels_the_map_mixes_and_nothing_where_it_has_one() -> None:
+    own = WeightedKernel(weight=0.25, parameters={"variance": 1.0, "length_scale_m": 60.0})
+    rough, little = (own.model_copy(update={"name": "matern12", "weight": weight}) for weight in (0.746, 0.004))
+    assert kernel_weights(None) is None
+    assert kernel_weights(kernel(0.1, own, own)) is None
+    weights = kernel_weights(kernel(0.1, own, rough, little.model_copy(update={"name": "se"})))
+    assert weights == {"matern12": 0.746, "matern52": 0.25, "se": 0.004}
+    made = report().model_copy(update={"kernel_weights": weights})
+    assert MissionReport.model_validate_json(made.model_dump_json()) == made
+    assert "map mixes     matern12 75%, matern52 25%" in summary_lines(made)
+    assert not any(line.startswith("map mixes") for line in summary_lines(report()))
 
 
 def test_the_report_is_one_json_document_that_reads_back_equal() -> None:
