@@ -464,6 +464,12 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     for layer in ("std", "information", "exceedance", "traversable", "mean"):
         click(browser, f"input[value={layer}] + span")
         until(lambda layer=layer: shown(browser).get("layer") == layer, f"layer {layer}")
+    pale = "return document.getElementById('map').classList.contains('another')"
+    assert not script(browser, pale)
+    assert script(browser, f"document.querySelector('input[value=std]').click(); {pale}")
+    until(lambda: shown(browser).get("layer") == "std" and not script(browser, pale), "the layer that was chosen")
+    click(browser, "input[value=mean] + span")
+    until(lambda: shown(browser).get("layer") == "mean", "layer mean")
 
     # A place that is clicked: the page says what a Zenoh query says.
     script(

@@ -37,6 +37,7 @@ const compared = () => $("compare").value; // "", "difference" or "swipe"
 // --- loading --------------------------------------------------------------------------------------------------------
 
 export function wantMap() {
+  showWhetherAnother();
   if (loading) { wanted = true; return; }
   loading = true;
   loadMap()
@@ -154,7 +155,16 @@ function titleOf(source) {
   return OF_REGION.includes(source.layer) ? words(source.layer) : `${words(source.layer)} · revision ${source.about.revision}`;
 }
 
+// The map is pale while the controls already name another layer, comparison or moment than it shows.
+const lookOf = ({ layer, mode, other, threshold, revision, past }) => JSON.stringify([layer, mode, mode && other, threshold, past && revision]);
+let shownLook = null;
+function showWhetherAnother() {
+  if (shownLook !== null) $("map").classList.toggle("another", lookOf(wish()) !== shownLook);
+}
+
 function show(panes, relief, wished) {
+  shownLook = lookOf(wished);
+  showWhetherAnother();
   if (range) panes[0].range = range;
   map.setPanes(panes, relief);
   showScales();

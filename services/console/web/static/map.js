@@ -240,6 +240,7 @@ export class SiteMap {
     for (const each of this.areas) marks.area(context, projection, colour, each);
     if (this.track && this.show.paths) marks.paths(context, projection, colour, this.track);
     if (this.track && this.show.samples) marks.samples(context, projection, colour, this.track.samples, this.sample);
+    for (const each of this.areas) marks.areaName(context, projection, colour, each);
     if (this.draft.length) marks.corners(context, projection, this.draft.length > 2 ? [...this.draft, this.draft[0]] : this.draft, colour("--accent"));
     if (this.legs.length) marks.measured(context, projection, this.legs, colour("--planned"));
     if (this.rehearsed && this.show.rehearsed) marks.rehearsed(context, projection, colour, this.rehearsed);

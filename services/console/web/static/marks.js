@@ -129,12 +129,16 @@ export function proposed(context, projection, colour, { path, checked, samples: 
   });
 }
 
-export function area(context, projection, colour, { corners, kind, name, selected }) {
+export function area(context, projection, colour, { corners, kind, selected }) {
   const keepOut = kind === "keepout", style = colour(keepOut ? "--keepout" : "--interest"), closed = [...corners, corners[0]];
   line(context, projection, closed, selected ? 6 : 3.6, selected ? colour("--planned") : "rgb(0 0 0 / 55%)");
   line(context, projection, closed, 2.1, style, keepOut ? [] : [6, 4]);
   if (keepOut) hatched(context, projection, corners, style);
-  if (name) label(context, name, projection.at(...corners[0]), style);
+}
+
+// Its name, which lies over paths and samples.
+export function areaName(context, projection, colour, { corners, kind, name }) {
+  if (name) label(context, name, projection.at(...corners[0]), colour(kind === "keepout" ? "--keepout" : "--interest"));
 }
 
 function hatched(context, projection, corners, style) {
