@@ -183,7 +183,7 @@ function ends(forecasts) {
   const made = node("svg", { viewBox: `0 0 ${WIDE} ${bottom + 18}`, role: "img", "aria-label": `When the rounds are done, against the median as planned. Round ${last}: ${said.join("; ")}` });
   const step = [60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000, 72000, 180000].find((each) => (high - low) / each <= 6) ?? 360000;
   for (let value = Math.ceil(low / step) * step; value <= high; value += step) {
-    made.append(line(at(value), 4, at(value), bottom, value ? "var(--line)" : "var(--dim)"), text(at(value), bottom + 13, value ? `${value < 0 ? "−" : "+"}${Math.abs(value) < 7200 ? `${Math.abs(value) / 60} min` : `${Math.abs(value) / 3600} h`}` : "0", "middle"));
+    made.append(line(at(value), 4, at(value), bottom, value ? "var(--line)" : "var(--dim)"), text(at(value), bottom + 13, value ? `${value < 0 ? "−" : "+"}${step < 3600 ? `${Math.abs(value) / 60} min` : `${Math.abs(value) / 3600} h`}` : "0", "middle"));
   }
   const every = Math.ceil(12 / row);
   numbers.forEach((number, index) => {
