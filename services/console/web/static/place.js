@@ -19,6 +19,8 @@ whenThresholdChanges(showPlace);
 
 function showChosen() {
   $("go-to").disabled = map.chosen === null;
+  // On a phone the answer lies over the map, and not over the place that it is of.
+  $("answer").classList.toggle("low", map.chosen !== null && map.projection.at(...map.chosen)[1] < map.projection.size[1] / 3);
   showSteps();
   showHeld();
   showPlace();
