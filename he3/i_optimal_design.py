@@ -37,6 +37,8 @@ from he3.frames import FloatArray, SiteGrid, as_points
 CovarianceOfSquaredDistance = Callable[[FloatArray], FloatArray]
 """Squared distances [m^2] -> covariances, of the same shape."""
 
+_Conditioned = tuple[NDArray[np.floating], NDArray[np.floating], FloatArray, NDArray[np.floating]]
+
 TABLE_STEPS_PER_NODE = 40  # 1, entries of the table per spacing of the nodes: 0.25 m on a site of 500 m
 MIN_NOISE = 1e-4  # 1, noise variance as a share of the field's, below which a smaller one does not change a design
 DIRECT_BELOW_NOISE = 5e-4  # 1, the same, below which covariances are not looked up [measured]
@@ -85,8 +87,14 @@ class AverageVariance:
         noise_variance: float,
         nodes: FieldNodes,
         sampled_m: FloatArray,
+        *,
+        rough: bool = False,
     ) -> None:
-        """sampled_m: places (t, 2) [m] of the samples taken. Raises InvalidInput for a field without variance."""
+        """sampled_m: places (t, 2) [m] of the samples taken. Raises InvalidInput for a field without variance.
+
+        rough: whether what these samples explain is computed in the precision of the table, which takes a third of the
+        time and changes V by less than a millionth of the field's variance.
+        """
         sampled = as_points(sampled_m) if len(sampled_m) else np.zeros((0, 2))
         variance = float(covariance(np.zeros(1))[0])
         if not variance > 0:
@@ -96,6 +104,8 @@ class AverageVariance:
         self._noise = max(noise_variance / variance, MIN_NOISE)
         self._nodes = nodes
         self._sampled = sampled
+        self._rough = rough
+        self._last: tuple[FloatArray, _Conditioned] | None = None
         self._direct = self._noise < DIRECT_BELOW_NOISE
         self._prepare_or_go_direct()
 
@@ -133,17 +143,19 @@ class AverageVariance:
             self._direct = True
             self._prepare()
 
-    def _conditioned_or_go_direct(
-        self, p: FloatArray
-    ) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray, NDArray[np.floating]]:
+    def _conditioned_or_go_direct(self, p: FloatArray) -> _Conditioned:
+        if self._last is not None and np.array_equal(self._last[0], p):
+            return self._last[1]  # V and its gradient at the same places
         try:
-            return self._conditioned(p)
+            found = self._conditioned(p)
         except NumericalFailure:
             if self._direct:
                 raise
             self._direct = True
             self._prepare()
-            return self._conditioned(p)
+            found = self._conditioned(p)
+        self._last = p.copy(), found
+        return found
 
     def _prepare(self) -> None:
         """Tabulate the covariance and condition on the samples taken, in the precision that is in use."""
@@ -171,7 +183,11 @@ class AverageVariance:
         self._lattice = (columns, rows) if on_lattice else None
         k_tg, _ = self._to_nodes(sampled)
         self._factor = self._factored(self._between(sampled, sampled)[0])
-        self._whitened = solve_triangular(self._factor, k_tg, lower=True, check_finite=False).astype(self._dtype)
+        if self._rough and not self._direct:
+            inverse = solve_triangular(self._factor, np.eye(len(sampled)), lower=True, check_finite=False)
+            self._whitened = inverse.astype(self._dtype) @ k_tg
+        else:
+            self._whitened = solve_triangular(self._factor, k_tg, lower=True, check_finite=False).astype(self._dtype)
         self._k_tg = k_tg
         left = 1.0 - np.einsum("ig,ig->g", self._whitened, self._whitened)
         self.without = max(float(self._weights @ left), self._least_variance(0))
@@ -181,21 +197,19 @@ class AverageVariance:
         """A lower bound on V: half the variance that as many samples at one place would leave there."""
         return 0.5 / (1.0 + (len(self._sampled) + free) / self._noise)
 
-    def _conditioned(
-        self, p: FloatArray
-    ) -> tuple[NDArray[np.floating], NDArray[np.floating], FloatArray, NDArray[np.floating]]:
+    def _conditioned(self, p: FloatArray) -> _Conditioned:
         """What the samples taken leave of the covariance with the nodes, and what else follows from the places (n, 2).
 
         B (n, G) and that covariance (n, G), the one with the samples (n, t), and k' against the nodes (n, G).
         """
-        k_fg, slope_g = self._to_nodes(p)
+        k_fg, at = self._to_nodes(p)
         k_ft = self._between(p, self._sampled)[0]
         whitened_f = solve_triangular(self._factor, k_ft.T, lower=True, check_finite=False)
         c_fg = k_fg - whitened_f.T.astype(self._dtype) @ self._whitened
         c_ff = self._between(p, p)[0] - whitened_f.T @ whitened_f
         factor = self._factored(c_ff)
         inverse = cho_solve((factor, True), np.eye(len(p)), check_finite=False).astype(self._dtype)
-        return inverse @ c_fg, c_fg, k_ft, slope_g
+        return inverse @ c_fg, c_fg, k_ft, self._slopes.take(at, mode="clip")
 
     def _pair_gradient(self, a: FloatArray, b: FloatArray, m: FloatArray) -> FloatArray:
         """2 sum_j M_ij dk(a_i, b_j)/da_i, (n, 2)."""
@@ -230,8 +244,8 @@ class AverageVariance:
         values = self._values[below] * (1.0 - part) + self._values[below + 1] * part
         return values, slopes
 
-    def _to_nodes(self, p: FloatArray) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Covariance (n, G) between places and nodes, and its derivative to the squared distance."""
+    def _to_nodes(self, p: FloatArray) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
+        """Covariance (n, G) between places and nodes, and where its derivative stands in the table."""
         xy = p.astype(self._dtype)
         r = self._squared_distances(xy)
         r += self._dtype.type(self._softening)
@@ -242,7 +256,7 @@ class AverageVariance:
         at = r.astype(np.intp)  # what `take` needs; it would convert any other integers
         if values is None:
             values = self._middles.take(at, mode="clip")
-        return values, self._slopes.take(at, mode="clip")
+        return values, at
 
     def _squared_distances(self, xy: NDArray[np.floating]) -> NDArray[np.floating]:
         """Squared distances (n, G) [m^2] between places (n, 2) and nodes."""

@@ -241,10 +241,13 @@ class QuickTasks:
 
 
 def quick(request: PlanningRequest) -> PlanningRequest:
-    """The request without a search for a shorter order of places, where they come in the order of the plan before."""
+    """The request without a search for a shorter order of places, where they come in the order of the plan before.
+
+    What the samples taken explain is computed in single precision.
+    """
     if request.outlook_m is None:
         return request
-    extra = {"kicks": 0.0, **request.options.extra}
+    extra = {"kicks": 0.0, "rough": 1.0, **request.options.extra}
     return replace(request, options=replace(request.options, extra=extra))
 
 

@@ -77,7 +77,7 @@ MAX_OUTLOOK_MISMATCH = 0.34
 """Largest difference between the outlook's samples and those that remain, as a share of the latter."""
 BUDGET_ROUNDING = 1e-9
 """Share of the budget that is not used, so that the path's length in another order of summation does not exceed it."""
-SETTINGS = ("length_price", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks")
+SETTINGS = ("length_price", "designs", "finalists", "first_steps", "final_steps", "steps", "kicks", "rough")
 MIN_LENGTH_SCALE_SPACINGS = 0.5
 """Shortest length scale of a design, in spacings of an even lattice of all samples over the site."""
 MAX_LENGTH_SCALE_SPACINGS = 6.0
@@ -175,7 +175,9 @@ def _average_variance(request: PlanningRequest, nodes: FieldNodes) -> AverageVar
     kernel = clamp_length_scales(
         hyperparameters.kernel, MIN_LENGTH_SCALE_SPACINGS * spacing_m, MAX_LENGTH_SCALE_SPACINGS * spacing_m
     )
-    return AverageVariance(kernel.of_squared_distance, hyperparameters.noise_variance, nodes, request.observed_m)
+    rough = bool(request.options.extra.get("rough"))
+    noise = hyperparameters.noise_variance
+    return AverageVariance(kernel.of_squared_distance, noise, nodes, request.observed_m, rough=rough)
 
 
 def clamp_length_scales(kernel: Kernel, shortest_m: float, longest_m: float) -> Kernel:
