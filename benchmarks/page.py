@@ -58,7 +58,7 @@ let held = null;
 new MutationObserver((changes, watch) => {
   const took = performance.now() - began;
   if (place.dataset.held) held ??= took;
-  if (!changes.some(({attributeName}) => attributeName === 'data-point')) return;
+  if (!place.dataset.point || !changes.some(({attributeName}) => attributeName === 'data-point')) return;
   watch.disconnect();
   done([held, took]);
 }).observe(place, {attributeFilter: ['data-held', 'data-point']});
