@@ -1246,6 +1246,7 @@ def test_a_page_whose_server_is_gone_says_so_and_knows_neither_time_nor_mission(
     browser: Any, mission: MissionClient, tmp_path: Path
 ) -> None:
     before = len(mission.commands())
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     with Served(mission, "--authority") as where:
         browser.get(where)
         until(lambda: written(browser, "#liveness").startswith("live"), "the mission")
@@ -1258,6 +1259,7 @@ def test_a_page_whose_server_is_gone_says_so_and_knows_neither_time_nor_mission(
     decide(browser, ENTER)
     nothing = "the page's server does not answer: nothing was sent"
     until(lambda: nothing in written(browser, "#toast"), "the answer to Enter")
+    script(browser, "document.getElementById('toast').replaceChildren()")  # it lies over what is clicked next
     write(browser, "#stack-text", "pause")
     click(browser, "#stack-check")
     until(lambda: written(browser, "#stack-failure") == nothing, "the answer to a check")
