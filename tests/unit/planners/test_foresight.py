@@ -15,4 +15,4 @@ def test_a_forecast_says_what_it_takes_and_what_is_missing() -> None:
     samples = forecast_of(20, 500.0, 0.62, 0.5, 20, np.inf)
     assert not samples.reachable
     assert samples.samples is None
-    assert samples.text == "with the 20 samples left the greatest std is about 0.620 ppb"
+    assert samples.text == "with the 20 samples left the greatest std is about 0.620 ppb; the goal takes 0.500"
