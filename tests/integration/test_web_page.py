@@ -1216,7 +1216,7 @@ def barriers(driver: Any) -> list[tuple[str, str]]:
 @pytest.mark.exhaustive
 def test_no_view_of_the_page_has_a_serious_barrier(browser: Any, address: str, mission: MissionClient) -> None:
     size = {"width": 1440, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    past = mission.history().revisions[1].revision
+    past = until(lambda: mission.history().revisions[1:], "a second map")[0].revision
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     browser.get("about:blank")
     browser.get(
