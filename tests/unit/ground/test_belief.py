@@ -229,6 +229,20 @@ def test_a_mixture_with_any_kernel_is_kept_and_restored(kernel: Kernel) -> None:
     np.testing.assert_array_equal(restored.map.std_ppb, belief.map.std_ppb)
 
 
+def test_the_intervals_of_a_restored_belief_are_those_before_also_with_samples_since_the_last_fit() -> None:
+    belief, restored = belief_of(observations(10)), Belief(GRID, "matern52", NOISE)
+    kernels = belief.hyperparameters.kernel, Stretched(KERNELS["se"](), 2.0, 40.0)
+    belief.adopt(replace(belief.hyperparameters, alternatives=((0.5, kernels[0]), (0.5, kernels[1]))))
+    fitted = belief.interval_ends()
+    belief.add("late", Observation((9, 1, 1), (20.0, 20.0), 8.0))
+    ends = belief.interval_ends()
+    assert fitted is not None
+    assert ends is not None
+    assert not np.array_equal(ends, fitted)
+    restored.restore(belief.checkpoint())
+    np.testing.assert_array_equal(restored.interval_ends(), ends)
+
+
 def test_a_state_without_its_map_restores_the_same_map() -> None:
     belief, restored = belief_of(observations(10)), Belief(GRID, "matern52", NOISE)
     belief.adopt(fit_of(belief))

@@ -27,6 +27,7 @@ HOURS = 9
 
 MADE_AGAIN = {
     "_posterior",  # of the belief: made again from its samples when one is added
+    "_intervals",  # of the belief: made again from its posterior when they are asked for
     "_executor",
     "_heard",  # a question to the driver
     "changes",  # counts since the object was made
