@@ -1301,7 +1301,7 @@ def test_panels_say_in_a_line_what_was_killed_and_neither_lose_a_plan_nor_send_a
             until(lambda: "0 of 2 commands sent" in written(browser, "#stack-failure"), "the end of the stack")
             browser.execute_async_script(edit)
             click(browser, "#plan-check")
-            until(lambda: "no service answers" in written(browser, "#plan-note"), "the answer of nobody")
+            until(lambda: "no service answers" in written(browser, "#plan-note"), "the line that no service answers")
             assert browser.find_element("id", "plan-check").is_enabled()
             flown.start_again("ground")
             assert until(lambda: proposed(other), "the ground again").plan == proposal.plan
@@ -1320,7 +1320,7 @@ def test_panels_say_in_a_line_what_was_killed_and_neither_lose_a_plan_nor_send_a
 
 
 def proposed(client: MissionClient) -> Any:
-    """The plan that waits; None while nobody answers."""
+    """The plan that waits; None while no service answers."""
     with suppress(PeerUnreachable):
         return client.proposed_plan()
     return None

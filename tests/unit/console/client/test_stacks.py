@@ -210,14 +210,14 @@ def test_an_operator_who_steps_through_a_stack_stops_it_where_they_say_no() -> N
 
 def test_a_stack_whose_mission_falls_silent_says_what_was_sent_and_what_is_not_known() -> None:
     def silent(*_: object) -> Any:
-        raise PeerUnreachable("nobody answers")
+        raise PeerUnreachable("no service answers")
 
     desk = Desk()
     stack = StackRun(parse_stack("pause\nresume", START), desk)
     desk.stages = silent  # type: ignore[method-assign]
-    with pytest.raises(PeerUnreachable, match=r"^stack: nobody answers; 1 of 2 commands sent, nothing"):
+    with pytest.raises(PeerUnreachable, match=r"^stack: no service answers; 1 of 2 commands sent, nothing"):
         list(stack.run(lambda line, outlook: True))
     desk.send = silent  # type: ignore[method-assign]
     stack = StackRun(parse_stack("pause", START), desk)
-    with pytest.raises(PeerUnreachable, match=r"line 1 \(pause\): nobody answers, so whether it has"):
+    with pytest.raises(PeerUnreachable, match=r"line 1 \(pause\): no service answers, so whether it has"):
         list(stack.run(lambda line, outlook: True))
