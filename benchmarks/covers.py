@@ -66,8 +66,9 @@ class CoverTask:
     @cached_property
     def site(self) -> Site:
         region = self.field.region
-        traversable = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable
-        return reachable_site(region.grid, traversable, self.start_m, field_nodes(region.grid, None))
+        terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
+        nodes = field_nodes(region.grid, None)
+        return reachable_site(region.grid, terrain.traversable, terrain.margin_m, self.start_m, nodes)
 
     @cached_property
     def reached(self) -> BoolArray:

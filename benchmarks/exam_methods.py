@@ -25,7 +25,6 @@ from benchmarks.peer_environments import PYPOLO, SGPTOOLS, PeerEnvironment
 from benchmarks.pypolo_peer import survey_with_pypolo
 from benchmarks.sgptools_peer import belief_of, map_of_sgptools, noise_of, path_through, plan_with_sgptools
 from he3.frames import BoolArray, FloatArray, SiteGrid, path_length
-from services.ground.planners.traversability import OpenGround
 from services.ground.terrain import GroundTerrain
 
 PAPER_KERNEL = "se"
@@ -106,7 +105,7 @@ def _cover(asked: Asked, pattern: Callable[[Asked, BoolArray], FloatArray]) -> S
     """Places of a pattern, driven in their order around obstacles within the budget, and our map of them."""
     began = time.perf_counter()
     region, start_m = asked.field.region, asked.start_m
-    ground = OpenGround(region.grid, GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable)
+    ground = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).for_legs()
     reached = ground.connected_to(start_m)
     places = moved_onto(pattern(asked, reached), region.grid, reached)
     path = path_through(ground, start_m, places)[0]

@@ -21,7 +21,6 @@ from he3.reference import Region
 from services.ground.planner_process import PlannerProcess
 from services.ground.planners import PLANNERS
 from services.ground.planners.interface import PlannedRound, Planner, PlanningRequest
-from services.ground.planners.traversability import OpenGround
 from services.ground.terrain import GroundTerrain
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.regions import load_region
@@ -89,7 +88,7 @@ def expect_open(region: Region, start_m: tuple[float, float] | None) -> None:
     if start_m is None:
         return
     grid = region.grid
-    ground = OpenGround(grid, GroundTerrain(grid, region.traversable, FOOTPRINT_RADIUS_M).traversable)
+    ground = GroundTerrain(grid, region.traversable, FOOTPRINT_RADIUS_M).for_legs()
     if not ground.is_open(np.array([start_m]))[0]:
         raise InvalidInput(f"{region.name}: expected a start on open ground within 0..{grid.width_m:g} m east and "
                            f"0..{grid.height_m:g} m north, got {start_m[0]:g},{start_m[1]:g}")  # fmt: skip

@@ -116,8 +116,8 @@ def floor(
     begun = time.perf_counter()
     start_m = start_of(region) if start_m is None else start_m
     truth = true_covariance(region, noise_std_ppb, seed, cells)
-    traversable = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable
-    site = reachable_site(region.grid, traversable, start_m, field_nodes(region.grid, None))
+    terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
+    site = reachable_site(region.grid, terrain.traversable, terrain.margin_m, start_m, field_nodes(region.grid, None))
     none = np.zeros((0, 2))
     coarse = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, site.nodes, none)
     nodes = field_nodes(region.grid, None, NODES)
@@ -152,7 +152,9 @@ def floor(
         kernel=truth.kernel.name,
         bound_ppb=bound,
         start_m=start_m,
-        why_not=why_not(rmse_ppb, expected, bound, float(site.ground.connected_to(start_m).sum() / traversable.sum())),
+        why_not=why_not(
+            rmse_ppb, expected, bound, float(site.ground.connected_to(start_m).sum() / terrain.traversable.sum())
+        ),
     )
 
 

@@ -125,6 +125,7 @@ def run_mission(
             interest=interest,
             options=options or PlannerOptions(),
             outlook_m=log.outlook,
+            margin_m=terrain.margin_m,
         )
         asked = time.perf_counter()
         try:

@@ -114,7 +114,7 @@ def request_with(region: Region, kernel: str, known: int, seed: int) -> Planning
     """A planning request with that many samples at random places."""
     rng = np.random.default_rng([seed, known])
     terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
-    cells = np.argwhere(OpenGround(region.grid, terrain.traversable).connected_to(START_M))
+    cells = np.argwhere(terrain.for_legs().connected_to(START_M))
     places = (cells[rng.integers(len(cells), size=known + 1)][:, ::-1] + 0.5) * region.grid.resolution_m
     hyperparameters = Hyperparameters(kernel_from(kernel), mean_ppb=7.0, scale_ppb=1.5)
     belief = GaussianProcess(hyperparameters).condition_on_places(places[:known])
@@ -131,6 +131,7 @@ def request_with(region: Region, kernel: str, known: int, seed: int) -> Planning
         samples_left=TOTAL - known,
         budget_m=inf,
         seed=seed,
+        margin_m=terrain.margin_m,
     )
 
 

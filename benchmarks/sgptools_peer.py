@@ -75,7 +75,7 @@ def plan_with_sgptools(
 
     learned: the covariance that it is given; None lets it learn one as it goes, from the samples with this noise (n,).
     """
-    ground = OpenGround(region.grid, GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).traversable)
+    ground = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M).for_legs()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5697]))
     reached = ground.connected_to(start_m)
     rows, columns = np.nonzero(reached)

@@ -29,7 +29,7 @@ class ClosedGround:
     keep_outs: float
     """In a keep-out, and open otherwise."""
     margin: float
-    """So near to closed ground that the rover's footprint would touch it."""
+    """Cells from which the rover's footprint might touch closed ground; none where cells are much larger than it."""
     cut_off: float
     """Open, but not connected to the start."""
 

@@ -146,6 +146,7 @@ class RoundPlanning:
             cost=self._cost,
             goal=self._goal(),
             back_m=back_m,
+            margin_m=self._terrain.margin_m,
         )
 
     def _std_ppb(self, samples_pending: bool) -> Float32Array:

@@ -1,4 +1,9 @@
-"""The ground's map of where the rover's centre may be: orbital terrain less keep-outs and obstacles met."""
+"""The ground's map of where the rover's centre may be: orbital terrain less keep-outs and obstacles met.
+
+The rover has a width. On small cells, those that it might touch a closed one from are closed, too. On cells of which it
+covers little, that would close a hundred metres for a rover of less than two, and every passage of one cell; there legs
+keep its radius from closed cells instead (``margin_m``).
+"""
 
 from __future__ import annotations
 
@@ -14,6 +19,7 @@ from scipy import ndimage
 from he3.errors import InvalidInput
 from he3.polygons import outline_objection
 from he3.terrain import reachable
+from services.ground.planners.traversability import MOST_MARGIN, OpenGround, open_ground
 
 if TYPE_CHECKING:
     from he3.frames import BoolArray, FloatArray, Place, SiteGrid
@@ -42,7 +48,10 @@ class GroundTerrain:
             raise InvalidInput(f"terrain: expected open cells of shape {grid.shape}, got {open_cells.shape}")
         self.grid = grid
         self._orbital = np.array(open_cells, dtype=np.bool_)
-        self._footprint = _footprint(footprint_radius_m / grid.resolution_m)
+        narrow = footprint_radius_m <= MOST_MARGIN * grid.resolution_m
+        self.margin_m = footprint_radius_m if narrow else 0.0
+        """Distance that legs are to keep from closed cells [m]; 0 where ``traversable`` allows for the footprint."""
+        self._footprint = _footprint(0.0 if narrow else footprint_radius_m / grid.resolution_m)
         self._areas: dict[str, BoolArray] = {
             area_id: cells_touched(grid, polygon) for area_id, polygon in (keep_outs or {}).items()
         }
@@ -57,8 +66,15 @@ class GroundTerrain:
 
     @property
     def traversable(self) -> BoolArray:
-        """(rows, columns), read-only: cells in which the rover's centre may be, its footprint allowed for."""
+        """(rows, columns), read-only: cells in which the rover's centre may be, its footprint allowed for.
+
+        With a ``margin_m``, legs over them must keep that distance from the others.
+        """
         return self._open
+
+    def for_legs(self) -> OpenGround:
+        """The open ground, prepared for checks of legs."""
+        return open_ground(self.grid, self._open, self.margin_m)
 
     @property
     def areas(self) -> Mapping[str, BoolArray]:

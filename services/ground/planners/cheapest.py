@@ -188,4 +188,5 @@ def _search(ground: OpenGround, cost: TerrainCost, given_m: FloatArray, limit: f
     inner = cost.window(rows, columns)
     open_cells = ground.open[rows, columns] & (inner.slope_deg <= cost.steepest_deg(given_m))
     corner = low * size
-    return _Search(OpenGround(inner.grid, open_cells), inner, given_m - corner, limit, corner.astype(np.float64))
+    inner_ground = OpenGround(inner.grid, open_cells, ground.margin_m)
+    return _Search(inner_ground, inner, given_m - corner, limit, corner.astype(np.float64))

@@ -83,7 +83,7 @@ def informative(request: PlanningRequest) -> PlannedRound:
     settings = DEFAULTS | options.extra
     request = on_gentle_ground(request)
     share_m = budget_share_m(request)
-    ground = open_ground(request.grid, request.traversable)
+    ground = open_ground(request.grid, request.traversable, request.margin_m)
     start = ground.footing(request.start_m)
     lead_m = lead_cost(request, start)
     growth = GrowthSettings(rewire_scale_m=settings["rewire_scale_m"]).coarser(options.step_m)

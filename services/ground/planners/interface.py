@@ -54,7 +54,8 @@ class PlanningRequest:
 
     grid: SiteGrid
     traversable: NDArray[np.bool_]
-    """(rows, columns): where the rover's centre may be; footprint and keep-outs are already subtracted."""
+    """(rows, columns): where the rover's centre may be; keep-outs are already subtracted, and so is the footprint where
+    ``margin_m`` is 0."""
     start_m: tuple[float, float]
     """Where the round begins (x, y) [m]."""
     observed_m: FloatArray
@@ -84,6 +85,8 @@ class PlanningRequest:
     back_m: FloatArray | None = None
     """(k, 2) polyline [m] on which the rover drives back, the way that it came, before `start_m`, where it ends; None:
     the rover stands there. The ground puts it before the planner's path, and takes its cost off the budget."""
+    margin_m: float = 0.0
+    """Distance that every leg keeps from closed cells [m], because the rover has a width: on a site of large cells."""
 
 
 @dataclass(frozen=True, slots=True)

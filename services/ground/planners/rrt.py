@@ -57,7 +57,7 @@ def _towards_most_uncertain(request: PlanningRequest, *, optimal: bool) -> Plann
     if unknown := set(options.extra) - set(SETTINGS):
         raise InvalidInput(f"rrt and rrtstar know the settings {', '.join(SETTINGS)}; got {', '.join(sorted(unknown))}")
     share_m = budget_share_m(request)
-    ground = open_ground(request.grid, request.traversable)
+    ground = open_ground(request.grid, request.traversable, request.margin_m)
     start = ground.footing(request.start_m)
     limit_m = min(request.budget_m, MAX_SHARE_RATIO * share_m) - lead_cost(request, start)
     growth = GrowthSettings(goal_tolerance_m=options.goal_tolerance_m).coarser(options.step_m)

@@ -71,7 +71,7 @@ def _points(name: str, which: str, values: object) -> FloatArray:
 
 def _check_legs(name: str, request: PlanningRequest, path: FloatArray) -> None:
     """Every leg is free, but for the step by which a rover on the edge of a cell finds its footing."""
-    ground = open_ground(request.grid, request.traversable)
+    ground = open_ground(request.grid, request.traversable, request.margin_m)
     inside = request.grid.contains(path)
     if not inside.all():
         raise InvalidInput(f"planner {name}: expected a path within the region, got {tuple(path[~inside][0].tolist())}")
@@ -82,9 +82,10 @@ def _check_legs(name: str, request: PlanningRequest, path: FloatArray) -> None:
     free = ground.segments_free(begins, ends)
     if not free.all():
         (ax, ay), (bx, by) = begins[~free][0], ends[~free][0]
+        nearer = f", or nearer to them than {request.margin_m:g} m" if request.margin_m else ""
         raise InvalidInput(
             f"planner {name}: expected legs over open ground, got one from ({ax:.1f}, {ay:.1f}) to "
-            f"({bx:.1f}, {by:.1f}) m through closed cells"
+            f"({bx:.1f}, {by:.1f}) m through closed cells{nearer}"
         )
 
 

@@ -22,7 +22,7 @@ def visiting(request: PlanningRequest, places_m: FloatArray) -> PlannedRound:
     that a lattice of cells has. Raises NoRoute for a place that no way leads to. With ways around obstacles it takes
     some tens of milliseconds each on 500 x 500 cells.
     """
-    ground = OpenGround(request.grid, request.traversable)
+    ground = OpenGround(request.grid, request.traversable, request.margin_m)
     here = np.array(ground.footing(request.start_m), dtype=np.float64)
     finder: RouteFinder | None = None
     path = [here[None]]

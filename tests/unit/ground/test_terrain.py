@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
+from services.ground.planners.traversability import MOST_MARGIN
 from services.ground.terrain import GroundTerrain, cells_inside, cells_touched, enclosure, interest_weights
 
 GRID = SiteGrid(40, 50)
@@ -50,7 +51,7 @@ def test_an_area_partly_or_wholly_outside_the_region_closes_its_part_within() ->
 
 @settings(max_examples=60)
 @given(
-    radius=st.floats(0.05, 3.0),
+    radius=st.floats(MOST_MARGIN + 0.01, 3.0),
     angle=st.floats(0.0, 2 * np.pi),
     x=st.floats(12.0, 28.0),
     y=st.floats(12.0, 28.0),
@@ -64,6 +65,20 @@ def test_the_whole_footprint_is_on_open_ground_wherever_the_centre_may_be(
         for share in (1.0, 0.5):
             rim_x, rim_y = x + share * radius * np.cos(angle), y + share * radius * np.sin(angle)
             assert closed[int(rim_y), int(rim_x)]
+
+
+def test_on_cells_much_larger_than_the_rover_those_beside_closed_ones_stay_open_and_legs_keep_its_radius() -> None:
+    closed = with_closed((5, 5), (20, 20))
+    closed[30], closed[30, 17] = False, True
+    grid = SiteGrid(*GRID.shape, 99.0)
+    terrain = GroundTerrain(grid, closed, 0.8)
+    assert np.array_equal(terrain.traversable, closed)
+    ground = terrain.for_legs()
+    assert ground.connected_to((50.0, 50.0)).sum() == closed.sum()  # through the passage of one cell, too
+    along_m, edge_m = np.array([[300.0], [700.0]]), 6 * 99.0
+    for away_m, free in ((0.7, False), (0.9, True)):
+        begin, end = np.hstack((along_m, np.full((2, 1), edge_m + away_m)))[:, None]
+        assert ground.segments_free(begin, end).tolist() == [free]
 
 
 def test_a_rover_without_extent_may_be_wherever_the_ground_is_open() -> None:

@@ -84,7 +84,7 @@ def test_the_tour_is_much_shorter_than_one_through_a_pruned_greedy_cover(whole_t
     kernels = kernels_to_satisfy(BELIEF, goal, NONE, GRID.extent_m)
     problem = CoverProblem(kernels, NONE, goal.targets, goal.std_ppb)
     greedy = problem.pruned(problem.added(NONE, goal.targets.centres_m, 100))
-    site = reachable_site(GRID, walled(), (12.5, 12.5), field_nodes(GRID, None))
+    site = reachable_site(GRID, walled(), 0.0, (12.5, 12.5), field_nodes(GRID, None))
     greedy_m = tour_metres(site, in_order(site, site.snap_to_cell_centres(greedy)))
     assert whole_tour.length_m < 0.92 * greedy_m
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from he3.errors import InvalidInput, NoRoute, OutsideRegion
 from he3.frames import SiteGrid, path_length
 from services.ground.planners.routes import RouteFinder, shortened_path
-from services.ground.planners.traversability import TOUCH, OpenGround
+from services.ground.planners.traversability import MOST_MARGIN, TOUCH, OpenGround
 
 SIZE = 7
 BITS = 1 << np.arange(SIZE * SIZE, dtype=np.int64)
@@ -39,26 +39,26 @@ def meets(a, b, row, column, grown):
     return low <= high
 
 
-@settings(max_examples=250)
-@given(st.one_of(masks, sparse_masks), places, places)
-@example(np.eye(SIZE, dtype=bool)[::-1] ^ True, (0.0, 0.0), (7.0, 7.0))
-@example(~np.eye(SIZE, dtype=bool), (0.5, 2.5), (2.5, 0.5))
-@example(np.ones((SIZE, SIZE), dtype=bool), (0.0, 0.0), (7.0, 7.0))
-def test_a_leg_is_free_exactly_when_every_cell_that_it_touches_is_traversable(mask, a, b):
-    ground = OpenGround(SiteGrid(SIZE, SIZE), mask)
+@settings(max_examples=400)
+@given(st.one_of(masks, sparse_masks), places, places, st.one_of(st.just(0.0), st.floats(0.0, MOST_MARGIN)))
+@example(np.eye(SIZE, dtype=bool)[::-1] ^ True, (0.0, 0.0), (7.0, 7.0), 0.0)
+@example(~np.eye(SIZE, dtype=bool), (0.5, 2.5), (2.5, 0.5), 0.0)
+@example(np.ones((SIZE, SIZE), dtype=bool), (0.0, 0.0), (7.0, 7.0), MOST_MARGIN)
+def test_a_leg_is_free_exactly_when_every_cell_that_it_touches_or_is_too_near_to_is_traversable(mask, a, b, margin):
+    ground = OpenGround(SiteGrid(SIZE, SIZE), mask, margin)
     answer = bool(ground.segments_free(np.array([a]), np.array([b]))[0])
     inside = all(0 <= v <= SIZE for v in (*a, *b))
     closed = [tuple(cell) for cell in np.argwhere(~mask).tolist()]
-    if not inside or any(meets(a, b, r, c, 0) for r, c in closed):
+    if not inside or any(meets(a, b, r, c, margin) for r, c in closed):
         assert not answer
-    elif not any(meets(a, b, r, c, 3 * TOUCH) for r, c in closed):
+    elif not any(meets(a, b, r, c, margin + 3 * TOUCH) for r, c in closed):
         assert answer
 
 
 @settings(max_examples=120)
-@given(st.one_of(masks, sparse_masks), places, places, st.sampled_from([0.5, 1.0, 3.0]))
-def test_one_leg_at_a_time_is_judged_as_many_are_and_alike_from_both_ends(mask, a, b, resolution):
-    ground = OpenGround(SiteGrid(SIZE, SIZE, resolution), mask)
+@given(st.one_of(masks, sparse_masks), places, places, st.sampled_from([0.5, 1.0, 3.0]), st.sampled_from([0.0, 0.09]))
+def test_one_leg_at_a_time_is_judged_as_many_are_and_alike_from_both_ends(mask, a, b, resolution, margin_m):
+    ground = OpenGround(SiteGrid(SIZE, SIZE, resolution), mask, margin_m)
     a, b = np.array(a) * resolution, np.array(b) * resolution
     check = ground.segment_check()
     many = ground.segments_free(np.array([a, b]), np.array([b, a]))
@@ -107,6 +107,12 @@ def test_a_rover_on_the_edge_of_a_closed_cell_first_drives_to_the_centre_of_its_
     ground = OpenGround(SiteGrid(10, 10), mask)
     assert ground.footing((5.0, 4.2)) == (5.5, 4.5)
     assert ground.footing((6.0, 6.0)) == (6.0, 6.0)
+
+
+@pytest.mark.parametrize("margin_m", [-0.1, 0.21, float("nan")])
+def test_a_margin_of_more_than_a_fifth_of_a_cell_is_refused(margin_m):
+    with pytest.raises(InvalidInput, match=r"margin of 0 to 0\.2 cells of 1 m, got"):
+        OpenGround(SiteGrid(4, 5), np.ones((4, 5), dtype=bool), margin_m)
 
 
 def test_a_mask_of_another_shape_is_refused():

@@ -89,7 +89,7 @@ def covering(request: PlanningRequest, goal: PlanningGoal, site: Site, budget_m:
 def foreseen(request: PlanningRequest, goal: PlanningGoal) -> GoalForecast:
     """What a greedy cover takes, for planners that foresee nothing. Raises NoRoute for a rover that is walled in."""
     nodes = field_nodes(request.grid, request.interest)
-    site = reachable_site(request.grid, request.traversable, request.start_m, nodes, request.cost)
+    site = reachable_site(request.grid, request.traversable, request.margin_m, request.start_m, nodes, request.cost)
     kernels = kernels_to_satisfy(request.hyperparameters, goal, request.observed_m, request.grid.extent_m)
     problem = CoverProblem(kernels, request.observed_m, goal.targets.thinned(TARGETS), goal.std_ppb)
     places = problem.added(np.zeros((0, 2)), _candidates(site, goal.targets), request.samples_left)

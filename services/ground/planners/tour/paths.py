@@ -41,7 +41,7 @@ def _path_in_window(ground: OpenGround, ends_m: FloatArray, margin_m: float) -> 
     window = ground.open[low[1] : high[1], low[0] : high[0]]
     corner = low * size
     begin, end = ends_m - corner
-    inner = OpenGround(SiteGrid(window.shape[0], window.shape[1], size), window)
+    inner = OpenGround(SiteGrid(window.shape[0], window.shape[1], size), window, ground.margin_m)
     path = RouteFinder(inner).route((begin[0], begin[1]), (end[0], end[1]))
     path += corner
     path[[0, -1]] = ends_m

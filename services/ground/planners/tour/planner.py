@@ -94,7 +94,7 @@ def tour(request: PlanningRequest) -> PlannedRound:
         raise InvalidInput(f"tour knows the settings {', '.join(SETTINGS)}; got {', '.join(sorted(unknown))}")
     request = on_gentle_ground(request)
     nodes = field_nodes(request.grid, request.interest)
-    site = reachable_site(request.grid, request.traversable, request.start_m, nodes, request.cost)
+    site = reachable_site(request.grid, request.traversable, request.margin_m, request.start_m, nodes, request.cost)
     budget_m = request.budget_m - lead_cost(request, (float(site.start_m[0]), float(site.start_m[1])))
     if not budget_m > 0:
         raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")

@@ -48,6 +48,8 @@ class Site:
         rows = np.clip((places_m[:, 1] / size).astype(np.intp), 0, grid.rows - 1)
         to_row, to_column = self.nearest_reachable[0, rows, columns], self.nearest_reachable[1, rows, columns]
         stays = (to_row == rows) & (to_column == columns) & grid.contains(places_m)
+        if self.ground.margin_m:
+            stays[stays] = self.ground.segments_free(places_m[stays], places_m[stays])
         centres = (np.column_stack((to_column, to_row)) + 0.5) * size
         return np.where(stays[:, None], places_m, centres)
 
@@ -76,7 +78,7 @@ class Site:
         """Lower bounds (n, n) [m] on path lengths: differences of the places' distances from the landmarks."""
         grid = self.ground.grid
         rows, columns = grid.cells_of(places_m)
-        fields = _landmark_distances(grid, self.ground.open.tobytes(), self.component)
+        fields = _landmark_distances(grid, self.ground.open.tobytes(), self.ground.margin_m, self.component)
         at = np.stack([field[rows, columns] for field in fields])
         bounds: FloatArray = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0)
         return bounds
@@ -98,33 +100,37 @@ class Site:
 def reachable_site(
     grid: SiteGrid,
     traversable: NDArray[np.bool_],
+    margin_m: float,
     start_m: tuple[float, float],
     nodes: FieldNodes,
     cost: TerrainCost | None = None,
 ) -> Site:
-    """The site reachable from the start [m]. Raises NoRoute if the rover is walled in or on closed ground."""
+    """The site reachable from the start [m]. Raises NoRoute if the rover is walled in or on closed ground.
+
+    margin_m: distance that legs keep from closed cells.
+    """
     cells = traversable.astype(np.bool_).tobytes()
-    ground, labels = _connected_components(grid, cells)
+    ground, labels = _connected_components(grid, cells, margin_m)
     start = np.array(ground.footing(start_m))
     row, column = grid.cells_of(start[None])
     component = int(labels[row[0], column[0]])
-    return Site(ground, nodes, start, _nearest_reachable(grid, cells, component), component, cost)
+    return Site(ground, nodes, start, _nearest_reachable(grid, cells, margin_m, component), component, cost)
 
 
 @lru_cache(maxsize=4)
-def _connected_components(grid: SiteGrid, traversable: bytes) -> tuple[OpenGround, NDArray[np.int32]]:
+def _connected_components(grid: SiteGrid, traversable: bytes, margin_m: float) -> tuple[OpenGround, NDArray[np.int32]]:
     """Open ground, and the component label (rows, columns) of each open cell. Cached."""
-    ground = OpenGround(grid, np.frombuffer(traversable, dtype=np.bool_).reshape(grid.shape))
+    ground = OpenGround(grid, np.frombuffer(traversable, dtype=np.bool_).reshape(grid.shape), margin_m)
     return ground, ndimage.label(ground.open)[0]
 
 
 @lru_cache(maxsize=4)
-def _nearest_reachable(grid: SiteGrid, traversable: bytes, component: int) -> NDArray[np.int32]:
+def _nearest_reachable(grid: SiteGrid, traversable: bytes, margin_m: float, component: int) -> NDArray[np.int32]:
     """Row and column (2, rows, columns) of the component's cell nearest to each cell. Cached.
 
     Raises NoRoute if the component is a single cell, in which a rover is walled in.
     """
-    _, labels = _connected_components(grid, traversable)
+    _, labels = _connected_components(grid, traversable, margin_m)
     within = labels == component
     if np.count_nonzero(within) < 2:
         row, column = np.argwhere(within)[0]
@@ -134,13 +140,13 @@ def _nearest_reachable(grid: SiteGrid, traversable: bytes, component: int) -> ND
 
 
 @lru_cache(maxsize=2)
-def _landmark_distances(grid: SiteGrid, traversable: bytes, component: int) -> tuple[FloatArray, ...]:
+def _landmark_distances(grid: SiteGrid, traversable: bytes, margin_m: float, component: int) -> tuple[FloatArray, ...]:
     """Lengths (rows, columns) [m] of the paths from each landmark to each cell of the component. Cached.
 
     Landmarks are ends of the longest paths. The lengths bound those between all pairs of places (Goldberg & Harrelson
     2005); along a corridor the bound is exact but for the eight directions of the paths.
     """
-    ground, labels = _connected_components(grid, traversable)
+    ground, labels = _connected_components(grid, traversable, margin_m)
     within = labels == component
     routes = RouteFinder(ground)
     row, column = np.argwhere(within)[0]
