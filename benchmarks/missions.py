@@ -123,7 +123,7 @@ def run_mission(
             budget_m=left_m,
             seed=int(seeds.generate_state(1)[0]),
             interest=interest,
-            options=options or PlannerOptions(),
+            options=options or PlannerOptions().on_site(region.grid),
             outlook_m=log.outlook,
             margin_m=terrain.margin_m,
         )

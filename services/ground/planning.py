@@ -112,21 +112,15 @@ class RoundPlanning:
     def _request(
         self, number: int, start_m: Place, samples: int, remaining: RemainingBudget, pending: Sequence[PlannedSample]
     ) -> PlanningRequest:
-        ground, cell_m = self._scenario.ground, self._grid.resolution_m
+        ground = self._scenario.ground
         back_m = self._terrain.way_back(start_m, self._round_log.paths()[0][-MAX_BACK:])
         back = 0.0
         if back_m is not None:
             start_m = (float(back_m[-1, 0]), float(back_m[-1, 1]))
             back = path_length(back_m) if self._cost is None else self._cost.of_path(back_m)
-        # A tree whose edges are shorter than a cell would need thousands of them to cross the site.
-        tree = PlannerOptions()
-        options = replace(
-            tree,
-            step_m=max(tree.step_m, cell_m),
-            goal_tolerance_m=max(tree.goal_tolerance_m, cell_m),
-            clearance_m=ground.clearance_m,
-            information_exponent=ground.information_exponent,
-        )
+        options = PlannerOptions(
+            clearance_m=ground.clearance_m, information_exponent=ground.information_exponent
+        ).on_site(self._grid)
         choices = (self._scenario.seed, _SEED, number, self.revision + 1, self._attempt)
         seed = np.random.SeedSequence((*choices, self._sent_back) if self._sent_back else choices)
         return PlanningRequest(

@@ -11,7 +11,9 @@ Two additions keep u useful, and both matter more than alpha.
 *The cost of a round besides its metres*, c0. With c0 = 0 the shortest path always wins: I grows with the logarithm of
 the variance, c from zero, and 150 samples end within 230 m of the start. But each sample takes an hour or more of
 drilling; at 0.1 m/s an hour is worth 360 m. So c0 is ``sample_cost_m`` for each of the round's
-samples. Means of 3 or 4 seeds, Matern 5/2, over 30 rounds of 5 samples (t1, then t2; `rrtstar`: 0.81 at 14.5 km, 0.50
+samples. That is for a site of 500 m; it grows in proportion to the step of the tree, which grows with the site: where
+all that is not known lies kilometres away, paths of a hundred metres would be the best for ever.
+Means of 3 or 4 seeds, Matern 5/2, over 30 rounds of 5 samples (t1, then t2; `rrtstar`: 0.81 at 14.5 km, 0.50
 at 14.9):
 
     sample_cost_m     100          150          200          300          480         1000
@@ -47,7 +49,7 @@ from he3.kernels import kernel_from
 from he3.mixture import heaviest_of
 from services.ground.planners.cheapest import cheapest_ways
 from services.ground.planners.gentle import on_gentle_ground
-from services.ground.planners.interface import PlannedRound, PlanningRequest, validated
+from services.ground.planners.interface import PlannedRound, PlannerOptions, PlanningRequest, validated
 from services.ground.planners.polyline import places_along
 from services.ground.planners.rounds import (
     MAX_SHARE_RATIO,
@@ -59,6 +61,7 @@ from services.ground.planners.rounds import (
 )
 from services.ground.planners.traversability import open_ground
 from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree
+from services.ground.planners.unreached import with_paths_further
 
 if TYPE_CHECKING:
     from he3.driving_cost import TerrainCost
@@ -71,7 +74,10 @@ DEFAULTS = {
     "pace": MAX_SHARE_RATIO,
     "rewire_scale_m": 400.0,
 }
-"""Settings by name. The tree's rewiring radius shrinks more slowly than the paper's, which makes paths shorter."""
+"""Settings by name. The tree's rewiring radius shrinks more slowly than the paper's, which makes paths shorter.
+
+``sample_cost_m`` is that of a tree with steps of ``PlannerOptions.step_m``.
+"""
 _LENGTH_SCALES = ("length_scale_m", "rough_length_scale_m")
 
 
@@ -90,6 +96,7 @@ def informative(request: PlanningRequest) -> PlannedRound:
     iterations = min(int(settings["iterations"]), options.max_iterations)
     cost = request.cost
     tree = exploration_tree(ground, start, iterations=iterations, seed=request.seed, growth=growth, cost=cost)
+    tree = with_paths_further(tree, ground, options.step_m)
     away_m = np.hypot(*(tree.nodes_m - start).T)
     if away_m.max() <= options.goal_tolerance_m:
         raise NoRoute(
@@ -105,7 +112,10 @@ def informative(request: PlanningRequest) -> PlannedRound:
     hyperparameters = with_least_length_scale(heaviest_of(request.hyperparameters), settings["least_scale"] * spacing_m)
     places = places_on_paths(tree, nodes, request.samples)
     nats = path_information(replace(request, hyperparameters=hyperparameters), places)
-    utility = nats**options.information_exponent / (cost_m[nodes] + settings["sample_cost_m"] * request.samples)
+    sample_cost_m = settings["sample_cost_m"]
+    if "sample_cost_m" not in options.extra:
+        sample_cost_m *= max(1.0, options.step_m / PlannerOptions().step_m)
+    utility = nats**options.information_exponent / (cost_m[nodes] + sample_cost_m * request.samples)
     path = affordable(tree.path_to(int(nodes[np.argmax(utility)])), request.budget_m - lead_m, cost)
     places = places_along(path, request.samples)
     if cost is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from he3.gp import Hyperparameters
     from schemas.ground import GoalForecast
 
+STEP_SHARE = 0.02
+"""1, share of the site's width that a tree's longest edge takes at least: the paper's 10 m of 500 m."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlannerOptions:
-    """The settings of the planners; the defaults are the paper's."""
+    """The settings of the planners; the defaults are the paper's, for its sites of 500 m."""
 
     clearance_m: float = 15.0
     """Least distance of a target from every sample [m] (`rrt`, `rrtstar`)."""
@@ -35,6 +38,14 @@ class PlannerOptions:
     """alpha of the utility u = I^alpha / c (`informative`)."""
     extra: dict[str, float] = field(default_factory=dict)
     """Settings of one planner, by name; a planner refuses names that it does not know."""
+
+    def on_site(self, grid: SiteGrid) -> PlannerOptions:
+        """These settings, with steps and tolerances no finer than a cell and than their share of the site's width.
+
+        A tree of 10 m steps has no path across a site of many kilometres, however long it grows.
+        """
+        least_m = max(grid.resolution_m, STEP_SHARE * max(grid.width_m, grid.height_m))
+        return replace(self, step_m=max(self.step_m, least_m), goal_tolerance_m=max(self.goal_tolerance_m, least_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

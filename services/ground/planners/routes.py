@@ -61,21 +61,43 @@ class RouteFinder:
 
     def route(self, begin_m: tuple[float, float], end_m: tuple[float, float]) -> FloatArray:
         """A free, shortened polyline (K, 2) [m] from one place to the other. Raises NoRoute if there is none."""
-        ends = np.array([begin_m, end_m], dtype=np.float64)
-        cells, _ = self._cell_of(ends)
-        if self.ground.segments_free(ends[:1], ends[1:])[0]:
-            return ends
-        lengths, before = dijkstra(self._graph, indices=cells[1], return_predecessors=True)
-        if not np.isfinite(lengths[cells[0]]):
-            raise NoRoute(
-                f"no traversable path leads from ({begin_m[0]:g}, {begin_m[1]:g}) to ({end_m[0]:g}, {end_m[1]:g}) m"
-            )
-        chain = [int(cells[0])]
-        while chain[-1] != cells[1]:
-            chain.append(int(before[chain[-1]]))
-        row, column = np.divmod(np.array(chain), self.ground.grid.columns)
-        centres = (np.column_stack((column, row)) + 0.5) * self.ground.grid.resolution_m
-        return shortened_path(self.ground, np.vstack((ends[0], centres, ends[1])))
+        found = self._routes(end_m, np.array([begin_m], dtype=np.float64))[0]
+        if found is None:
+            raise _no_route(begin_m, end_m)
+        return found[::-1]
+
+    def routes(self, begin_m: tuple[float, float], ends_m: FloatArray) -> list[FloatArray]:
+        """A free, shortened polyline (K, 2) [m] from a place to each of others (n, 2) [m], by one search.
+
+        Raises NoRoute if there is none to one of them.
+        """
+        found = []
+        for end, route in zip(as_points(ends_m).tolist(), self._routes(begin_m, ends_m), strict=True):
+            if route is None:
+                raise _no_route(begin_m, (end[0], end[1]))
+            found.append(route)
+        return found
+
+    def _routes(self, begin_m: tuple[float, float], ends_m: FloatArray) -> list[FloatArray | None]:
+        begin, ends = np.array([begin_m], dtype=np.float64), as_points(ends_m)
+        cells, _ = self._cell_of(np.vstack((begin, ends)))
+        straight = self.ground.segments_free(np.repeat(begin, len(ends), axis=0), ends)
+        if straight.all():
+            return [np.vstack((begin, end)) for end in ends]
+        lengths, before = dijkstra(self._graph, indices=cells[0], return_predecessors=True)
+        found: list[FloatArray | None] = []
+        for end, cell, is_straight in zip(ends, cells[1:].tolist(), straight, strict=True):
+            if not np.isfinite(lengths[cell]):
+                found.append(None)
+                continue
+            chain = [cell]
+            while chain[-1] != cells[0]:
+                chain.append(int(before[chain[-1]]))
+            row, column = np.divmod(np.array(chain), self.ground.grid.columns)
+            centres = (np.column_stack((column, row)) + 0.5) * self.ground.grid.resolution_m
+            way = np.vstack((begin, end)) if is_straight else np.vstack((end, centres, begin))
+            found.append(way if is_straight else shortened_path(self.ground, way)[::-1])
+        return found
 
     def _cell_of(self, places: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
         """Flat index (n,) of each place's cell, and its distance (n,) [m] from that cell's centre.
@@ -89,6 +111,10 @@ class RouteFinder:
             raise NoRoute(f"expected a place on open ground, got ({x:g}, {y:g}) m")
         centres = (np.column_stack((columns, rows)) + 0.5) * self.ground.grid.resolution_m
         return rows * self.ground.grid.columns + columns, np.hypot(*(places - centres).T)
+
+
+def _no_route(begin_m: tuple[float, float], end_m: tuple[float, float]) -> NoRoute:
+    return NoRoute(f"no traversable path leads from ({begin_m[0]:g}, {begin_m[1]:g}) to ({end_m[0]:g}, {end_m[1]:g}) m")
 
 
 def shortened_path(ground: OpenGround, path_m: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ def region(quarter_of_t1):
 
 
 def test_the_floor_lies_below_a_mission_and_above_nothing(region):
-    lowest = floor(region, samples=40, designs=1, steps=30, cells=100)
+    lowest = floor(region, samples=40, designs=1, steps=60, cells=100)
     assert 0 < lowest.rmse_ppb < region.he3_ppb.std()
     # What is achieved on the one field that there is depends on luck; what is to be expected of a design does not.
     truth = true_covariance(region, cells=100)
@@ -72,7 +72,7 @@ def test_on_a_large_region_the_floor_is_one_and_no_mission_comes_below_it_or_its
 
 def test_a_floor_from_a_pocket_of_the_ground_is_left_out_and_says_so(wide):
     lowest = floor(wide, samples=10, designs=1, steps=2, cells=40, start_m=(1100.0, 1100.0))
-    assert lowest.why_not.startswith("only 1.2% of the open ground can be reached from the start")
+    assert lowest.why_not.startswith("only 1.4% of the open ground can be reached from the start")
 
 
 def test_independent_cells_leave_exactly_what_is_not_measured():
