@@ -769,6 +769,8 @@ def test_the_timeline_tells_plan_from_flight_and_what_is_known_from_what_is_not(
     assert found["places"] == [None, 5, 70, 70]
     # What is not decided yet: a plan that waits comes after those that were sent, a previewed command now.
     assert found["proposed"] == [["3", 125, 155], ["go to?", 100, 104]]
+    # A label stands where no line crosses it: at its item's beginning, in its first gap, behind it, or nowhere.
+    assert found["labels"] == [[100, True], [120, True], [120, False], None, None, [150, True], [0, True], None]
 
 
 def test_one_cursor_goes_over_timeline_plots_and_map_by_keyboard(browser: Any, mission: MissionClient) -> None:

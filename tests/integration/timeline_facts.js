@@ -16,6 +16,10 @@ import("/static/timelinemodel.js").then((model) => {
   const waits = { ...during, proposal: { plan: { round: 3 }, lasts_s: 1800 }, preview: { command: { kind: "go_to" }, received_at: at(102), word_back_at: at(104) } };
   const proposed = model.lanes(waits).flatMap(({ items }) => items.filter(({ look }) => look === "proposed"));
   done({
+    labels: [
+      [[100, 200], 40, []], [[100, 200], 40, [[110, 110], [120, 120], [165, 165]]], [[100, 120], 40, [[100, 100], [120, 120]]],
+      [[100, 120], 40, [[130, 130]]], [[100, 120], 40, [[150, 170]]], [[100, 200], 40, [[90, 150]]], [[-50, 60], 40, []], [[270, 290], 40, []],
+    ].map(([item, needs, taken]) => model.labelPlace(item, needs, taken, [0, 300])).map((place) => place && [place.left, place.within]),
     places: [4, 69, 70, 99].map((minutes) => model.placeAt(during, minutes * 60)?.[0] ?? null),
     proposed: proposed.map(({ from, to, label }) => [label, from / 60, to / 60]),
     rounds: spans(0), rover: spans(1), rows: spans(2).map(([, , , row]) => row), contact: spans(3),

@@ -6,7 +6,7 @@ import { map, showMoment, whenTimeChanges } from "./layers.js";
 import { isTimeKnown } from "./liveness.js";
 import { send } from "./net.js";
 import { $, attempt, now, rewrite, sinceStart, state } from "./state.js";
-import { contactText, described, deviationText, edges, lanes, moments, placeAt } from "./timelinemodel.js";
+import { contactText, described, deviationText, edges, labelPlace, lanes, moments, placeAt } from "./timelinemodel.js";
 import { inAddress, keepView, numbers } from "./view.js";
 import { duration, elapsed, element } from "./words.js";
 
@@ -95,8 +95,9 @@ function drawLane({ name, rows, items }, top, width) {
   pen.beginPath();
   pen.rect(left, top, width - left, rows * ROW + GAP);
   pen.clip();
-  const labelled = []; // of each row, where its last label ends
-  for (const item of items) if (!item.tick) drawItem(item, top + GAP / 2 + (item.row ?? 0) * ROW, width, labelled);
+  const drawn = items.filter(({ tick }) => !tick).map((item) => ({ ...item, ...spanOf(item, width) })).filter(({ x, right }) => right >= left && x <= width);
+  for (const item of drawn) drawItem(item, top + GAP / 2 + item.row * ROW);
+  for (let row = 0; row < rows; row += 1) drawLabels(drawn.filter((item) => item.row === row), top + GAP / 2 + row * ROW, width);
   const ticks = items.filter(({ tick, from: at }) => tick && toX(at) >= left && toX(at) <= width);
   const radius = Math.min(2.6, Math.max(1.1, (width - left) / (5 * Math.max(1, ticks.length)))); // many samples leave the lane to be seen
   for (const item of ticks) drawTick(item, top + GAP / 2, rows * ROW, radius);
@@ -108,9 +109,14 @@ function drawLane({ name, rows, items }, top, width) {
   pen.beginPath(); pen.moveTo(0, top + rows * ROW + GAP + .5); pen.lineTo(width, top + rows * ROW + GAP + .5); pen.stroke();
 }
 
-function drawItem({ from, to, look, label, open, stages, row = 0 }, y, width, labelled) {
-  const x = Math.max(toX(from), names() - 4), right = Math.min(Number.isFinite(to) ? toX(to) : width + 4, width + 4), wide = Math.max(right - x, 1.5), high = ROW - 2;
-  if (right < names() || x > width) return;
+// Where an item lies [px], and where the lines are that mark its stages.
+function spanOf({ from, to, stages, row = 0 }, width) {
+  const x = Math.max(toX(from), names() - 4), right = Math.max(x + 1.5, Math.min(Number.isFinite(to) ? toX(to) : width + 4, width + 4));
+  return { row, x, right, marks: (stages ?? []).map(toX) };
+}
+
+function drawItem({ x, right, look, open, marks }, y) {
+  const wide = right - x, high = ROW - 2;
   if (look === "unknown") {
     pen.fillStyle = colour("--dim");
     pen.globalAlpha = .3;
@@ -132,20 +138,27 @@ function drawItem({ from, to, look, label, open, stages, row = 0 }, y, width, la
     pen.globalAlpha = 1;
     if (open) { pen.fillStyle = colour("--text"); pen.fillRect(right - 1.5, y, 1.5, high); }
   }
-  for (const stage of stages ?? []) { pen.fillStyle = colour("--text"); pen.fillRect(toX(stage) - .5, y - 1, 1, high + 2); }
-  labelled[row] = drawLabel(label, x, y + high / 2, wide, look, width, labelled[row] ?? -Infinity);
+  pen.fillStyle = colour("--text");
+  for (const mark of marks) pen.fillRect(mark - .5, y - 1, 1, high + 2);
 }
 
-// A label stands within its item, or behind it where it does not fit. Returns where the last label of its row ends.
-function drawLabel(label, x, y, wide, look, width, taken) {
-  if (!label) return taken;
-  const needs = pen.measureText(label).width + 8, within = needs <= wide, left = within ? Math.max(x, names()) + 4 : x + wide + 4;
-  if (left < taken || (!within && (/^\d+$/.test(label) || left + needs > width))) return taken;
+// The labels of a row: each where no line and no other item crosses it. One that fits nowhere is left to the text and the table.
+function drawLabels(items, y, width) {
+  const spans = items.map(({ x, right }) => [x, right]), labels = [];
+  const lines = items.flatMap(({ x, right, marks }) => [x, right, ...marks].map((at) => [at, at]));
   pen.textAlign = "left";
-  pen.fillStyle = colour(within && !["planned", "proposed", "dim"].includes(look) ? "--card" : "--text");
-  pen.fillText(label, left, y + .5);
-  return left + needs;
+  items.forEach(({ label, look }, index) => {
+    if (!label) return;
+    const needs = pen.measureText(label).width + 8, others = spans.filter((_, other) => other !== index && !around(spans[other], spans[index]));
+    const place = labelPlace(spans[index], needs, [...lines, ...others, ...labels], [names(), width]);
+    if (!place || (!place.within && /^\d+$/.test(label))) return;
+    pen.fillStyle = colour(place.within && !["planned", "proposed", "dim"].includes(look) ? "--card" : "--text");
+    pen.fillText(label, place.left + 4, y + ROW / 2 - .5);
+    labels.push([place.left, place.left + needs]);
+  });
 }
+
+const around = ([a, b], [from, to]) => a <= from && b >= to; // an item that lies over another one as a whole hides no label of it
 
 function drawTick({ from, tick }, y, high, radius) {
   const x = toX(from);

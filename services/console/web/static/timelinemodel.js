@@ -127,6 +127,17 @@ function stacked(items) {
   });
 }
 
+// Where the label of an item begins that stands upright nowhere else: in the first gap of its item that is wide enough, or
+// behind the item; null for nowhere. item: from and to, and taken what is on its row already, each [from, to]; a line that
+// crosses the row has both the same. All are pixels; needs: the label's width, with what is left free around it.
+export function labelPlace([from, to], needs, taken, [first, last]) {
+  const free = (left) => left >= first && left + needs <= last && !taken.some(([a, b]) => a < left + needs && b > left);
+  const begins = [Math.max(from, first), ...taken.map(([, b]) => b).sort((a, b) => a - b)];
+  const within = begins.find((left) => left >= from && left + needs <= to && free(left));
+  if (within !== undefined) return { left: within, within: true };
+  return free(to) ? { left: to, within: false } : null;
+}
+
 // How far the rover is behind its plan, by what light allows to know: { round, behind_s, as_of_s }; null without a plan.
 export function deviation(facts) {
   const known = plans(facts), rounds = flown(facts).filter(({ round }) => known.has(round));
