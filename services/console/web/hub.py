@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -112,8 +113,9 @@ class Hub:
         """recording: the mission, if it is a recorded one with a time that can be set; then there is no `rehearse`."""
         self.mission = mission
         self.recording = recording
-        self.stacks = PageStacks.of(mission, self._stack_changed)
-        self.rehearsals = Rehearsals(mission, rehearse)
+        first = 1 + secrets.randbelow(2**48)  # a page that outlives its server takes no other for what it knows
+        self.stacks = PageStacks.of(mission, self._stack_changed, first)
+        self.rehearsals = Rehearsals(mission, rehearse, first)
         self._lock = threading.RLock()
         self._viewers: set[Viewer] = set()
         self._ended = threading.Event()
@@ -165,7 +167,7 @@ class Hub:
         """End every browser's stream, and the stack and the rehearsal under way."""
         self._ended.set()
         self.stacks.close()
-        self.rehearsals.stop()
+        self.rehearsals.close()
         with self._lock:
             for viewer in self._viewers:
                 viewer.loop.call_soon_threadsafe(viewer.put, None)

@@ -1,4 +1,8 @@
-"""The page's rehearsals: one at a time, in a thread, and the last one kept for every browser."""
+"""The page's rehearsals: one at a time, in a thread, and the last one kept for every browser.
+
+Who has begun a rehearsal may stop it, and so may people who may change the mission. The name of the login is a
+person's name here; people who share a login share it.
+"""
 
 from __future__ import annotations
 
@@ -45,10 +49,11 @@ class _Rehearsal:
 class Rehearsals:
     """Rehearses the mission for the page."""
 
-    def __init__(self, mission: MissionClient, rehearse: Rehearse | None) -> None:
-        """rehearse: None for a recording, which has nothing ahead."""
+    def __init__(self, mission: MissionClient, rehearse: Rehearse | None, first: int = 1) -> None:
+        """rehearse: None for a recording, which has nothing ahead. first: the number of the first rehearsal."""
         self._mission = mission
         self._rehearse = rehearse
+        self._next = first
         self._lock = threading.Lock()
         self._last: _Rehearsal | None = None
 
@@ -65,27 +70,44 @@ class Rehearsals:
                 raise Busy(
                     f"a rehearsal of {last.by} is under way, {last.done} of {last.flights} done: wait, or stop it"
                 )
-            number = 1 if last is None else last.number + 1
-            rehearsal = self._last = _Rehearsal(number, draws * len(alternatives), by)
+            rehearsal = self._last = _Rehearsal(self._next, draws * len(alternatives), by)
+            self._next += 1
         threading.Thread(
             target=self._fly, args=(rehearsal, draws, alternatives), name="web-rehearsal", daemon=True
         ).start()
 
-    def stop(self) -> None:
-        """End the rehearsal that is under way, if there is one."""
+    def stop(self, number: int, by: str, of_any: bool) -> None:
+        """End that rehearsal. by: who wants it. of_any: whether this person may end the rehearsals of others.
+
+        Raises InvalidInput if it is not under way, or is another person's.
+        """
+        with self._lock:
+            last = self._last
+            if last is None or not last.running or last.number != number:
+                raise InvalidInput(f"rehearsal: expected the one that is under way, got number {number}")
+            if not (of_any or last.by == by):
+                raise InvalidInput(f"rehearsal: only {last.by}, an operator or a controller may stop it, got {by}")
+            last.stop.set()
+
+    def close(self) -> None:
+        """End the rehearsal that is under way, if there is one: the server ends."""
         with self._lock:
             if self._last is not None:
                 self._last.stop.set()
 
-    def document(self, known: int | None = None) -> dict[str, Any]:
-        """The last rehearsal as JSON values. known: the number of the one whose result is not wanted again."""
+    def document(self, known: int | None = None, *, by: str = "", of_any: bool = False) -> dict[str, Any]:
+        """The last rehearsal as JSON values. known: the number of the one whose result is not wanted again.
+
+        by, of_any: whom it is for, as for `stop`.
+        """
         with self._lock:
             last = self._last
             if last is None:
                 return {"number": 0, "running": False}
             told = {"number": last.number, "running": last.running, "done": last.done, "of": last.flights}
             result = None if last.number == known else last.result
-            return {**told, "by": last.by, "why": last.why, "result": result}
+            may_stop = last.running and (of_any or last.by == by)
+            return {**told, "by": last.by, "may_stop": may_stop, "why": last.why, "result": result}
 
     def _fly(self, rehearsal: _Rehearsal, draws: int, alternatives: tuple[Alternative, ...]) -> None:
         assert self._rehearse is not None, "refused by `begin`"

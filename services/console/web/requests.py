@@ -122,6 +122,12 @@ class RehearsalRequest(PageRequest):
     """An alternative that is rehearsed beside it, in words."""
 
 
+class RehearsalStop(PageRequest):
+    """The end of a rehearsal."""
+
+    number: Annotated[int, Field(ge=1, lt=MAX_COUNT)]
+
+
 def parsed(kind: type[Request], body: bytes) -> Request:
     """The request in that JSON; raises InvalidInput with one line for anything else."""
     document(body)

@@ -51,6 +51,7 @@ from services.console.web.requests import (
     PlanRequest,
     PlayRequest,
     RehearsalRequest,
+    RehearsalStop,
     StackAnswer,
     StackRequest,
     StackStop,
@@ -402,20 +403,26 @@ def _play(hub: Hub, asked: Asked) -> Response:
 
 def _rehearsal(hub: Hub, asked: Asked) -> Response:
     known = asked.parameters.get("known", "0")
-    if not known.isdecimal() or len(known) > 9:
+    if not known.isdecimal() or len(known) > 15:
         raise InvalidInput(f"rehearsal: expected the number of one in known, got {known[:40]!r}")
-    return JSONResponse(hub.rehearsals.document(int(known)), headers=FRESH)
+    return _told_rehearsal(hub, asked.caller, int(known))
 
 
 def _rehearse(hub: Hub, asked: Asked) -> Response:
     wanted = parsed(RehearsalRequest, asked.body)
     hub.rehearsals.begin(wanted.draws, alternatives_of(wanted.against), asked.caller.name)
-    return JSONResponse(hub.rehearsals.document(), headers=FRESH)
+    return _told_rehearsal(hub, asked.caller)
 
 
-def _stop_rehearsal(hub: Hub, _: Asked) -> Response:
-    hub.rehearsals.stop()
-    return JSONResponse(hub.rehearsals.document(), headers=FRESH)
+def _stop_rehearsal(hub: Hub, asked: Asked) -> Response:
+    number = parsed(RehearsalStop, asked.body).number
+    hub.rehearsals.stop(number, asked.caller.name, of_any=bool(asked.caller.roles & ACT))
+    return _told_rehearsal(hub, asked.caller)
+
+
+def _told_rehearsal(hub: Hub, caller: Caller, known: int | None = None) -> Response:
+    document = hub.rehearsals.document(known, by=caller.name, of_any=bool(caller.roles & ACT))
+    return JSONResponse(document, headers=FRESH)
 
 
 def _session(hub: Hub, warning: str | None, asked: Asked) -> Response:

@@ -51,20 +51,25 @@ class _UnderWay:
 class PageStacks:
     """The stack that is under way, for every page of this server."""
 
-    def __init__(self, desk: Callable[[], StackDesk], start_ns: Callable[[], int], tell: Callable[[], None]) -> None:
-        """desk: of the mission. start_ns: the mission's beginning. tell: called, in any thread, after each change."""
+    def __init__(
+        self, desk: Callable[[], StackDesk], start_ns: Callable[[], int], tell: Callable[[], None], first: int = 1
+    ) -> None:
+        """desk: of the mission. start_ns: the mission's beginning. tell: called, in any thread, after each change.
+
+        first: the number of the first stack.
+        """
         self._desk = desk
         self._start_ns = start_ns
         self._tell = tell
         self._changed = threading.Condition()
         self._under_way: _UnderWay | None = None
-        self._count = 0
+        self._next = first
         self._closed = False
 
     @classmethod
-    def of(cls, mission: MissionClient, tell: Callable[[], None]) -> PageStacks:
-        """The stacks of that mission."""
-        return cls(lambda: MissionDesk(mission), lambda: mission.clock().start_ns, tell)
+    def of(cls, mission: MissionClient, tell: Callable[[], None], first: int = 1) -> PageStacks:
+        """The stacks of that mission. first: the number of the first one."""
+        return cls(lambda: MissionDesk(mission), lambda: mission.clock().start_ns, tell, first)
 
     def check(self, text: str) -> dict[str, Any]:
         """What each command of that stack would do, up to the first that would be refused; nothing is sent."""
@@ -90,8 +95,8 @@ class PageStacks:
             pass
         with self._changed:
             self._expect_none()
-            self._count += 1
-            begun = self._under_way = _UnderWay(self._count, run, by, step)
+            begun = self._under_way = _UnderWay(self._next, run, by, step)
+            self._next += 1
         self._tell()
         threading.Thread(target=self._send, args=(begun,), name="web-stack", daemon=True).start()
 

@@ -16,7 +16,7 @@ import "./picture.js";
 import { placeIsAt } from "./place.js";
 import { showPlan } from "./planreview.js";
 import { showRecording, takeRecording } from "./recording.js";
-import "./rehearsal.js";
+import { lookAtRehearsal } from "./rehearsal.js";
 import { placeRover, showAge, showRover } from "./rover.js";
 import { $, keepClock, now, rewrite, sinceStart, state } from "./state.js";
 import { takeStack } from "./stacks.js";
@@ -87,6 +87,7 @@ function takeAll(all) {
   takeStack(all.stack);
   heard(all.liveness);
   forgetMap();
+  if (!state.recording) lookAtRehearsal();
   askJson("interest").then(takeInterests).catch(() => {}); // none before the ground answers
   refreshHistory(true).then(showView);
 }

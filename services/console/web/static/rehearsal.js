@@ -15,10 +15,12 @@ const SHOWN = {
 };
 const WIDE = 420, LEFT = 40, RIGHT = 12;
 
-let shown = 0;       // the number of the rehearsal whose result is shown; 0 while one is under way
+let shown = 0;       // the number of the rehearsal whose result is shown; 0 for none
 let underWay = 0;    // the number of the rehearsal that was under way when the server was asked last; 0 for none
 let looking = null;
-let refused = "";    // why the rehearsal that was wanted here last has not begun
+let refused = "";    // why the rehearsal that was wanted here last has not begun, or is there no more
+let sending = 0;     // requests to begin or to stop one that are not answered yet
+let sent = 0;        // how many such requests there were
 
 // --- what is rehearsed ------------------------------------------------------------------------------------------------
 
@@ -53,46 +55,62 @@ $("rehearsal-form").addEventListener("submit", (event) => {
   refused = "";
   tried(async () => follow(await send("rehearsal", { draws: numberIn($("rehearsal-draws")), against: against() })));
 });
-$("rehearsal-stop").addEventListener("click", () => tried(async () => follow(await send("rehearsal/stop", {}))));
+$("rehearsal-stop").addEventListener("click", () => tried(async () => follow(await send("rehearsal/stop", { number: underWay }))));
 
 async function tried(what) {
+  sending += 1;
+  sent += 1;
   try { await what(); } catch (error) {
     refused = error.message;
     rewrite($("rehearsal-failure"), refused);
-    if (looking === null) look(); // another browser's may be under way
-  }
+    lookAtRehearsal(); // another browser's may be under way
+  } finally { sending -= 1; }
 }
 
 // --- its progress -----------------------------------------------------------------------------------------------------
 
-function look() {
-  looking = null;
-  askJson("rehearsal", { known: shown }).then(follow).catch(() => { looking = setTimeout(look, 4 * LOOK_EVERY_MS); });
+// Asks now, and from then on as long as one is under way.
+export function lookAtRehearsal() {
+  lookIn(0);
 }
 
-function follow({ number, running, done, of: flights, why, result }) {
-  $("rehearsal-stop").hidden = !running;
+function lookIn(wait_ms) {
+  clearTimeout(looking);
+  looking = setTimeout(look, wait_ms);
+}
+
+function look() {
+  looking = null;
+  const before = sent;
+  askJson("rehearsal", { known: shown }).then((told) => {
+    if (sending || sent !== before) lookIn(LOOK_EVERY_MS); // it may be older than what was sent since
+    else follow(told);
+  }).catch(() => lookIn(4 * LOOK_EVERY_MS));
+}
+
+function follow({ number, running, done, of: flights, by, may_stop: mayStop, why, result }) {
+  $("rehearsal-stop").hidden = !mayStop;
   $("rehearsal-start").disabled = running;
   const bar = $("rehearsal-progress");
   bar.hidden = !running;
   if (running) { bar.max = flights; bar.value = done; }
-  rewrite($("rehearsal-note"), running ? (done ? `${done} of ${flights}` : "begins …") : "");
-  const lost = number < underWay; // numbers begin anew with the server
-  if (lost || result) refused = "";
-  rewrite($("rehearsal-failure"), refused || (lost ? "The rehearsal has ended with the page's server, which was started anew" : why || ""));
+  rewrite($("rehearsal-note"), running ? `${done ? `${done} of ${flights}` : "begins …"}, begun by ${by}` : "");
+  if (underWay && number !== underWay) { // no two have one number, whatever happens to the server
+    refused = number ? "Another rehearsal was begun after the one that was under way" : "The rehearsal has ended with the page's server, which was started anew";
+  } else if (result) refused = "";
+  rewrite($("rehearsal-failure"), refused || why || "");
   underWay = running ? number : 0;
-  if (running) shown = 0; // a server that was started anew counts from 1 again
-  if (result) { shown = number; draw(result); }
-  if (running && looking === null) looking = setTimeout(look, LOOK_EVERY_MS);
+  if (result) { shown = number; draw(result, by); }
+  if (running) lookIn(LOOK_EVERY_MS);
 }
 
 // --- its result -------------------------------------------------------------------------------------------------------
 
-function draw(result) {
+function draw(result, by) {
   const { forecasts } = result;
   $("rehearsal-result").hidden = false;
   $("rehearsal-said").replaceChildren(
-    element("p", { class: "dim num" }, `From ${elapsed(sinceStart(result.at))}, ${result.drawn}`),
+    element("p", { class: "dim num" }, `From ${elapsed(sinceStart(result.at))}, ${result.drawn}, begun by ${by}`),
     ...result.assumptions.map((each) => element("p", {}, `Taken for granted: ${each}`)),
     ...forecasts.filter(({ not_done: failed }) => failed).map(({ name, not_done: failed }) => element("p", { class: "failed" }, `Not done, ${name}: ${failed}`)));
   $("rehearsal-table").replaceChildren(...table(result));
@@ -230,5 +248,3 @@ function onMap() {
   map.draw();
 }
 $("rehearsal-on-map").addEventListener("change", onMap);
-
-look();

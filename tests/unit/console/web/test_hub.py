@@ -9,16 +9,19 @@ from typing import Any
 
 import pytest
 
-from he3.errors import NotReady
+from he3.errors import NotReady, PeerUnreachable
 from schemas.ground import GroundStatus, MissionPhase
 from schemas.telemetry import EventKind, RoverEvent
 from schemas.topics import EVENT, GROUND_STATUS, Topic
 from schemas.wire import Header
 from services.console.client.mission_client import MissionClient
 from services.console.client.mission_state import MissionState
+from services.console.rehearsal.alternative import AS_PLANNED
+from services.console.rehearsal.forecast import Forecast
 from services.console.web import hub as module
 from services.console.web.hub import Hub, Viewer
 from services.runtime.transport.client import Client
+from tests.unit.console.client.test_stacks import Desk
 
 START = 1_893_456_000 * 10**9
 
@@ -146,3 +149,22 @@ def test_who_comes_later_gets_everything_once(page: Page) -> None:
     page._loop.run_until_complete(asyncio.sleep(0))
     text = "".join(later.queue.get_nowait() or "" for _ in range(later.queue.qsize()))
     assert text.count('"kind":"paused"') == 1
+
+
+def away(*_: Any) -> tuple[Forecast, ...]:
+    raise PeerUnreachable("the ground does not answer")
+
+
+def test_no_two_servers_give_their_rehearsals_or_stacks_one_number() -> None:
+    numbers: set[int] = set()
+    for _ in range(3):
+        hub = Hub(Mission(Session()), rehearse=away)
+        hub.stacks._desk, hub.stacks._start_ns = Desk, lambda: START
+        hub.rehearsals.begin(2, (AS_PLANNED,), "anna")
+        hub.stacks.start("pause", True, "anna")
+        stack = hub.stacks.document()
+        assert stack is not None
+        assert hub.rehearsals.document()["number"] == stack["number"]
+        numbers.add(stack["number"])
+        hub.close()
+    assert len(numbers) == 3
