@@ -108,10 +108,12 @@ def run(
     json: Path | None = None,
     *,
     say: Callable[[str], None] = print,
+    fly_seed: Callable[[int], Outcome] | None = None,
 ) -> Row:
     """The counts of failures in that many missions, seeds from `seed` on; printed, and written as JSON.
 
-    engine, store: as `he3 campaign run` takes them; with a store, a run that was ended continues.
+    engine, store: as `he3 campaign run` takes them; with a store, a run that was ended continues. fly_seed: flies the
+    mission of a seed; `fly_and_shrink` unless it is given. Raises He3Error after them all if one has failed.
     """
     if runs < 1 or jobs < 1:
         raise InvalidInput(f"expected one run and one job at least, got {runs} and {jobs}")
@@ -119,7 +121,9 @@ def run(
     failures: list[Outcome] = []
     count = 0
     with Tasks(jobs, engine, store) as pool:
-        for count, (_, outcome) in enumerate(pool.results(fly_and_shrink, range(seed, seed + runs)), start=1):
+        for count, (_, outcome) in enumerate(
+            pool.results(fly_seed or fly_and_shrink, range(seed, seed + runs)), start=1
+        ):
             if outcome.failed:
                 failures.append(outcome)
                 say(_described(outcome))

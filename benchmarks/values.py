@@ -24,10 +24,10 @@ from he3.errors import InvalidInput
 
 def encoded(value: Any) -> Any:
     """The value as JSON; raises InvalidInput for one of a type that is not known here."""
+    if isinstance(value, Enum):  # first: a member may be a text or a number, too
+        return {"~enum": [_name(type(value)), value.name]}
     if value is None or isinstance(value, (bool, str)) or (type(value) in (int, float) and math.isfinite(value)):
         return value
-    if isinstance(value, Enum):
-        return {"~enum": [_name(type(value)), value.name]}
     if isinstance(value, np.generic):
         return encoded(value.item())
     if isinstance(value, float):

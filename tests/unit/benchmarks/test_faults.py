@@ -11,7 +11,7 @@ import pytest
 from benchmarks import faults
 from benchmarks.fault_schedules import LINK_FAULTS, Fault, FaultKind, link_change, random_schedule, shrunk, telecommand
 from benchmarks.faults import World, fly, fly_schedule, fly_world
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from schemas.commands import CommandKind
 from schemas.link import LinkChange
 from schemas.telemetry import SampleReport
@@ -143,7 +143,7 @@ def test_a_planted_bug_is_found_and_its_schedule_shrinks_to_what_provokes_it() -
     assert smallest[0].who == "ground"
 
 
-def test_a_run_writes_its_counts_and_every_failed_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_without_failures_writes_its_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said: list[str] = []
 
     row = faults.run(runs=2, seed=40, jobs=1, json=tmp_path / "faults.json", say=said.append)
@@ -154,6 +154,30 @@ def test_a_run_writes_its_counts_and_every_failed_seed(tmp_path: Path, capsys: p
     assert json.loads((tmp_path / "faults.json").read_text()) == row
     assert said == ["runs 2  lost 0  doubled 0  stuck 0  unequal 0"]
     assert "2/2 missions, 0 failed" in capsys.readouterr().err
+
+
+def fly_planted(seed: int) -> faults.Outcome:
+    """A mission whose ground has the bug; of odd seeds it is restarted, so that the bug shows."""
+    schedule = (Fault(FaultKind.KILL, 4000.0, 30.0, who="ground" if seed % 2 else "rover"),)
+    outcome = fly_world(BuggyWorld(seed, InlineExecutor(), planner="tour"), schedule, patience_s=12 * 3600.0)
+    outcome.smallest = schedule if outcome.failed else ()
+    return outcome
+
+
+def test_a_run_with_failures_names_their_seeds_and_faults_writes_them_and_fails(tmp_path: Path) -> None:
+    said: list[str] = []
+
+    with pytest.raises(He3Error, match=r"^1 of 2 missions failed, seeds \[5\]$"):
+        faults.run(runs=2, seed=4, jobs=1, json=tmp_path / "faults.json", say=said.append, fly_seed=fly_planted)
+
+    row = json.loads((tmp_path / "faults.json").read_text())
+    assert (row["runs"], row["failed_seeds"]) == (2, [5])
+    counts = {name: row[name] for name in ("lost", "doubled", "stuck", "unequal")}
+    assert sum(counts.values()) >= 1
+    failure, summary = said
+    assert failure.startswith("seed 5 FAILED: ")
+    assert failure.endswith("smallest schedule that fails:\n    kill ground at 4000.000 s for 30.000 s")
+    assert summary == f"runs 2  {'  '.join(f'{name} {count}' for name, count in counts.items())}"
 
 
 def test_a_run_of_no_missions_is_refused() -> None:

@@ -87,6 +87,7 @@ def test_a_value_comes_back_as_it_was() -> None:
     array = np.array([[1, 2], [3, 4]], dtype=np.int16)[:, ::-1]
     assert np.array_equal(decoded(encoded(array)), array)
     assert decoded(encoded(np.float64(0.1))) == 0.1
+    assert decoded(encoded(CommandKind.PAUSE)) is CommandKind.PAUSE, "a member that equals its text is no text"
     with pytest.raises(InvalidInput, match="expected a value that a task can have, got set"):
         encoded({1, 2})
     with pytest.raises(InvalidInput, match="expected a function or type of a module"):
