@@ -59,7 +59,9 @@ class Paired:
     ratio_low: float
     ratio_high: float
     first_lower: float
-    """Share of the pairs in which the first is lower; equal ones count half."""
+    """Share of the pairs in which the first is lower."""
+    equal: float
+    """Share of the pairs in which both are the same."""
 
 
 def paired(first: FloatArray, second: FloatArray, names: tuple[str, str]) -> Paired:
@@ -75,9 +77,8 @@ def paired(first: FloatArray, second: FloatArray, names: tuple[str, str]) -> Pai
         ratios = means[0] / means[1]
         ratio = float(one.mean() / other.mean()) if other.mean() else float("nan")
     ratio_low, ratio_high = np.quantile(ratios, tails) if np.isfinite(ratios).all() else (float("nan"),) * 2
-    lower = float((one < other).mean() + (one == other).mean() / 2)
     return Paired(*names, len(one), float((one - other).mean()), float(low), float(high), ratio, float(ratio_low),
-                  float(ratio_high), lower)  # fmt: skip
+                  float(ratio_high), float((one < other).mean()), float((one == other).mean()))  # fmt: skip
 
 
 def _resampled_means(values: FloatArray) -> FloatArray:

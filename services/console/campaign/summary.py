@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from services.console.campaign.drawing import number
 from services.console.campaign.findings import ALL, LEAST_SHARE, FigureFindings, Findings
-from services.console.campaign.statistics import LEVEL, QUANTILES
+from services.console.campaign.statistics import LEVEL, QUANTILES, Paired
 
 _SHOWN = (0.05, 0.5, 0.95)
 MOST_SHARES = 4
@@ -22,6 +22,10 @@ def summary_lines(name: str, findings: Findings) -> list[str]:
     return lines
 
 
+def _equal(pair: Paired) -> str:
+    return f" and equal in {pair.equal:.0%}" if pair.equal else ""
+
+
 def _figure_lines(figure: FigureFindings) -> list[str]:
     unit = f" [{figure.kind.unit}]" if figure.kind.unit else ""
     head = "".join(f"{share:>10.0%}" for share in _SHOWN)
@@ -31,7 +35,7 @@ def _figure_lines(figure: FigureFindings) -> list[str]:
         lines.append(f"  {group:<26}{one.count:>7}{number(one.mean):>10}{number(one.std):>10}{shown}")
     lines += [
         f"  {pair.first} - {pair.second}: {pair.difference:+.4g} ({LEVEL:.0%}: {pair.low:+.4g} to {pair.high:+.4g}), "
-        f"ratio {pair.ratio:.3f}, lower in {pair.first_lower:.0%} of {pair.pairs}"
+        f"ratio {pair.ratio:.3f}, lower in {pair.first_lower:.0%}{_equal(pair)} of {pair.pairs}"
         for pair in figure.comparisons
     ]
     for group, shares in figure.shares.items():

@@ -99,6 +99,13 @@ def test_a_bootstrap_interval_is_that_of_the_normal_distribution_for_many_pairs(
     assert paired(first, second, ("a", "b")) == one, "the same rows have the same interval"
 
 
+def test_pairs_that_are_equal_count_as_lower_for_neither() -> None:
+    one = paired(np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 2.0, 3.0, 3.0]), ("a", "b"))
+    assert (one.first_lower, one.equal) == (0.25, 0.5)
+    both = paired(np.ones(4), np.ones(4), ("a", "b"))
+    assert (both.first_lower, both.equal) == (0.0, 1.0)
+
+
 def test_the_share_of_the_variance_is_that_of_the_linear_model() -> None:
     rng = np.random.default_rng(1)
     x, y, nothing = rng.random(4000), rng.random(4000), rng.random(4000)
