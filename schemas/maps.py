@@ -13,7 +13,7 @@ MAX_CELLS: Final = 4_000_000
 """Most cells of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
 
 Probability = Annotated[float, Field(ge=0, le=1)]
-Ppb = Annotated[float, Field(ge=-1e6, le=1e6)]
+Ppb = Annotated[float, Field(ge=0, le=1e6)]
 
 AsOf = Annotated[str, Field(max_length=40, pattern=r"^(\d{1,19}|\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d(\.\d{1,9})?)?Z?)$")]
 """The map that is meant: a revision, or a mission time as 2030-01-01T06:00:00Z or in nanoseconds since 1970.

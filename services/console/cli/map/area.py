@@ -25,7 +25,7 @@ def resource(
     cutoff: Annotated[
         float,
         typer.Option("--cutoff", metavar="PPB", help="Cut-off abundance: the area above it is estimated.",
-                     callback=within(-MAX_PPB, MAX_PPB)),
+                     callback=within(0, MAX_PPB)),
     ] = 8.0,
     probability: Annotated[
         float,

@@ -29,7 +29,7 @@ def export(
     threshold: Annotated[
         float,
         typer.Option("--threshold", metavar="PPB", help="Abundance of the layer exceedance.",
-                     callback=within(-MAX_PPB, MAX_PPB)),
+                     callback=within(0, MAX_PPB)),
     ] = 8.0,
     as_of: AsOf = None,
     region: Annotated[

@@ -44,7 +44,7 @@ LayerName = Annotated[
 Threshold = Annotated[
     float | None,
     typer.Option("--threshold", metavar="PPB", help="Abundance for the probability of more helium-3 than that.",
-                 callback=within(-MAX_PPB, MAX_PPB)),
+                 callback=within(0, MAX_PPB)),
 ]  # fmt: skip
 AsOf = Annotated[
     str | None,

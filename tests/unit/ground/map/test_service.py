@@ -8,6 +8,7 @@ from time import process_time
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from he3.errors import InvalidInput, NotFound, NotReady, OutsideRegion
 from he3.frames import SiteGrid
@@ -107,6 +108,18 @@ def test_the_probability_beyond_an_end_of_an_interval_is_that_of_the_interval() 
         values = np.frombuffer(base64.b64decode(cells.data_base64), dtype=cells.dtype).reshape(GRID.shape)
         assert values[1, 2] == pytest.approx(above, abs=1e-4)
         assert np.all((values >= 0.0) & (values <= 1.0))
+
+
+def test_an_abundance_below_zero_is_no_threshold_and_no_cut_off() -> None:
+    """The belief is normal there, but the field is not: it would be above with a probability of less than 1."""
+    for query in (
+        lambda ppb: MapPointQuery(x=4.5, y=3.0, threshold=ppb),
+        lambda ppb: MapLayerQuery(layer=MapLayer.EXCEEDANCE, threshold=ppb),
+        lambda ppb: ResourceQuery(cutoff_ppb=ppb),
+    ):
+        assert query(0.0)
+        with pytest.raises(ValidationError, match="greater than or equal to 0"):
+            query(-0.1)
 
 
 @pytest.mark.parametrize(("x", "y"), [(-0.01, 5.0), (100.01, 5.0), (5.0, 80.5)])
