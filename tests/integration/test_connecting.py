@@ -155,7 +155,7 @@ def test_a_query_to_a_process_that_dies_ends_at_once_and_not_with_the_timeout(ro
         server.wait()
         server.stdout.close()
     ((at, error),) = ended
-    assert str(error) == f"mission '{MISSION}': no service answers: expected the ground to answer earth/ground/commands"
+    assert str(error) == f"mission '{MISSION}': the ground does not answer"
     expect_within(2.0, at - killed_at, "the end of the query")
 
 

@@ -117,7 +117,11 @@ class Commanding(ClockQueries, Acting):
             command = _checked(command.model_dump() | {"expires_at": expires_at})
         if self.identity is None:
             command = command.model_copy(update={"issued_by": self.person})
-        return CommandHandle(self._session, self._session.query(ISSUE_COMMAND, command))
+        try:
+            status = self._session.query(ISSUE_COMMAND, command)
+        except InvalidInput as refusal:
+            raise InvalidInput(without_id(str(refusal), command)) from None
+        return CommandHandle(self._session, status)
 
     def authority(self) -> AuthorityState:
         """Who holds command authority."""
@@ -181,6 +185,11 @@ def telecommand(
             "polygon_m": None if polygon_m is None else tuple((float(x), float(y)) for x, y in polygon_m),
         }
     )
+
+
+def without_id(said: str, command: Telecommand) -> str:
+    """The ground's refusal of a command without the command's id, which nobody has seen of one that was not sent."""
+    return said.removeprefix(f"command {command.command_id}: ")
 
 
 def _checked(values: dict[str, Any]) -> Telecommand:

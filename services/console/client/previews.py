@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from schemas.commands import CommandKind
 from schemas.topics import PREVIEW_COMMAND
-from services.console.client.commands import Commanding, telecommand
+from services.console.client.commands import Commanding, telecommand, without_id
 from services.console.client.link import LinkControl
 from services.console.client.time_format import duration, utc
 from services.link.contact import Contact
@@ -108,6 +108,7 @@ class Previewing(Commanding, LinkControl):
         """
         command = telecommand(kind, target_m=target_m, area_id=area_id, polygon_m=polygon_m)
         preview: CommandPreview = self._session.query(PREVIEW_COMMAND, command)
+        preview = preview.model_copy(update={"objection": without_id(preview.objection, command)})
         bits = HEADER_BITS + 8 * len(command.model_dump_json())
         return CommandOutlook(preview, passage(self.link(), self.clock().start_ns, preview.at, bits))
 

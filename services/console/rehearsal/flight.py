@@ -18,6 +18,7 @@ from schemas.link import LinkChange
 from schemas.telemetry import EventKind, RoverMode
 from schemas.topics import COMMAND, EVENT, ISSUE_COMMAND, LINK_SET, PLAN, SAMPLE, STATE, Side, Topic
 from schemas.wire import Header
+from services.console.client.commands import without_id
 from services.console.rehearsal.alternative import AS_PLANNED, HOLDING, Alternative
 from services.console.rehearsal.drawn_field import DrawnField
 from services.field.node import FieldNode
@@ -309,7 +310,7 @@ class _Watch:
             try:
                 simulation.ask(ISSUE_COMMAND, command)
             except He3Error as refusal:
-                raise InvalidInput(f"rehearsal: {refusal}") from None
+                raise InvalidInput(f"rehearsal: {without_id(str(refusal), command)}") from None
         simulation.run(until=fork.at + round(LONGEST_S * SECOND), stop=lambda: GROUND in simulation.finished)
         flight, end = self._flight, simulation.finished.get(GROUND)
         flight.completed = end is not None and end.ok

@@ -207,10 +207,13 @@ class Client:
                 raise self._unanswered(topic, reason, detail)
 
     def _unanswered(self, topic: Topic, reason: NoReply, detail: str) -> PeerUnreachable:
-        """The error that names the process which should have answered, and its mission."""
+        """The error that names the process which should have answered, and its mission.
+
+        It does not name the topic: whoever reads it can look after a process.
+        """
         service = " or ".join(topic.access.answer or topic.access.publish)
-        what = f"{reason.value}{' ' + detail if detail else ''}"
-        return PeerUnreachable(f"mission '{self._mission}': {what}: expected the {service} to answer {topic.name}")
+        what = "does not answer" if reason is NoReply.NO_ROUTE else f"has not answered {detail}"
+        return PeerUnreachable(f"mission '{self._mission}': the {service} {what}")
 
     # --- subscriptions ------------------------------------------------------------------------------------------
 

@@ -121,7 +121,7 @@ def test_the_newest_snapshot_answers(server, ask):
         (FakeQuery(x="1", y="2", z="3"), INVALID, "earth/map/point: z: extra inputs are not permitted"),
         (FakeQuery(x="900", y="2"), OUTSIDE, "map: expected a place within 0..500 m"),
         (FakeQuery(x="1", y="13"), INTERNAL, "earth/map/point: defect: ZeroDivisionError: of thirteen"),
-        (FakeQuery(b""), INVALID, "he3/short/earth/map/point: message: invalid JSON"),
+        (FakeQuery(b""), INVALID, "he3/short/earth/map/point: invalid JSON"),
         (FakeQuery(b"{}"), INVALID, "he3/short/earth/map/point: header: field required"),
         (FakeQuery(message(x=1.0, y=2.0).replace(b"short", b"other")), INVALID, "damaged"),
     ],

@@ -110,7 +110,7 @@ def test_a_stack_is_read_with_its_conditions() -> None:
         ("go-to 1 north", "line 1: Y: expected a number, got 'north'"),
         ("pause now", "line 1: pause: expected nothing after it, got 'now'"),
         ("keep-out", "line 1: keep-out: expected the name of an area, got none"),
-        ("keep-out a 1,2 3,4", "at least 3 corners"),
+        ("keep-out a 1,2 3,4", "line 1: command: expected a polygon of at least 3 corners, got 2"),
         ("pause\nafter lunch: resume", "line 2: expected a stage out of"),
         ("after completed: pause", "line 1: expected no 'after' in the first command"),
         ("at noon: pause", "line 1: expected 90, 15min, 2h or 3d"),
@@ -210,14 +210,18 @@ def test_an_operator_who_steps_through_a_stack_stops_it_where_they_say_no() -> N
 
 def test_a_stack_whose_mission_falls_silent_says_what_was_sent_and_what_is_not_known() -> None:
     def silent(*_: object) -> Any:
-        raise PeerUnreachable("no service answers")
+        raise PeerUnreachable("mission 'm': the ground does not answer")
 
     desk = Desk()
     stack = StackRun(parse_stack("pause\nresume", START), desk)
     desk.stages = silent  # type: ignore[method-assign]
-    with pytest.raises(PeerUnreachable, match=r"^stack: no service answers; 1 of 2 commands sent, nothing"):
+    with pytest.raises(
+        PeerUnreachable, match=r"^stack: mission 'm': the ground does not answer; 1 of 2 commands sent, nothing"
+    ):
         list(stack.run(lambda line, outlook: True))
     desk.send = silent  # type: ignore[method-assign]
     stack = StackRun(parse_stack("pause", START), desk)
-    with pytest.raises(PeerUnreachable, match=r"line 1 \(pause\): no service answers, so whether it has"):
+    with pytest.raises(
+        PeerUnreachable, match=r"line 1 \(pause\): mission 'm': the ground does not answer, so whether it has"
+    ):
         list(stack.run(lambda line, outlook: True))
