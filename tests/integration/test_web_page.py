@@ -28,6 +28,7 @@ import pytest
 from PIL import Image
 
 from he3.errors import PeerUnreachable
+from schemas.telemetry import RoverMode
 from services.console.__main__ import main
 from services.console.client.areas import AreaKind
 from services.console.client.mission_client import MissionClient
@@ -374,7 +375,8 @@ def test_a_thousand_connections_that_ask_nothing_keep_no_browser_waiting(address
 
 
 @pytest.fixture(scope="module")
-def browser(served: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def chromium(served: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser that has logged in; it takes longer to start than most tests."""
     if CHROMIUM is None or DRIVER is None:
         pytest.skip("no browser: apt-get install chromium chromium-driver")
     selenium = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
@@ -387,6 +389,25 @@ def browser(served: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -
     driver.get(served[1])
     yield driver
     driver.quit()
+
+
+@pytest.fixture
+def browser(chromium: Any, address: str, mission: MissionClient) -> Any:
+    """The page with its map as a new browser shows it, of a mission that no earlier test holds up."""
+    rover = mission.status().rover
+    if rover is not None and rover.mode in (RoverMode.PAUSED, RoverMode.SAFE):
+        mission.command("resume").wait("completed", PATIENCE_S)
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    # A test that failed may leave a plan that was edited; the browser would ask whether to leave it.
+    script(chromium, "addEventListener('beforeunload', (event) => event.stopImmediatePropagation(), true)")
+    chromium.get(f"{address}static/icon.svg")
+    script(chromium, "localStorage.clear(); sessionStorage.clear()")
+    for log in ("browser", "performance"):
+        chromium.get_log(log)
+    chromium.get(address)
+    until(lambda: shown(chromium).get("layer") == "mean", "the map")
+    return chromium
 
 
 def script(driver: Any, text: str, *arguments: Any) -> Any:
@@ -621,8 +642,6 @@ def test_a_command_is_sent_only_when_its_preview_was_read_and_enter_pressed(
 def test_a_command_stack_is_checked_then_sent_step_by_step_and_outlives_a_reload(
     browser: Any, address: str, mission: MissionClient
 ) -> None:
-    browser.get(address)
-    until(lambda: shown(browser).get("layer") == "mean", "the map")
     before = len(mission.commands())
     write(browser, "#stack-text", "pause\nresume\nresume")
     click(browser, "#stack-check")
@@ -662,15 +681,15 @@ def test_a_field_that_is_empty_or_out_of_range_sends_nothing(browser: Any, missi
 
 
 def test_an_area_is_replaced_only_when_that_is_asked_for(browser: Any, mission: MissionClient) -> None:
-    before = mission.set_interest()
+    before = mission.set_interest("taken", [(10, 10), (20, 10), (20, 20)], 4.0)
     draw_area(browser)
-    write(browser, "#area-name", "empty")
+    write(browser, "#area-name", "taken")
     write(browser, "#weight", "7")
     click(browser, "#send-interest")
-    until(lambda: "Replace empty" in written(browser, "#send-interest"), "the question")
+    until(lambda: "Replace taken" in written(browser, "#send-interest"), "the question")
     assert mission.set_interest() == before
     click(browser, "#send-interest")
-    until(lambda: [a.weight for a in mission.set_interest() if a.area_id == "empty"] == [7.0], "the other weight")
+    until(lambda: [a.weight for a in mission.set_interest() if a.area_id == "taken"] == [7.0], "the other weight")
     until(lambda: written(browser, "#send-interest") == "Set interest", "the end of the question")
 
 
@@ -936,6 +955,7 @@ def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_befor
 ) -> None:
     mission.set_interest("old", [(10, 10), (20, 10), (20, 20)], 4.0)
     mission.set_interest("gone", [(30, 10), (40, 10), (40, 20)], 4.0)
+    mission.set_interest("stays", [(50, 10), (60, 10), (60, 20)], 4.0)
     browser.refresh()
     until(lambda: browser.find_elements("css selector", "[aria-label='Rename old']"), "the list of areas")
     before = mission.areas()
@@ -947,7 +967,7 @@ def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_befor
     )
     browser.switch_to.active_element.send_keys(f"\ue009a\ue000new{ENTER}")
     click(browser, "[aria-label='Remove gone']")
-    click(browser, "[aria-label='Remove empty']")
+    click(browser, "[aria-label='Remove stays']")
     assert script(browser, "return document.activeElement.id") == "undo-area"  # where the keyboard goes on
     click(browser, "#undo-area")
     assert written(browser, "#area-changes-note") == "2 changes are not sent"
@@ -1153,33 +1173,52 @@ def test_a_plan_waits_on_the_page_until_it_is_approved_with_other_samples(browse
 
 @pytest.mark.exhaustive
 def test_the_rest_of_the_mission_is_rehearsed_on_the_page_against_an_alternative(browser: Any, tmp_path: Path) -> None:
-    endpoints = free_endpoints()
+    endpoints, port = free_endpoints(), free_endpoints().earth.rpartition(":")[2]
     scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "short.toml"
     with (
         Launcher(scenario, endpoints, ("--rate", "5"), logs=tmp_path) as launcher,
         MissionClient.when_up(endpoints.earth, "short", launcher.check) as other,
-        Served(other) as where,
     ):
-        browser.get(where)
-        until(lambda: "no status yet" not in written(browser, "#phase"), "the mission on the page")
-        write(browser, "#rehearsal-draws", "2" + ENTER)
-        until(lambda: "Samples" in written(browser, "#rehearsal-table"), "the forecast")
-        assert len(browser.find_elements("css selector", "#rehearsal-table thead th")) == 1
-        browser.find_element("id", "rehearsal-against").send_keys("in words")
-        write(browser, "#rehearsal-words", "planner informative; abort-round" + ENTER)
-        until(lambda: "Difference" in written(browser, "#rehearsal-table"), "the two forecasts")
-        assert "planner informative; abort-round" in written(browser, "#rehearsal-table thead")
-        assert re.search(r"Samples.*9", written(browser, "#rehearsal-table")), written(browser, "#rehearsal-table")
-        assert len(browser.find_elements("css selector", "#rehearsal-charts svg[aria-label]")) == 2
-        size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        assert script(browser, "return document.documentElement.scrollWidth") <= 390
-        assert barriers(browser) == []
-        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-        write(browser, "#rehearsal-draws", "100" + ENTER)
-        until(lambda: not script(browser, "return document.getElementById('rehearsal-stop').hidden"), "its begin")
-        browser.find_element("id", "rehearsal-stop").send_keys(ENTER)
-        until(lambda: "it was stopped" in written(browser, "#rehearsal-failure"), "its end")
+        with Served(other, "--port", port) as where:
+            browser.get(where)
+            until(lambda: "no status yet" not in written(browser, "#phase"), "the mission on the page")
+            write(browser, "#rehearsal-draws", "2" + ENTER)
+            until(lambda: "Samples" in written(browser, "#rehearsal-table"), "the forecast")
+            assert len(browser.find_elements("css selector", "#rehearsal-table thead th")) == 1
+            browser.find_element("id", "rehearsal-against").send_keys("in words")
+            write(browser, "#rehearsal-words", "planner informative; abort-round" + ENTER)
+            until(lambda: "Difference" in written(browser, "#rehearsal-table"), "the two forecasts")
+            assert "planner informative; abort-round" in written(browser, "#rehearsal-table thead")
+            assert re.search(r"Samples.*9", written(browser, "#rehearsal-table")), written(browser, "#rehearsal-table")
+            assert len(browser.find_elements("css selector", "#rehearsal-charts svg[aria-label]")) == 2
+            size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+            browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            assert script(browser, "return document.documentElement.scrollWidth") <= 390
+            assert barriers(browser) == []
+            browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+            write(browser, "#rehearsal-draws", "100" + ENTER)
+            until(lambda: not script(browser, "return document.getElementById('rehearsal-stop').hidden"), "its begin")
+            browser.find_element("id", "rehearsal-stop").send_keys(ENTER)
+            until(lambda: "it was stopped" in written(browser, "#rehearsal-failure"), "its end")
+            until(lambda: browser.find_element("id", "rehearsal-start").is_enabled(), "the page to allow another")
+            write(browser, "#rehearsal-draws", "100" + ENTER)
+            until(lambda: "begun by local" in written(browser, "#rehearsal-note"), "another one")
+        # A server that is started anew has other numbers, and another reader's rehearsal is not this page's.
+        with Served(other, "--port", port) as where:
+            until(lambda: "which was started anew" in written(browser, "#rehearsal-failure"), "the end with the server")
+            assert "Difference" in written(browser, "#rehearsal-table")
+            own = where.rstrip("/")
+            code, body = get(f"{own}/api/rehearsal", {**OUR_PAGE, "origin": own}, {"draws": 100})
+            assert code == 200
+            number = json.loads(body)["number"]
+            script(browser, "document.getElementById('rehearsal-start').click()")
+            until(lambda: "a rehearsal of local is under way" in written(browser, "#rehearsal-failure"), "the refusal")
+            until(
+                lambda: not script(browser, "return document.getElementById('rehearsal-stop').hidden"), "its progress"
+            )
+            assert get(f"{own}/api/rehearsal/stop", {**OUR_PAGE, "origin": own}, {"number": number + 1})[0] == 400
+            browser.find_element("id", "rehearsal-stop").send_keys(ENTER)
+            until(lambda: script(browser, "return document.getElementById('rehearsal-stop').hidden"), "its end")
 
 
 def test_the_page_fits_a_phone_in_light_and_dark(browser: Any, address: str) -> None:
@@ -1303,7 +1342,7 @@ def test_panels_say_in_a_line_what_was_killed_and_neither_lose_a_plan_nor_send_a
             until(lambda: "0 of 2 commands sent" in written(browser, "#stack-failure"), "the end of the stack")
             browser.execute_async_script(edit)
             click(browser, "#plan-check")
-            until(lambda: "no service answers" in written(browser, "#plan-note"), "the line that no service answers")
+            until(lambda: "the ground does not answer" in written(browser, "#plan-note"), "the line on the ground")
             assert browser.find_element("id", "plan-check").is_enabled()
             flown.start_again("ground")
             assert until(lambda: proposed(other), "the ground again").plan == proposal.plan
@@ -1322,7 +1361,7 @@ def test_panels_say_in_a_line_what_was_killed_and_neither_lose_a_plan_nor_send_a
 
 
 def proposed(client: MissionClient) -> Any:
-    """The plan that waits; None while no service answers."""
+    """The plan that waits; None while the ground does not answer."""
     with suppress(PeerUnreachable):
         return client.proposed_plan()
     return None
