@@ -1052,6 +1052,21 @@ def test_a_chosen_place_is_answered_at_once_from_the_pages_own_map_as_the_ground
         assert held["std_ppb"] == pytest.approx(point["std_ppb"], abs=step)
 
 
+def test_a_place_without_an_answer_shows_nothing_of_the_place_before(browser: Any) -> None:
+    click(browser, "input[value=traversable] + span")  # of this layer the page holds neither mean nor deviation
+    until(lambda: shown(browser).get("layer") == "traversable", "the layer")
+    in_module(browser, "layers.js", "it.map.choose([120.5, 340.5]) ?? null")
+    until(lambda: " ppb" in written(browser, "#place"), "the answer")
+    script(
+        browser,
+        "const real = window.fetch; window.fetch = (url, options) => String(url).startsWith('/api/map/point')"
+        " ? Promise.reject(new TypeError('gone')) : real(url, options)",
+    )
+    in_module(browser, "layers.js", "it.map.choose([201.5, 304.5]) ?? null")
+    until(lambda: written(browser, "#place-hint") == "(201.5, 304.5) m, the ground did not answer", "what is known")
+    assert (written(browser, "#place"), "201.5" in written(browser, "#answer")) == ("", True)
+
+
 def test_a_page_that_is_not_seen_draws_nothing_and_shows_the_present_when_it_is_seen_again(
     browser: Any, address: str
 ) -> None:
@@ -1358,6 +1373,41 @@ def test_panels_say_in_a_line_what_was_killed_and_neither_lose_a_plan_nor_send_a
             assert browser.find_element("id", "plan-check").is_enabled()  # what was edited is still there
             assert other.commands() == ()
             click(browser, "#plan-undo")
+
+
+@pytest.mark.exhaustive
+def test_what_was_decided_on_one_mission_is_not_sent_to_another_at_the_same_address(
+    browser: Any, tmp_path: Path
+) -> None:
+    port = free_endpoints().earth.rpartition(":")[2]
+    scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "short.toml"
+    places = "it.map.proposal?.samples.map(({x_m, y_m}) => [x_m, y_m]) ?? null"
+
+    def planned(mission: MissionClient) -> Any:
+        proposal = until(mission.proposed_plan, "a plan")
+        return proposal.proposal, [[each.x_m, each.y_m] for each in proposal.plan.samples]
+
+    with ExitStack() as flown:
+        missions = []
+        for seed in ("1", "2"):
+            endpoints, flags = free_endpoints(), ("--rate", str(RATE), "--seed", seed)
+            approved = ("--set", "ground.approval=operator")
+            (logs := tmp_path / seed).mkdir()
+            launcher = flown.enter_context(Launcher(scenario, endpoints, (*flags, *approved), logs=logs))
+            missions.append(flown.enter_context(MissionClient.when_up(endpoints.earth, "short", launcher.check)))
+        (number, first), (same, second) = map(planned, missions)
+        assert number == same, "else the number tells the plans apart"
+        assert first != second
+        with Served(missions[0], "--authority", "--port", port) as where:
+            browser.get(where)
+            until(lambda: in_module(browser, "layers.js", places) == first, "the plan of the first mission")
+            click(browser, "[data-command=pause]")
+            until(lambda: script(browser, "return document.activeElement.id") == "preview-send", "the preview")
+        with Served(missions[1], "--authority", "--port", port):
+            until(lambda: in_module(browser, "layers.js", places) == second, "the plan of the second mission")
+            assert not script(browser, "return document.getElementById('preview').open")
+            assert "The page has connected anew: nothing was sent" in written(browser, "#toast")
+        assert [mission.commands() for mission in missions] == [(), ()]
 
 
 def proposed(client: MissionClient) -> Any:

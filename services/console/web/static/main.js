@@ -14,7 +14,8 @@ import { estimateIsAt, showAreas, takeInterests } from "./areas.js";
 import "./measure.js";
 import "./picture.js";
 import { placeIsAt } from "./place.js";
-import { showPlan } from "./planreview.js";
+import { doubtPlan, showPlan } from "./planreview.js";
+import { forgetPreview } from "./preview.js";
 import { showRecording, takeRecording } from "./recording.js";
 import { lookAtRehearsal } from "./rehearsal.js";
 import { placeRover, showAge, showRover } from "./rover.js";
@@ -80,6 +81,8 @@ function takeAll(all) {
   for (const fact of ["alarms", "events", "entries", "modes", "contacts"]) state[fact] = all[fact];
   state.commands = new Map(all.commands.map((status) => [status.command.command_id, status]));
   askJson("session").then(takeSession).catch(() => {}); // the stream says that the connection is lost
+  forgetPreview();
+  doubtPlan();
   $("mission").textContent = all.mission;
   document.title = all.recording ? `${all.mission}: recording` : `${all.mission}: helium-3 live map`;
   for (const [name, chart] of Object.entries(charts)) chart.set(all.curves[name]);

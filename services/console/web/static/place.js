@@ -29,11 +29,16 @@ function showChosen() {
 
 // At once what the map on this page says of the place; the ground's answer takes its place.
 function showHeld() {
-  const held = map.chosen && heldAt(map.chosen);
   delete $("place").dataset.held;
-  if (!held) return;
   delete $("place").dataset.point;
-  const [x, y] = map.chosen, about = held.exact ? "" : "≈ ";
+  if (!map.chosen) return;
+  const [x, y] = map.chosen, held = heldAt(map.chosen);
+  if (!held) { // nothing of another place is left
+    $("place-hint").textContent = $("answer").textContent = `(${tenth(x)}, ${tenth(y)}) m, asking the ground …`;
+    $("place").replaceChildren();
+    return;
+  }
+  const about = held.exact ? "" : "≈ ";
   $("place-hint").textContent = `(${tenth(x)}, ${tenth(y)}) m, revision ${held.revision}, read off this page's map; asking the ground …`;
   $("answer").textContent = `(${tenth(x)}, ${tenth(y)}) m: ${about}${fixed(held.mean_ppb)} ± ${fixed(held.std_ppb)} ppb, read off the map …`;
   $("answer").hidden = false;
@@ -56,7 +61,7 @@ async function showPlace() {
   await attempt(async () => {
     const threshold = thresholdPpb();
     const point = await askJson("map/point", { x, y, threshold, as_of: state.past?.revision }).catch((error) => {
-      if (mine === asked) rewrite($("place-hint"), $("place-hint").textContent.replace("asking the ground …", "the ground did not answer"));
+      if (mine === asked) for (const id of ["place-hint", "answer"]) rewrite($(id), $(id).textContent.replace("asking the ground …", "the ground did not answer"));
       throw error;
     });
     const sample = map.track?.samples.find((each) => each.sample_id === map.sample), before = sample && await beforeIt(sample);

@@ -12,6 +12,7 @@ import { duration, element, fixed, grouped } from "./words.js";
 
 let shown = null;     // the number of the proposal that is shown
 let asking = false;   // whether the server is asked for the plan, or told what to do about it
+let doubted = false;  // whether another mission may have a plan under the number that is shown
 let stops = [];       // the samples as they are edited
 let compared = null;  // the figures of the plan before it was revised here
 
@@ -22,11 +23,19 @@ const mayEdit = () => document.body.classList.contains("commanding");
 // Shows what waits, if the ground's status names another proposal than the one that is shown.
 export function showPlan() {
   const waits = state.status?.proposal ?? null;
-  if (waits === shown || asking) return;
+  if (asking || (waits === shown && !(doubted && shown !== null))) return;
   asking = true;
-  askJson("plan").then(({ proposal }) => { if ((proposal?.proposal ?? null) !== shown) draw(proposal); }).catch(() => {}) // the next status asks again
+  askJson("plan").then(({ proposal }) => {
+    if (!isShown(proposal)) draw(proposal);
+    doubted = false;
+  }).catch(() => {}) // the next status asks again
     .finally(() => { asking = false; });
 }
+
+const isShown = (proposal) => (proposal?.proposal ?? null) === shown && JSON.stringify(proposal?.plan) === JSON.stringify(state.proposal?.plan);
+
+// The page has connected anew, perhaps to another mission: the plan is asked for before anything is decided on it.
+export function doubtPlan() { doubted = true; }
 
 // before: the figures of the plan that this page has decided on; null if another operator or the ground has.
 function draw(proposal, before = null) {
@@ -145,6 +154,7 @@ $("map").addEventListener("keydown", (event) => {
 // Decides on the plan that is shown; gives what waits then. Until the answer is here the status asks for no plan: this page
 // would take the one that it has made itself for another operator's.
 async function decided(document) {
+  if (doubted) throw new Error("The page has connected anew and asks for the plan: nothing was sent");
   asking = true;
   for (const id of ["plan-approve", "plan-check", "plan-back"]) $(id).disabled = true;
   try {

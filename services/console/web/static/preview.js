@@ -3,7 +3,7 @@
 
 import { map } from "./layers.js";
 import { send } from "./net.js";
-import { $, state } from "./state.js";
+import { $, state, toast } from "./state.js";
 import { showTimeline } from "./timeline.js";
 import { element, words } from "./words.js";
 
@@ -47,6 +47,13 @@ function show(outlook) {
     button.disabled = false;
     button.focus();
   }, READ_MS);
+}
+
+// What was previewed on another server, or in another mission, is not sent to this one.
+export function forgetPreview() {
+  if (!dialog.open) return;
+  dialog.close("");
+  toast("The page has connected anew: nothing was sent", true);
 }
 
 button.addEventListener("click", () => dialog.close("send"));
