@@ -78,7 +78,7 @@ class RecordedMaps:
         """The reply to a query of the map at that time; raises He3Error with one line."""
         known = self._tape.revisions_by(now)
         if not known:
-            raise NotReady(f"{topic.name}: there is no map yet at this time of the recording")
+            raise NotReady("there is no map yet at this time of the recording")
         if topic is MAP_HISTORY:
             return self._history(known)
         when = getattr(request, "as_of", None)

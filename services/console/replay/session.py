@@ -188,7 +188,7 @@ class RecordedSession(Client):
             return PlanReview()  # plans that were not approved are not recorded
         if topic is LINK_SHOW:
             return self.latest(LINK_STATUS)[1]
-        raise NotAllowed(f"{topic.name}: expected a running mission, got a recording, which only tells what was")
+        raise NotAllowed("expected a running mission, got a recording, which only tells what was")
 
     def map_answer(self, topic: Topic, request: Wire) -> Wire | Encoded:
         """The reply to a query of the map, in the format that it asks for; raises He3Error."""
@@ -197,7 +197,7 @@ class RecordedSession(Client):
     def fetch(self, topic: Topic, parameters: Mapping[str, object], timeout_s: float = 0.0) -> tuple[bytes, bytes]:
         """The reply to a query by selector parameters, and its attachment; raises He3Error."""
         if topic not in MAP_TOPICS:
-            raise NotAllowed(f"{topic.name}: expected a query of the map, as this is a recording")
+            raise NotAllowed("expected a query of the map, as this is a recording")
         text = {key: str(value) for key, value in parameters.items() if value is not None}
         found = self.map_answer(topic, request_from_selector(topic, text))
         if isinstance(found, Encoded):

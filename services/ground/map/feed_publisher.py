@@ -67,7 +67,7 @@ class FeedPublisher:
         with self._lock:
             frame = self._writer.key()
         if frame is None:
-            query.refuse(Refusal(f"{MAP_FEED.name}: there is no map yet; ask again in a moment", RefusalCode.NOT_READY))
+            query.refuse(Refusal("there is no map yet; ask again in a moment", RefusalCode.NOT_READY))
         else:
             query.reply(frame, media_type="application/octet-stream")
 

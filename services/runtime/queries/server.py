@@ -92,7 +92,7 @@ class QueryServer:
         try:
             self._waiting.put_nowait((topic, query))
         except queue.Full:
-            query.refuse(refusal_of(Busy(f"{topic.name}: more than {MAX_WAITING} queries wait; ask again later")))
+            query.refuse(refusal_of(Busy(f"more than {MAX_WAITING} queries wait; ask again later")))
 
     def _work(self) -> None:
         while True:
@@ -110,7 +110,7 @@ class QueryServer:
         request = read_request(topic, query, self._mission)
         snapshot = self._snapshot
         if snapshot is None:
-            raise NotReady(f"{topic.name}: there is no map yet; ask again in a moment")
+            raise NotReady("there is no map yet; ask again in a moment")
         rendered = self._service.render(topic, request, snapshot)
         if rendered is not None:
             return rendered

@@ -89,7 +89,7 @@ def message(**body: Any) -> bytes:
 
 
 def test_before_there_is_a_map_a_question_is_refused_and_not_kept_waiting(ask):
-    refusal = Refusal("earth/map/point: there is no map yet; ask again in a moment", RefusalCode.NOT_READY)
+    refusal = Refusal("there is no map yet; ask again in a moment", RefusalCode.NOT_READY)
     assert ask(FakeQuery(x="1", y="2")) == ("refused", refusal)
 
 
