@@ -103,17 +103,20 @@ def _overview(findings: Findings) -> str:
     head = (
         '<tr><th>figure</th><th class="text">pair</th><th>pairs</th><th>mean difference</th>'
         f"<th>{LEVEL:.0%} interval</th><th>ratio</th><th>{LEVEL:.0%} interval</th>"
-        "<th>first lower</th><th>equal</th></tr>"
+        "<th>first lower</th></tr>"
     )
     body = "".join(
         f'<tr><td>{escape(_titled(figure))}</td><td class="text">{escape(one.first)} − {escape(one.second)}</td>'
         f"<td>{one.pairs:,}</td><td>{_signed(one.difference)}</td>"
         f"<td>{_signed(one.low)} to {_signed(one.high)}</td><td>{one.ratio:.3f}</td>"
-        f"<td>{one.ratio_low:.3f} to {one.ratio_high:.3f}</td><td>{one.first_lower:.0%}</td>"
-        f"<td>{one.equal:.0%}</td></tr>"
+        f"<td>{one.ratio_low:.3f} to {one.ratio_high:.3f}</td><td>{one.first_lower:.0%}{_equal(one)}</td></tr>"
         for figure, one in rows
     )
     return f'<h2>Pair by pair</h2>{_sentences(rows)}<div class="wide"><table>{head}{body}</table></div>'
+
+
+def _equal(one: Paired) -> str:
+    return f", equal {one.equal:.0%}" if one.equal else ""
 
 
 def _sentences(rows: Sequence[tuple[FigureFindings, Paired]]) -> str:
