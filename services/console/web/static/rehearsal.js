@@ -110,7 +110,7 @@ function draw(result, by) {
   const { forecasts } = result;
   $("rehearsal-result").hidden = false;
   $("rehearsal-said").replaceChildren(
-    element("p", { class: "dim num" }, `From ${elapsed(sinceStart(result.at))}, ${result.drawn}, begun by ${by}`),
+    element("p", { class: "dim num" }, `From ${elapsed(sinceStart(result.at))}, begun by ${by}; flights: ${result.drawn}`),
     ...result.assumptions.map((each) => element("p", {}, `Taken for granted: ${each}`)),
     ...forecasts.filter(({ not_done: failed }) => failed).map(({ name, not_done: failed }) => element("p", { class: "failed" }, `Not done, ${name}: ${failed}`)));
   $("rehearsal-table").replaceChildren(...table(result));
