@@ -663,6 +663,14 @@ def test_a_command_stack_is_checked_then_sent_step_by_step_and_outlives_a_reload
     until(lambda: written(browser, "#stack-note") == "done, 2 of 2 completed", "the end of the stack")
     sent = [status.command.kind.value for status in mission.commands()[before:]]
     assert sent == ["pause", "resume"]
+    # A reply that comes after what the stream has told of later is not taken.
+    in_module(
+        browser,
+        "stacks.js",
+        "import('/static/state.js').then(({state: {stack}}) =>"
+        " it.takeStack({...stack, serial: stack.serial - 1, ended: false}) ?? null)",
+    )
+    assert written(browser, "#stack-note") == "done, 2 of 2 completed"
 
 
 def test_a_field_that_is_empty_or_out_of_range_sends_nothing(browser: Any, mission: MissionClient) -> None:

@@ -64,6 +64,7 @@ class PageStacks:
         self._changed = threading.Condition()
         self._under_way: _UnderWay | None = None
         self._next = first
+        self._told = 0
         self._closed = False
 
     @classmethod
@@ -129,15 +130,20 @@ class PageStacks:
             self._changed.notify_all()
 
     def document(self) -> dict[str, Any] | None:
-        """The stack that is under way, or that was last, as JSON values; None if there was none."""
+        """The stack that is under way, or that was last, as JSON values; None if there was none.
+
+        A later one has a higher `serial`: a reply may arrive after what the stream has told meanwhile.
+        """
         with self._changed:
             under_way = self._under_way
             if under_way is None:
                 return None
+            self._told += 1
             run, asks = under_way.run, under_way.asks
             names = {line.number: name for name, line in dict(run.sent).items()}  # its thread goes on
             return {
                 "number": under_way.number,
+                "serial": self._told,
                 "by": under_way.by,
                 "step": under_way.step,
                 "ended": under_way.ended,

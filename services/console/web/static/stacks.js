@@ -82,6 +82,7 @@ const rowsOf = (rows) => rows.filter(([name]) => SHOWN.has(name)).map(([name, te
 
 // A stack as the server tells it; null if there was none.
 export function takeStack(stack) {
+  if (stack && state.stack?.number === stack.number && stack.serial < state.stack.serial) return; // the stream was faster
   const wasUnderWay = isUnderWay();
   state.stack = stack;
   if (isUnderWay() && list !== "run") clear("run");

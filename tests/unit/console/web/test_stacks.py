@@ -53,6 +53,13 @@ def ended(document: dict[str, Any]) -> bool:
     return bool(document["ended"])
 
 
+def test_of_two_documents_of_a_stack_the_later_one_has_the_higher_serial() -> None:
+    page = Page()
+    page.stacks.start("pause", step=False, by="anna")
+    first, last = page.until(lambda it: True), page.until(ended)
+    assert (first["number"], first["serial"] < last["serial"]) == (last["number"], True)
+
+
 def test_a_check_says_what_each_command_would_do_and_sends_nothing() -> None:
     page = Page()
     found = page.stacks.check(TEXT)
