@@ -25,7 +25,7 @@ SPACING_CELLS = 10
 def most_uncertain(request: PlanningRequest) -> PlannedRound:
     """The round to the most uncertain places within the budget, one by one. Raises NoRoute if there is none."""
     grid = validated(request).grid
-    ground = OpenGround(grid, request.traversable)
+    ground = OpenGround(grid, request.traversable, request.margin_m)
     routes = RouteFinder(ground)
     here = ground.footing(request.start_m)
     rows, columns = (axis[ground.clearance > 1] for axis in np.mgrid[: grid.rows, : grid.columns])

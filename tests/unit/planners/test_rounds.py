@@ -55,6 +55,14 @@ def request_over(mask, start_m=(5.2, 5.2), **changes):
     return PlanningRequest(**given_values)
 
 
+def keeps_margin(request: PlanningRequest, place: np.ndarray) -> bool:
+    """Whether a rover as wide as the request's margin is on open ground there."""
+    angles = np.arange(8) * np.pi / 4
+    rim = place + 0.999 * request.margin_m * np.column_stack((np.cos(angles), np.sin(angles)))
+    rim = rim[request.grid.contains(rim)]
+    return bool(request.traversable[request.grid.cells_of(rim)].all())
+
+
 def expect_sound(request: PlanningRequest, answer: PlannedRound) -> None:
     """Check a round against its request by dense sampling, without code of the planners."""
     path, grid = answer.path_m, request.grid
@@ -64,6 +72,8 @@ def expect_sound(request: PlanningRequest, answer: PlannedRound) -> None:
         count = int(np.hypot(*(b - a)) / grid.resolution_m * 40) + 2
         dense = a + np.linspace(0, 1, count)[:, None] * (b - a)
         assert request.traversable[grid.cells_of(dense)].all()  # cells_of raises for a place outside
+        if keeps_margin(request, a):  # a rover that stands nearer to closed ground first drives to its cell's centre
+            assert all(keeps_margin(request, place) for place in dense)
     assert answer.samples_m.shape == (request.samples, 2)
     assert request.traversable[grid.cells_of(answer.samples_m)].all()
     reached = 0.0
@@ -141,6 +151,7 @@ def requests(draw):
         budget_m=draw(st.sampled_from([inf, 1000.0, 40.0, 1.5])),
         seed=draw(st.integers(0, 2**40)),
         interest=interest,
+        margin_m=draw(st.sampled_from([0.0, 0.0, 0.15])) * resolution,
     )
 
 
