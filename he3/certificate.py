@@ -31,6 +31,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
@@ -44,6 +45,7 @@ from he3.mixture import ProcessMixture, mixture_moments
 if TYPE_CHECKING:
     from he3.frames import BoolArray, IntArray
     from he3.kernels import Kernel
+    from he3.warping import Warp
 
 ROUNDING = 1e-9  # 1, share by which a standard deviation may exceed the goal
 MOST_POINTS = 4096
@@ -72,6 +74,8 @@ class Targets:
 
     points_m: FloatArray
     """(T, q, 2) [m]: the points of each target; one for a place."""
+    levels_ppb: FloatArray | None = None
+    """(T,) the field's mean at each [ppb], for designs where its standard deviation depends on it; None: unknown."""
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -89,11 +93,17 @@ class Targets:
 
     def only(self, chosen: BoolArray) -> Targets:
         """Those targets that are chosen (T,)."""
-        return Targets(self.points_m[chosen])
+        return Targets(self.points_m[chosen], None if self.levels_ppb is None else self.levels_ppb[chosen])
 
     def thinned(self, most: int) -> Targets:
         """At most that many of the targets, evenly spread over their order."""
-        return Targets(self.points_m[:: -(-len(self) // most)])
+        step = -(-len(self) // most)
+        return Targets(self.points_m[::step], None if self.levels_ppb is None else self.levels_ppb[::step])
+
+    def on_map(self, grid: SiteGrid, mean_ppb: NDArray[np.floating]) -> Targets:
+        """The same at the levels of a map (rows, columns) [ppb]."""
+        rows, columns = grid.cells_of(self.points_m.reshape(-1, 2))
+        return Targets(self.points_m, self.means(mean_ppb[rows, columns].astype(np.float64)[None])[0])
 
     def means(self, values: FloatArray) -> FloatArray:
         """Means (n, T) over each target's points, of values (n, T q) at all of them."""
@@ -114,6 +124,8 @@ class Targets:
 
     def moments(self, process: GaussianProcess) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (T,) and standard deviation (T,) [ppb] of the field at each target, or over each block."""
+        if process.hyperparameters.warp is not None:
+            return self._warped_moments(process, process.hyperparameters.warp)
         own, flat = process.hyperparameters, self.points_m.reshape(-1, 2)
         covariance = own.covariance(process.places_m, flat)
         prior, variance = own.prior_mean_ppb(flat), self.prior_variance(own.kernel)
@@ -128,6 +140,33 @@ class Targets:
             variance = variance - (whitened * whitened).sum(axis=0)
         least = process.least_variance() if self.points_m.shape[1] == 1 else 0.0
         return mean, own.scale_ppb * np.sqrt(np.maximum(variance, least))
+
+    def _warped_moments(self, process: GaussianProcess, warp: Warp) -> tuple[FloatArray, FloatArray]:
+        """The same of a process with a warp: over a block, from the joint moments of its points."""
+        mean, std = process.predict_latent(self.points_m.reshape(-1, 2))
+        shape = self.points_m.shape[:2]
+        mean, variance = mean.reshape(shape), (std * std).reshape(shape)
+        if shape[1] == 1:
+            of_field, within = warp.moments(mean[:, 0], variance[:, 0])
+            return of_field, np.sqrt(within)
+        among = process.posterior_covariances(self.points_m)
+        np.einsum("tii->ti", among)[:] = variance
+        covariances = warp.covariance(
+            mean[:, :, None], variance[:, :, None], mean[:, None, :], variance[:, None, :], among
+        )
+        over: FloatArray = covariances.mean(axis=(1, 2))
+        return warp.mean(mean, variance).mean(axis=1), np.sqrt(np.maximum(over, 0.0))
+
+    def drawn(self, process: GaussianProcess, warp: Warp, draws: FloatArray) -> FloatArray:
+        """Draws (n, T) [ppb] of the field at all targets at once, or of its means over blocks, through that warp.
+
+        draws: (n, T q) standard normal ones.
+        """
+        flat = self.points_m.reshape(-1, 2)
+        covariance = process.latent_covariance(flat)
+        covariance.flat[:: len(flat) + 1] += _ROUNDING_OF_DRAWS * process.hyperparameters.field_std_ppb**2
+        latent = process.predict_latent(flat)[0] + draws @ np.linalg.cholesky(covariance).T
+        return self.means(warp.field(latent))
 
     def covariance(self, process: GaussianProcess) -> FloatArray:
         """Posterior covariance (T, T) [ppb^2] of the field among the targets, or of its means over blocks."""
@@ -242,6 +281,11 @@ def likely_distance(mixture: ProcessMixture, targets: Targets, probability: floa
     rank = min(len(drawn), math.ceil(probability * len(drawn) - ROUNDING)) - 1
     distances = []
     for process, mean in zip(mixture.processes, means, strict=True):
+        if (warp := process.hyperparameters.warp) is not None:
+            points = rng.standard_normal((DRAWS, drawn.points_m.shape[0] * drawn.points_m.shape[1]))
+            missed = np.abs(drawn.drawn(process, warp, points) - middle)
+            distances.append(np.partition(missed, rank, axis=1)[:, rank])
+            continue
         covariance = drawn.covariance(process)
         covariance.flat[:: len(drawn) + 1] += _ROUNDING_OF_DRAWS * process.hyperparameters.field_std_ppb**2
         missed = np.abs(mean - middle + rng.standard_normal((DRAWS, len(drawn))) @ np.linalg.cholesky(covariance).T)

@@ -16,16 +16,22 @@ import numpy as np
 from he3.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from he3.frames import FloatArray, IntArray
 
 _SUM_OF_WEIGHTS = 3.0  # 1, how much the sum of the weights counts beside a moment at a place
+_WEIGHT_OF_KIND = 3.0  # 1, the same of the sum of the weights of one kind
 _NO_WEIGHT = 1e-6  # 1, below it a distribution is left out
 
 
-def condensed(weights: FloatArray, means: FloatArray, variances: FloatArray, most: int) -> tuple[IntArray, FloatArray]:
+def condensed(
+    weights: FloatArray, means: FloatArray, variances: FloatArray, most: int, kinds: Sequence[object] = ()
+) -> tuple[IntArray, FloatArray]:
     """At most ``most`` of N distributions: their numbers (k,) and weights (k,), whose sum is 1, the heaviest first.
 
-    weights: (N,), not negative and not all 0. means and variances: (N, P) at P places, variances positive. Raises
+    weights: (N,), not negative and not all 0. means and variances: (N, P) at P places, variances positive. kinds: (N,),
+    where they are of several, whose total weights are to be kept, too, as their moments do not tell them apart. Raises
     InvalidInput for shapes that do not fit.
     """
     from scipy.optimize import nnls  # a tenth of a second, in processes that never fit
@@ -38,6 +44,9 @@ def condensed(weights: FloatArray, means: FloatArray, variances: FloatArray, mos
     second = apart * apart + variances
     variance = weights @ second
     moments = np.hstack((apart / np.sqrt(variance), second / variance, np.full((len(weights), 1), _SUM_OF_WEIGHTS)))
+    if len(distinct := list(dict.fromkeys(kinds))) > 1:
+        of_kind = np.array([[kind == each for each in distinct] for kind in kinds], dtype=np.float64)
+        moments = np.hstack((moments, _WEIGHT_OF_KIND * of_kind))
     wanted = weights @ moments
     directions = moments / np.linalg.norm(moments, axis=1)[:, None]
     chosen: list[int] = []

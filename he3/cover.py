@@ -54,8 +54,8 @@ class _Part:
     """(t, T): factor^-1 times the covariance of samples and targets."""
     variance: FloatArray
     """(T,) variance of the targets given the samples taken."""
-    most: float
-    """The goal's variance."""
+    most: FloatArray | float
+    """The goal's variance: one, or with a warp that of the latent field at each target (T,)."""
 
     @classmethod
     def of(cls, hyperparameters: Hyperparameters, targets: Targets, sampled_m: FloatArray, std_ppb: float) -> _Part:
@@ -71,7 +71,10 @@ class _Part:
             cross = targets.means(hyperparameters.covariance(sampled_m, flat))
             whitened = solve_triangular(factor, cross, lower=True, check_finite=False)
             variance = variance - (whitened * whitened).sum(axis=0)
-        most = (std_ppb / hyperparameters.scale_ppb) ** 2
+        most: FloatArray | float = (std_ppb / hyperparameters.scale_ppb) ** 2
+        if hyperparameters.warp is not None and targets.levels_ppb is not None:
+            # To first order, the field's standard deviation is that of the latent one over the slope of the inverse.
+            most = most * hyperparameters.warp.slope(targets.levels_ppb) ** 2
         return cls(hyperparameters, targets, sampled_m, factor, whitened, variance, most)
 
     def whitened_at(self, places_m: FloatArray) -> FloatArray:
@@ -105,7 +108,8 @@ class _Part:
         inverse = cho_solve((factor, True), np.eye(len(places_m)), check_finite=False)
         b = inverse @ cross
         variance = self.variance - (b * cross).sum(axis=0)
-        without: FloatArray = np.asarray((variance + b * b / inverse.diagonal()[:, None]).max(axis=1) / self.most - 1.0)
+        variances = variance + b * b / inverse.diagonal()[:, None]
+        without: FloatArray = np.asarray((variances / self.most).max(axis=1) - 1.0)
         return without
 
     def with_gradient(self, places_m: FloatArray) -> tuple[float, float, FloatArray]:
@@ -236,7 +240,7 @@ class _Greedy:
 
     def __init__(self, part: _Part, places_m: FloatArray, candidates_m: FloatArray, most: int) -> None:
         own = part.hyperparameters
-        scale = 1.0 / part.most
+        scale: FloatArray | float = 1.0 / part.most
         cross, _, whitened = part.given_taken(candidates_m)
         excess = part.excess(places_m)
         rows = [whitened]
@@ -247,6 +251,8 @@ class _Greedy:
             lowered = solve_triangular(factor, to_candidates, lower=True, check_finite=False)
             cross -= lowered.T @ solve_triangular(factor, to_targets, lower=True, check_finite=False)
             rows.append(lowered)
+        if isinstance(scale, np.ndarray):
+            cross, scale = cross * np.sqrt(scale), 1.0
         self._candidates_m, self._hyperparameters, self._scale = candidates_m, own, scale
         known = np.vstack(rows)
         room = max(0, most - len(places_m))

@@ -57,20 +57,32 @@ class GaussianProcess:
         values = np.asarray(values_ppb, dtype=np.float64)
         if values.shape != (len(xy),) or not np.isfinite(values).all():
             raise InvalidInput(f"expected {len(xy)} finite values, one per place, got shape {values.shape}")
-        return self._extend(xy, self.hyperparameters.standardise(xy, values))
+        own = self.hyperparameters
+        return self._extend(xy, own.standardise(xy, values), own.noise_variances(values))
 
     def condition_on_places(self, xy_m: ArrayLike) -> GaussianProcess:
-        """The belief after samples at places (k, 2) [m] with values yet unknown: less variance, the same mean."""
-        return self._extend(as_points(np.asarray(xy_m, dtype=np.float64)), None)
+        """The belief after samples at places (k, 2) [m] with values yet unknown: less variance, the same mean.
+
+        With a warp, their noise is that at the median of the field there, and it is the latent field's mean that stays.
+        """
+        xy, own = as_points(np.asarray(xy_m, dtype=np.float64)), self.hyperparameters
+        if own.warp is None:
+            return self._extend(xy, None, own.noise_variance)
+        return self._extend(xy, None, own.noise_variances(own.warp.field(self.predict_latent(xy)[0])))
 
     def drawn(self, place_m: ArrayLike, draw: Callable[[float, float], float]) -> tuple[float, GaussianProcess]:
         """An observation [ppb] at the place (2,) [m] that is drawn, and the belief after it.
 
-        draw: gives it from the field's mean and standard deviation there [ppb].
+        draw: gives it from the latent field's mean and standard deviation there [ppb], which is the field without a
+        warp.
         """
         place = as_points(np.asarray(place_m, dtype=np.float64).reshape(1, 2))
         own, n = self.hyperparameters, len(self)
-        planned = self._extend(place, None)
+        if own.warp is not None:
+            mean, latent_std = self.predict_latent(place)
+            value = draw(float(mean[0]), float(latent_std[0]))
+            return value, self.condition(place, [value])
+        planned = self._extend(place, None, own.noise_variance)
         expected, pivot = float(planned.factor[n, :n] @ self.whitened), float(planned.factor[n, n])
         std = np.sqrt(max(pivot**2 - own.noise_variance, self.least_variance()))
         value = draw(float(own.prior_mean_ppb(place)[0]) + own.scale_ppb * expected, own.scale_ppb * float(std))
@@ -81,15 +93,16 @@ class GaussianProcess:
         """The belief after the same observations under other hyperparameters."""
         own, places = self.hyperparameters, self.places_m
         values = own.prior_mean_ppb(places) + own.scale_ppb * (self.factor @ self.whitened)
+        if own.warp is not None:
+            values = own.warp.field(values)
         return GaussianProcess(hyperparameters).condition(places, values)
 
-    def _extend(self, xy: FloatArray, z: FloatArray | None) -> GaussianProcess:
+    def _extend(self, xy: FloatArray, z: FloatArray | None, noise: FloatArray | float) -> GaussianProcess:
         n, k = len(self), len(xy)
         if k == 0:
             return self
         cross = self._whiten(xy)
         block = self.hyperparameters.covariance(xy, xy) - cross.T @ cross
-        noise = self.hyperparameters.noise_variance
         # Rounding may make the field's own variance negative; clipped at 0, no pivot is below the noise.
         block.flat[:: k + 1] = np.maximum(block.diagonal(), 0.0) + noise
         try:
@@ -116,6 +129,15 @@ class GaussianProcess:
 
     def predict(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (k,) and standard deviation (k,) [ppb] of the field at places (k, 2) [m], noise excluded."""
+        mean, std = self.predict_latent(points_m)
+        warp = self.hyperparameters.warp
+        if warp is None:
+            return mean, std
+        mean, variance = warp.moments(mean, std * std)
+        return mean, np.sqrt(variance)
+
+    def predict_latent(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """As ``predict``, of the latent field, whose distribution is normal; without a warp it is the field."""
         xy = as_points(np.asarray(points_m, dtype=np.float64))
         cross = self._whiten(xy)
         scale = self.hyperparameters.scale_ppb
@@ -124,13 +146,13 @@ class GaussianProcess:
         return mean, scale * np.sqrt(np.maximum(variance, self.least_variance()))
 
     def least_variance(self) -> float:
-        """A positive lower bound on the posterior variance anywhere, in standardised units.
+        """A positive lower bound on the posterior variance of the latent field anywhere, in standardised units.
 
         After n samples at the very place the variance is k / (1 + n k / s^2), with k the kernel's variance and s^2 the
         noise's; samples elsewhere tell no more. The bound is half of that; only rounding errors fall below it.
         """
         prior = self.hyperparameters.kernel.prior_variance
-        return 0.5 * prior / (1.0 + len(self) * prior / self.hyperparameters.noise_variance)
+        return 0.5 * prior / (1.0 + len(self) * prior / self.hyperparameters.least_noise_variance)
 
     def posterior_covariance(self, points_m: ArrayLike, others_m: ArrayLike | None = None) -> FloatArray:
         """Posterior covariance (k, m) [ppb^2] of the field between places (k, 2) and others (m, 2) [m].
@@ -138,17 +160,29 @@ class GaussianProcess:
         Without others, (k, k) among the places themselves.
         """
         xy = as_points(np.asarray(points_m, dtype=np.float64))
+        others = None if others_m is None else as_points(np.asarray(others_m, dtype=np.float64))
+        covariance, warp = self.latent_covariance(xy, others), self.hyperparameters.warp
+        if warp is None:
+            return covariance
+        mean, std = self.predict_latent(xy)
+        other_mean, other_std = (mean, std) if others is None else self.predict_latent(others)
+        return warp.covariance(mean[:, None], std[:, None] ** 2, other_mean, other_std**2, covariance)
+
+    def latent_covariance(self, xy: FloatArray, others: FloatArray | None = None) -> FloatArray:
+        """As ``posterior_covariance``, of the latent field."""
         cross = self._whiten(xy)
-        if others_m is None:
+        if others is None:
             covariance = self.hyperparameters.covariance(xy, xy) - cross.T @ cross
         else:
-            others = as_points(np.asarray(others_m, dtype=np.float64))
             covariance = self.hyperparameters.covariance(xy, others) - cross.T @ self._whiten(others)
         covariance *= self.hyperparameters.scale_ppb**2
         return covariance
 
     def posterior_covariances(self, sets_m: ArrayLike) -> FloatArray:
-        """Posterior covariances (B, k, k) [ppb^2] within each of B sets of k places (B, k, 2) [m], in one batch."""
+        """Posterior covariances (B, k, k) [ppb^2] within each of B sets of k places (B, k, 2) [m], in one batch.
+
+        With a warp, of the latent field.
+        """
         sets = np.asarray(sets_m, dtype=np.float64)
         if sets.ndim != 3 or sets.shape[2] != 2:
             raise InvalidInput(f"expected sets of places (B, k, 2), got {sets.shape}")

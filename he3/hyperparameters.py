@@ -48,6 +48,7 @@ from he3.kernels import (
 )
 from he3.layer_selection import in_shares
 from he3.likelihood import log_marginal_likelihood
+from he3.warping import LEAST_SLOPE, Warp
 
 if TYPE_CHECKING:
     from he3.trend import CovariateTrend, Trend
@@ -102,6 +103,10 @@ class Hyperparameters:
     noises_ppb: tuple[float, ...] = ()
     trend_shares: tuple[float, ...] = ()
     """Multiples of the prior standard deviations of a trend's first weights (``he3.layer_selection``); empty: 1."""
+    warp: Warp | None = None
+    """Of the field (``he3.warping``): kernel, mean, scale and noise are then of the latent field; None: no warp."""
+    warps: tuple[Warp | None, ...] = ()
+    """That of each alternative; empty where none has one. With a trend from orbit there is none."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale_ppb) and self.scale_ppb > 0 and math.isfinite(self.mean_ppb)):
@@ -110,11 +115,31 @@ class Hyperparameters:
             raise InvalidInput(f"expected a noise standard deviation of 0 or more, got {self.noise_std_ppb!r} ppb")
         if self.noises_ppb and len(self.noises_ppb) != len(self.alternatives):
             raise InvalidInput(f"expected a noise for each of {len(self.alternatives)}, got {len(self.noises_ppb)}")
+        if self.warps and len(self.warps) != len(self.alternatives):
+            raise InvalidInput(f"expected a warp for each of {len(self.alternatives)}, got {len(self.warps)}")
 
     @property
     def noise_variance(self) -> float:
         """Noise variance in standardised units, at least ``NOISE_VARIANCE_FLOOR`` of the kernel's variance."""
         return max((self.noise_std_ppb / self.scale_ppb) ** 2, NOISE_VARIANCE_FLOOR * self.kernel.prior_variance)
+
+    def noise_variances(self, values_ppb: FloatArray) -> FloatArray | float:
+        """Noise variance of observations (n,) [ppb] in standardised units: one for all, or (n,) with a warp.
+
+        The stated noise is one in ppb, so in the latent field it is the warp's slope there times as much.
+        """
+        return self.noise_variance if self.warp is None else self._with_slope(self.warp.noise_slope(values_ppb))
+
+    @property
+    def least_noise_variance(self) -> float:
+        """The least noise variance that any observation has, in standardised units."""
+        return self.noise_variance if self.warp is None else float(self._with_slope(np.array(LEAST_SLOPE)))
+
+    def _with_slope(self, slope: FloatArray) -> FloatArray:
+        """Noise variances in standardised units; a change of the field is ``slope`` times as much in the latent."""
+        assert self.warp is not None
+        more = (self.warp.noise_std_ppb / self.scale_ppb) ** 2 * (slope * slope - 1.0)
+        return np.maximum(self.noise_variance + more, NOISE_VARIANCE_FLOOR * self.kernel.prior_variance)
 
     @property
     def noise_variance_ppb2(self) -> float:
@@ -136,11 +161,15 @@ class Hyperparameters:
         return replace(self, kernel=kernel_from(other.kernel.name, parameters), log_likelihood=other.log_likelihood)
 
     def standardise(self, xy_m: FloatArray, values_ppb: FloatArray) -> FloatArray:
-        """Observations (n,) [ppb] at places (n, 2) [m] in standardised units: less trend and mean, over the scale."""
-        return (values_ppb - self.prior_mean_ppb(xy_m)) / self.scale_ppb
+        """Observations (n,) [ppb] at places (n, 2) [m] in standardised units: less trend and mean, over the scale.
+
+        With a warp, those of the latent field.
+        """
+        latent_ppb = values_ppb if self.warp is None else self.warp.latent(values_ppb)
+        return (latent_ppb - self.prior_mean_ppb(xy_m)) / self.scale_ppb
 
     def prior_mean_ppb(self, xy_m: FloatArray) -> FloatArray:
-        """Mean of the field (n,) [ppb] at places (n, 2) [m] before any sample."""
+        """Mean of the field (n,) [ppb] at places (n, 2) [m] before any sample; with a warp, of the latent field."""
         if self.trend is None:
             return np.full(len(xy_m), self.mean_ppb)
         return self.trend.at(xy_m) + self.mean_ppb

@@ -19,7 +19,8 @@ which draws at random:
 
 Where the samples speak for unstated noise or for two lengths and a bearing (``he3.model_extensions``), the points of
 those models are among them, with the weight of their evidence. Where the kernel is "auto", so are those of all families
-of kernels, with the weight of how well they predict (``he3.kernel_families``).
+of kernels, with the weight of how well they predict (``he3.kernel_families``), and of skewed fields
+(``he3.warp_choice``), except where a map from orbit is the trend: its contrast is one in ppb.
 
 On 20 maps of 10 to 30 samples of 16 fields, six points had the moments of a design of 256, twice the one used here:
 standard deviations within 1 % on average and 2 % at most, means within 2 and 5 % of a standard deviation.
@@ -59,12 +60,14 @@ from he3.kernel_families import left_out, log_family_weights, log_predictive
 from he3.kernels import AUTO, Kernel, Stretched, kernel_from, squared_distances
 from he3.layer_selection import LEAST_OF_WIDE, LOG_ODDS, LOG_ODDS_OF_DETAIL, chosen_shares, in_shares
 from he3.model_extensions import extensions
-from he3.trend import unknown_level
+from he3.trend import UnknownConstant, UnknownLevel, unknown_level
+from he3.warp_choice import MOST_LOG_VARIANCE, log_warp_weight, warps_to_try
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from he3.trend import CovariateTrend, Trend
+    from he3.warping import Warp
 
 LEAST_PRECISION = 0.5  # 1, of the normal approximation along any axis, in units of the prior's
 COMPONENTS = 6  # 1, kernels that stand for the posterior
@@ -115,12 +118,20 @@ class HyperparameterDraws:
     """Variances (N,) in standardised units."""
     shares: FloatArray
     """(N,), of which the sum is 1."""
+    warps: list[Warp | None]
+    """(N,)."""
 
     def draw(self, random: np.random.Generator) -> Hyperparameters:
         """One draw."""
         number = int(random.choice(len(self.shares), p=self.shares))
         noise_ppb = self.fitted.scale_ppb * math.sqrt(self.noises[number])
-        return replace(self.fitted, kernel=self.kernels[number], noise_std_ppb=noise_ppb, log_likelihood=math.nan)
+        return replace(
+            self.fitted,
+            kernel=self.kernels[number],
+            noise_std_ppb=noise_ppb,
+            log_likelihood=math.nan,
+            warp=self.warps[number],
+        )
 
 
 def hyperparameter_draws(
@@ -137,7 +148,7 @@ def hyperparameter_draws(
     xy, families = _families(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
     points = _points(families, xy, prior.extent_m)
     shares = np.exp(points.log_weights - np.logaddexp.reduce(points.log_weights))
-    return HyperparameterDraws(families[0][0].fitted, points.kernels, points.noises, shares)
+    return HyperparameterDraws(families[0][0].fitted, points.kernels, points.noises, shares, points.warps)
 
 
 def _families(
@@ -293,7 +304,8 @@ class _Probed:
 class _Weighted:
     """Kernels, noise variances (N,) in standardised units, logarithms of their weights (N,), and moments (N, m).
 
-    left_out: (N, 2, n) of each sample given the others, or (N, 2, 0).
+    left_out: (N, 2, n) of each sample given the others, or (N, 2, 0), of the latent field where there are warps (N,).
+    judged: the same of the field.
     """
 
     kernels: list[Kernel]
@@ -302,6 +314,38 @@ class _Weighted:
     means: FloatArray
     variances: FloatArray
     left_out: FloatArray
+    judged: FloatArray
+    warps: list[Warp | None]
+
+    def __len__(self) -> int:
+        return len(self.kernels)
+
+    def log_predictive(self) -> float:
+        """That of the samples (``he3.kernel_families``), all given all others."""
+        return log_predictive(self.log_weights, self.left_out, self.judged)
+
+    def through(self, warp: Warp, mean_ppb: float, scale_ppb: float, z: FloatArray) -> _Weighted:
+        """The same in the units of the field, where these are in those of a latent one: z (n,) of the samples there.
+
+        Those that are too uncertain of the latent field to have moments are left out.
+        """
+        latent, variances = mean_ppb + scale_ppb * self.means, scale_ppb**2 * self.variances
+        kept = warp.log_variance(variances).max(axis=1) <= MOST_LOG_VARIANCE
+        means, variances = warp.moments(latent[kept], variances[kept])
+        expected = mean_ppb + scale_ppb * (z - self.left_out[kept, 0])
+        given_others, spread = warp.moments(expected, scale_ppb**2 * self.left_out[kept, 1])
+        away = warp.field(mean_ppb + scale_ppb * z) - given_others
+        log_weights = self.log_weights[kept]
+        return _Weighted(
+            [kernel for kernel, one in zip(self.kernels, kept, strict=True) if one],
+            self.noises[kept],
+            log_weights - np.logaddexp.reduce(log_weights),
+            (means - mean_ppb) / scale_ppb,
+            variances / scale_ppb**2,
+            self.left_out[kept],
+            np.stack((away / scale_ppb, spread / scale_ppb**2), axis=1),
+            [warp] * len(log_weights),
+        )
 
     @classmethod
     def together(cls, each: list[_Weighted]) -> _Weighted:
@@ -313,6 +357,8 @@ class _Weighted:
             np.concatenate([one.means for one in each]),
             np.concatenate([one.variances for one in each]),
             np.concatenate([one.left_out for one in each]),
+            np.concatenate([one.judged for one in each]),
+            [warp for one in each for warp in one.warps],
         )
 
 
@@ -325,9 +371,11 @@ class _Inference:
     spread: FloatArray
     log_evidence: float
     fitted: Hyperparameters
+    warp: Warp | None = None
+    """With it, all else is of the latent field."""
 
     def weighted(self, xy: FloatArray, places: FloatArray, *, predicts: bool) -> _Weighted:
-        """The points that stand for the posterior. The sum of their weights is 1."""
+        """The points that stand for the posterior. The sum of their weights is 1, if there are any."""
         probed = _Probed.of(self, xy, places, predicts=predicts)
         points, log_weights = self.posterior.weighted_design(self.mode, self.spread)
         kernels, noises = zip(*((self.posterior.kernel(u), self.posterior.noise(u)) for u in points), strict=True)
@@ -335,31 +383,92 @@ class _Inference:
         log_likelihoods, means, variances, found = zip(*moments, strict=True)
         log_weights = log_weights + np.array(log_likelihoods)
         log_weights -= np.logaddexp.reduce(log_weights)
-        return _Weighted(
-            list(kernels), np.array(noises), log_weights, np.array(means), np.array(variances), np.array(found)
-        )
+        left_out_each = np.array(found)
+        weighted = _Weighted(
+            list(kernels), np.array(noises), log_weights, np.array(means), np.array(variances), left_out_each,
+            left_out_each, [None] * len(kernels),
+        )  # fmt: skip
+        if self.warp is None:
+            return weighted
+        return weighted.through(self.warp, self.fitted.mean_ppb, self.fitted.scale_ppb, self.posterior.likelihood.z)
 
 
 def _points(families: list[list[_Inference]], xy: FloatArray, extent_m: float) -> _Weighted:
-    """The points that stand for all families and models that count."""
+    """The points that stand for all families, models and warps that count."""
     axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
     places = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
     if len(families) == 1:
         return _of_family(families[0], xy, places, predicts=False)
-    each = []
-    for models in families:
-        found = _of_family(models, xy, places, predicts=True)
-        each.append(replace(found, log_weights=found.log_weights - np.logaddexp.reduce(found.log_weights)))
-    names = [models[0].posterior.likelihood.default.name for models in families]
-    log_weights = log_family_weights(names, [log_predictive(one.log_weights, one.left_out) for one in each])
-    counted = log_weights >= log_weights.max() + LEAST_LOG_SHARE
+    plain = _of_families(families, xy, places)
+    groups = [(0.0, plain)]
+    for warp in _warps(families[0][0]):
+        warped = [_warped(models[0], warp) for models in families]
+        found = _of_families([[each, *_extended(each, xy)] for each in warped], xy, places)
+        if found:
+            more = log_warp_weight([one.predictive for one in found], [one.predictive for one in plain])
+            groups.append((more, found))
+    least = max(more + one.log_weight for more, group in groups for one in group) + LEAST_LOG_SHARE
     return _Weighted.together(
         [
-            replace(one, log_weights=one.log_weights + log_weight)
-            for one, log_weight, counts in zip(each, log_weights, counted, strict=True)
-            if counts
+            replace(one.points, log_weights=one.points.log_weights + (one.log_weight + more))
+            for more, group in groups
+            for one in group
+            if more + one.log_weight >= least
         ]
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Family:
+    """The points that stand for a family, of weights whose sum is 1, with its weight among the others of its warp.
+
+    predictive: the log density of the samples given each other.
+    """
+
+    points: _Weighted
+    predictive: float
+    log_weight: float
+
+
+def _of_families(families: list[list[_Inference]], xy: FloatArray, places: FloatArray) -> list[_Family]:
+    """Those families that have points, with one warp or none."""
+    names, each = [], []
+    for models in families:
+        found = _of_family(models, xy, places, predicts=True)
+        if len(found):
+            names.append(models[0].posterior.likelihood.default.name)
+            each.append(replace(found, log_weights=found.log_weights - np.logaddexp.reduce(found.log_weights)))
+    if not each:
+        return []
+    predictive = [one.log_predictive() for one in each]
+    log_weights = log_family_weights(names, predictive)
+    return [_Family(*one) for one in zip(each, predictive, log_weights, strict=True)]
+
+
+def _warps(plain: _Inference) -> list[Warp]:
+    """The warps that are looked at: none where the field has a trend from orbit, which is one in ppb."""
+    fitted, problem = plain.fitted, plain.posterior.likelihood
+    if not isinstance(fitted.trend, UnknownConstant | UnknownLevel):
+        return []
+    return warps_to_try(fitted.mean_ppb + fitted.scale_ppb * problem.z, fitted.noise_std_ppb)
+
+
+def _warped(plain: _Inference, warp: Warp) -> _Inference:
+    """The posterior of the same kernel's parameters for the latent field of a warp, with the same priors."""
+    of, fitted = plain.posterior, plain.fitted
+    values = fitted.mean_ppb + fitted.scale_ppb * of.likelihood.z
+    # What the noise in ppb is in the latent field differs from the stated one sample by sample.
+    more = of.likelihood.noise * (warp.noise_slope(values) ** 2 - 1.0)
+    covariance = (
+        np.diag(more) if of.likelihood.trend_covariance is None else of.likelihood.trend_covariance + np.diag(more)
+    )
+    problem = replace(
+        of.likelihood, z=(warp.latent(values) - fitted.mean_ppb) / fitted.scale_ppb, trend_covariance=covariance
+    )
+    posterior = _Posterior(problem, of.medians, of.factors)
+    mode = posterior.mode([plain.mode])
+    spread = posterior.normal_at(mode)
+    return _Inference(posterior, mode, spread, _log_integral(posterior, mode, spread), fitted, warp)
 
 
 def _of_family(models: list[_Inference], xy: FloatArray, places: FloatArray, *, predicts: bool) -> _Weighted:
@@ -377,18 +486,19 @@ def _mixed(families: list[list[_Inference]], xy: FloatArray, extent_m: float) ->
     """The hyperparameters for planners, those of the first model, with the kernels that stand for all models."""
     points = _points(families, xy, extent_m)
     weights = np.exp(points.log_weights - points.log_weights.max())
-    chosen, shares = condensed(weights, points.means, points.variances, COMPONENTS)
+    chosen, shares = condensed(weights, points.means, points.variances, COMPONENTS, points.warps)
     guide = families[0][0]
     fitted = guide.fitted
     alternatives = tuple((float(share), points.kernels[number]) for number, share in zip(chosen, shares, strict=True))
     noises = points.noises[chosen]
+    warps = tuple(points.warps[number] for number in chosen)
+    fitted = replace(fitted, alternatives=alternatives, warps=warps if any(warps) else ())
     if np.all(noises == guide.posterior.likelihood.noise):
-        return replace(fitted, alternatives=alternatives)
+        return fitted
     stds = fitted.scale_ppb * np.sqrt(noises)
     return replace(
         fitted,
         noise_std_ppb=float(np.sqrt(shares @ stds**2)),
-        alternatives=alternatives,
         noises_ppb=tuple(float(std) for std in stds),
     )
 
@@ -404,7 +514,7 @@ def _extended(plain: _Inference, xy: FloatArray) -> list[_Inference]:
         # What does not depend on the model is that of the plain one, such as the samples' unit.
         more = _log_integral(posterior, mode, spread) - _log_integral(of, plain.mode, plain.spread)
         evidence = plain.log_evidence + more + extension.log_odds
-        found.append(_Inference(posterior, mode, spread, evidence, plain.fitted))
+        found.append(_Inference(posterior, mode, spread, evidence, plain.fitted, plain.warp))
     return found
 
 

@@ -48,16 +48,19 @@ def left_out(factor: NDArray[np.floating], whitened: FloatArray) -> FloatArray:
     return np.stack((whitened @ inverse * variances, variances))
 
 
-def log_predictive(log_weights: FloatArray, found: FloatArray) -> float:
+def log_predictive(log_weights: FloatArray, found: FloatArray, judged: FloatArray | None = None) -> float:
     """The sum over all samples of the log density of each given the others, under all of N kernels.
 
-    log_weights: (N,) of the kernels given all samples. found: (N, 2, n), ``left_out`` of each.
+    log_weights: (N,) of the kernels given all samples. found: (N, 2, n), ``left_out`` of each. judged: the same in the
+    unit in which the density counts, where that is another one because the field is warped.
     """
     away, variances = found[:, 0], found[:, 1]
     log_densities = -0.5 * (np.log(2.0 * math.pi * variances) + away * away / variances)
     log_without = log_weights[:, None] - log_densities
     weights = np.exp(log_without - log_without.max(axis=0, initial=-np.inf))
     weights /= weights.sum(axis=0)
+    if judged is not None:
+        away, variances = judged[:, 0], judged[:, 1]
     mean = (weights * away).sum(axis=0)
     variance = (weights * (variances + (away - mean) ** 2)).sum(axis=0)
     return float(-0.5 * (np.log(2.0 * math.pi * variance) + mean * mean / variance).sum())

@@ -5,7 +5,8 @@ With weights w_i, and means m_i and variances v_i of the processes at a place,
     mean = sum w_i m_i,      variance = sum w_i v_i + sum w_i (m_i - mean)^2
 
 (law of total variance): the mean of the variances, and the variance of the means, which is what is not known of the
-kernel. All processes have the same samples and trend.
+kernel. All processes have the same samples and trend. A process with a warp (``he3.warping``) is not normal in ppb; its
+mean and variance there are, in closed form, those that the law asks for.
 """
 
 from __future__ import annotations
@@ -26,16 +27,27 @@ def alternatives_of(hyperparameters: Hyperparameters) -> list[tuple[float, Hyper
     """The weight and the hyperparameters of each process of the mixture; one of weight 1 if there are no others."""
     if not hyperparameters.alternatives:
         return [(1.0, hyperparameters)]
-    noises = hyperparameters.noises_ppb or (hyperparameters.noise_std_ppb,) * len(hyperparameters.alternatives)
+    count = len(hyperparameters.alternatives)
+    noises = hyperparameters.noises_ppb or (hyperparameters.noise_std_ppb,) * count
+    warps = hyperparameters.warps or (None,) * count
     return [
-        (weight, replace(hyperparameters, kernel=kernel, noise_std_ppb=noise, alternatives=(), noises_ppb=()))
-        for (weight, kernel), noise in zip(hyperparameters.alternatives, noises, strict=True)
+        (weight, replace(alone(hyperparameters), kernel=kernel, noise_std_ppb=noise, warp=warp))
+        for (weight, kernel), noise, warp in zip(hyperparameters.alternatives, noises, warps, strict=True)
     ]
 
 
+def alone(hyperparameters: Hyperparameters) -> Hyperparameters:
+    """Those without the alternatives."""
+    return replace(hyperparameters, alternatives=(), noises_ppb=(), warps=())
+
+
 def heaviest_of(hyperparameters: Hyperparameters) -> Hyperparameters:
-    """The process of the greatest weight alone; the hyperparameters themselves if there are no others."""
-    return max(alternatives_of(hyperparameters), key=lambda one: one[0])[1]
+    """The process of the greatest weight alone, for planners: without its warp, as they weigh the latent field.
+
+    The hyperparameters themselves if there are no others.
+    """
+    heaviest = max(alternatives_of(hyperparameters), key=lambda one: one[0])[1]
+    return heaviest if heaviest.warp is None else replace(heaviest, warp=None)
 
 
 def mixture_moments(

@@ -18,13 +18,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from he3.coarse_grid import coarser, on_cells
 from he3.frames import SiteGrid
 from he3.intervals import NORMAL_ENDS, Intervals
-from he3.mixture import alternatives_of, mixture_moments
+from he3.mixture import alone, alternatives_of, mixture_moments
 from he3.tails import interval_levels, residuals
+from he3.warped_intervals import warped_intervals
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -56,7 +57,7 @@ class MixturePosterior:
             self._weights = np.array(weights)
             self._parts = [posterior(coarse, one) for one in each]
             if coarse != grid:
-                self._coarse_one = posterior(coarse, replace(hyperparameters, alternatives=(), noises_ppb=()))
+                self._coarse_one = posterior(coarse, alone(hyperparameters))
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -81,11 +82,8 @@ class MixturePosterior:
         if not self._parts:
             return one
         if self._map is None:
-            maps = [part.snapshot() for part in self._parts]
             coarse = self._coarse_one.snapshot()
-            mean, std = mixture_moments(
-                self._weights, np.stack([part.mean_ppb for part in maps]), np.stack([part.std_ppb for part in maps])
-            )
+            mean, std = mixture_moments(self._weights, *self._moments())
             grids = self._one.grid, self._coarse_one.grid
             mean_ppb = one.mean_ppb + on_cells(mean - coarse.mean_ppb, *grids)
             std_ppb = one.std_ppb * on_cells(std / coarse.std_ppb, *grids)
@@ -105,6 +103,21 @@ class MixturePosterior:
             scores = residuals(self._weights, [part.process for part in self._parts], self._made_from)
             two, one = interval_levels(scores, NORMAL_ENDS[:1:-1])
             self._levels = np.array([-two, -one, one, two])
+        grid, warps = self._coarse_one.grid, [part.hyperparameters.warp for part in self._parts]
+        if any(warps):
+            return warped_intervals(grid, self._weights, *self._latent_moments(), warps, self._levels)
+        return Intervals.of(grid, self._weights, *self._latent_moments(), self._levels)
+
+    def _latent_moments(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Means and standard deviations (K, rows, columns) of the parts on the coarser grid, of their latent fields."""
         maps = [part.snapshot() for part in self._parts]
-        means, stds = np.stack([part.mean_ppb for part in maps]), np.stack([part.std_ppb for part in maps])
-        return Intervals.of(self._coarse_one.grid, self._weights, means, stds, self._levels)
+        return np.stack([part.mean_ppb for part in maps]), np.stack([part.std_ppb for part in maps])
+
+    def _moments(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Means and standard deviations (K, rows, columns) [ppb] of the parts on the coarser grid."""
+        means, stds = self._latent_moments()
+        for number, part in enumerate(self._parts):
+            if (warp := part.hyperparameters.warp) is not None:
+                mean, variance = warp.moments(means[number].astype(np.float64), stds[number].astype(np.float64) ** 2)
+                means[number], stds[number] = mean, np.sqrt(variance)
+        return means, stds

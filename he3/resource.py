@@ -12,7 +12,10 @@ uncertainty under a vague prior, propagated to the average (eq. 2.42 with H = 1)
     + (1 - 1' K_X^-1 K(X, cells) w)^2 / (1' K_X^-1 1)
 
 Where the hyperparameters have alternatives (``he3.mixture``), the variance is the mean of their variances and the
-variance of their means, by the law of total variance.
+variance of their means, by the law of total variance. Under an alternative with a warp T (``he3.warping``), the
+covariance differs from place to place, and the variance is summed over pairs of blocks, with u the latent field there:
+
+    mean = sum w_i E T(u_i),      variance = sum w_i w_j Cov(T(u_i), T(u_j))      (closed forms)
 
 The first term needs no sum over pairs of cells: a stationary covariance depends on the offset alone, and the number of
 pairs at each offset is the autocorrelation of the area's mask (by FFT). The second term is integrated over blocks of
@@ -39,6 +42,7 @@ if TYPE_CHECKING:
 
 MAX_NODES = 6000  # 1, blocks over which the correlation with the samples is integrated: 0.1 s with 150 samples
 MAX_DRAWN_NODES = 700  # 1, blocks of a joint draw, whose eigendecomposition takes 0.1 s
+MAX_WARPED_NODES = 1200  # 1, blocks whose covariances through a warp are summed: 0.1 s for each alternative
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +73,7 @@ def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.flo
     mixture = ProcessMixture.of(process)
     lags = _pairs_at_lags(grid, area)
     prior = [_prior_variance(each, grid, area, *lags) for each in mixture.processes]
-    std, coarser = (_std_of_mean(mixture, prior, *_nodes(grid, area, size)) for size in (block, 2 * block))
+    std, coarser = (_std_of_mean(mixture, prior, grid, area, block, times) for times in (1, 2))
     scale = process.hyperparameters.scale_ppb
     return AreaMean(
         mean_ppb=float(mean_ppb[area].mean(dtype=np.float64)),
@@ -95,22 +99,40 @@ def drawn_fields(
     """Fields (draws, k) [ppb] drawn from the joint posterior at k blocks of cells, and the blocks' area shares (k,).
 
     The estimated constant mean is drawn too, as ``area_mean`` counts it. Patches smaller than a block are not resolved.
-    Under a mixture, the draws are normal with its mean and covariance.
+    Under a mixture, the draws are normal with its mean and covariance; where one of its processes has a warp, each draw
+    is of one process, by their weights.
     """
     block = max(1, math.ceil(math.sqrt(int(area.sum()) / MAX_DRAWN_NODES)))
     places, weights = _nodes(grid, area, block)
     mixture = ProcessMixture.of(process)
+    if any(one.hyperparameters.warp is not None for one in mixture.processes):
+        return _drawn_of_each(mixture, places, rng, draws), weights
     mean, _ = mixture.predict(places)
     covariance = mixture.posterior_covariance(places)
     if len(process):
         crossing = process.hyperparameters.covariance(process.places_m, places)
         unknown = process.hyperparameters.scale_ppb * _of_constant(process, _whitened(process, crossing))
         covariance += np.outer(unknown, unknown)
+    return mean + _normal_draws(covariance, rng, draws), weights
+
+
+def _drawn_of_each(mixture: ProcessMixture, places: FloatArray, rng: np.random.Generator, draws: int) -> FloatArray:
+    """Draws (draws, k) [ppb] of the field at places (k, 2) [m], each of one of the processes, by their weights."""
+    fields = []
+    for process, count in zip(mixture.processes, rng.multinomial(draws, mixture.weights), strict=True):
+        drawn = process.predict_latent(places)[0] + _normal_draws(process.latent_covariance(places), rng, int(count))
+        warp = process.hyperparameters.warp
+        fields.append(drawn if warp is None else warp.field(drawn))
+    return np.vstack(fields)
+
+
+def _normal_draws(covariance: FloatArray, rng: np.random.Generator, draws: int) -> FloatArray:
+    """Draws (draws, k) of a normal distribution about 0 with that covariance (k, k)."""
     # Rounding may leave eigenvalues slightly below zero; clipping them changes no share visibly.
     values, vectors = np.linalg.eigh(covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))
-    fields: FloatArray = mean + rng.standard_normal((draws, len(places))) @ half.T
-    return fields, weights
+    drawn: FloatArray = rng.standard_normal((draws, len(covariance))) @ half.T
+    return drawn
 
 
 def _nodes(grid: SiteGrid, area: BoolArray, block: int) -> tuple[FloatArray, FloatArray]:
@@ -154,14 +176,37 @@ def _prior_variance(
     return total
 
 
-def _std_of_mean(mixture: ProcessMixture, prior: list[float], places: FloatArray, weights: FloatArray) -> float:
-    """Standard deviation of the average in standardised units. prior: its variance before any sample, by process."""
+def _std_of_mean(
+    mixture: ProcessMixture, prior: list[float], grid: SiteGrid, area: BoolArray, block: int, times: int
+) -> float:
+    """Standard deviation of the average in standardised units. prior: its variance before any sample, by process.
+
+    It is integrated over blocks of ``block`` cells a side, or as many as a warp allows, times ``times``.
+    """
+    places, weights = _nodes(grid, area, times * block)
+    widest = max(block, math.ceil(math.sqrt(int(area.sum()) / MAX_WARPED_NODES)))
     means, variances = [], []
     for process, before in zip(mixture.processes, prior, strict=True):
-        moved, explained = _learned(process, places, weights)
+        if process.hyperparameters.warp is not None:
+            moved, variance = _through_warp(process, *_nodes(grid, area, times * widest))
+        else:
+            moved, explained = _learned(process, places, weights)
+            variance = max(0.0, before - explained)
         means.append(moved)
-        variances.append(max(0.0, before - explained))
+        variances.append(variance)
     return float(mixture_moments(mixture.weights, np.array(means), np.sqrt(variances))[1])
+
+
+def _through_warp(process: GaussianProcess, places: FloatArray, weights: FloatArray) -> tuple[float, float]:
+    """How far the average lies from the mean that is thought of before any sample, and its variance.
+
+    Of a process with a warp, over blocks at places (k, 2) [m] with these shares of the area (k,), in standardised
+    units.
+    """
+    own = process.hyperparameters
+    mean = float(weights @ process.predict(places)[0])
+    variance = float(weights @ process.posterior_covariance(places) @ weights)
+    return (mean - own.mean_ppb) / own.scale_ppb, max(0.0, variance) / own.scale_ppb**2
 
 
 def _learned(process: GaussianProcess, places: FloatArray, weights: FloatArray) -> tuple[float, float]:

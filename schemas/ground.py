@@ -22,6 +22,18 @@ class MissionPhase(StrEnum):
     FAILED = "failed"
 
 
+class FieldWarp(Wire):
+    """The map between a latent field and the field, where that is skewed (``he3.warping``)."""
+
+    centre_ppb: float
+    width_ppb: Annotated[float, Field(gt=0)]
+    shift: float
+    """Above 0 where the field varies more where it is high, below 0 where it is low."""
+    strength: Annotated[float, Field(gt=0)]
+    noise_std_ppb: Annotated[float, Field(ge=0)]
+    """The instrument's noise as stated, which is one of the field."""
+
+
 class WeightedKernel(Wire):
     """One of the kernels of a mixture, in the same units as the one in use."""
 
@@ -32,6 +44,8 @@ class WeightedKernel(Wire):
     """Those that a kernel of its name has, and ``stretch`` and ``bearing_deg`` where it has two lengths."""
     noise_std_ppb: float | None = Field(default=None, exclude_if=is_none)
     """None where the noise is that of the kernel in use."""
+    warp: FieldWarp | None = Field(default=None, exclude_if=is_none)
+    """With it, kernel and noise are those of a latent field; None where the field is none other."""
 
 
 class KernelParameters(Wire):

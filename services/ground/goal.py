@@ -92,7 +92,10 @@ class MissionGoal:
         if self._config is None or self._ground is None:
             return None
         aim_ppb = self._config.std_ppb if self._certificate is None else self._certificate.aim_ppb
-        return PlanningGoal(self._ground.targets, aim_ppb, self._config.probability)
+        targets = self._ground.targets
+        if self._belief.hyperparameters.warps:
+            targets = targets.on_map(self._belief.grid, self._belief.map.mean_ppb)
+        return PlanningGoal(targets, aim_ppb, self._config.probability)
 
     @property
     def note(self) -> str:

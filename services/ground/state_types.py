@@ -16,6 +16,7 @@ from he3.intervals import Intervals
 from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential, Stretched
 from he3.posterior.grid import PosteriorMap
 from he3.trend import CovariateTrend, UnknownConstant, UnknownLevel
+from he3.warping import Warp
 from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
 from schemas.ground import GoalForecast, GoalStatus, KeepOutArea, MissionPhase
@@ -74,4 +75,5 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     TerrainCost,
     UnknownConstant,
     UnknownLevel,
+    Warp,
 )

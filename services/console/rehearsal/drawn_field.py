@@ -64,5 +64,12 @@ class DrawnField:
         return self._drawn[asked.sample_id]
 
     def _measured_ppb(self, mean_ppb: float, std_ppb: float) -> float:
-        noise = max(self._noise_std_ppb, self._belief.hyperparameters.noise_std_ppb)  # it may be learned
-        return float(np.clip(self._random.normal(mean_ppb, np.hypot(std_ppb, noise)), 0.0, HELIUM3_MAX_PPB))
+        known = self._belief.hyperparameters
+        noise = max(self._noise_std_ppb, known.noise_std_ppb)  # it may be learned
+        if known.warp is None:
+            value = self._random.normal(mean_ppb, np.hypot(std_ppb, noise))
+        else:  # the moments are of the latent field, and so is noise beside the instrument's
+            learned = np.sqrt(max(0.0, noise**2 - self._noise_std_ppb**2))
+            latent = np.array(self._random.normal(mean_ppb, np.hypot(std_ppb, learned)))
+            value = self._random.normal(float(known.warp.field(latent)), self._noise_std_ppb)
+        return float(np.clip(value, 0.0, HELIUM3_MAX_PPB))

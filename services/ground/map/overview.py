@@ -6,6 +6,7 @@ import base64
 import math
 import zlib
 from collections.abc import Iterable
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,9 +16,11 @@ from he3.errors import InvalidInput
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import kernel_from
 from he3.trend import UnknownConstant, UnknownLevel, unknown_level
+from he3.warping import Warp
 from schemas.ground import (
     MAX_OVERVIEW_CELLS,
     MAX_OVERVIEW_CORNERS,
+    FieldWarp,
     KeepOutArea,
     KernelParameters,
     MapOverview,
@@ -69,6 +72,7 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
     """The hyperparameters as operators see them."""
     trend = hyperparameters.trend
     noises = hyperparameters.noises_ppb or (None,) * len(hyperparameters.alternatives)
+    warps = hyperparameters.warps or (None,) * len(hyperparameters.alternatives)
     return KernelParameters(
         mean_std_ppb=trend.std_ppb if isinstance(trend, UnknownConstant | UnknownLevel) else None,
         level_extent_m=trend.extent_m if isinstance(trend, UnknownLevel) else None,
@@ -84,8 +88,9 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
                 name=None if kernel.name == hyperparameters.kernel.name else kernel.name,
                 parameters=kernel.parameters(),
                 noise_std_ppb=noise,
+                warp=None if warp is None else FieldWarp(**asdict(warp)),
             )
-            for (weight, kernel), noise in zip(hyperparameters.alternatives, noises, strict=True)
+            for (weight, kernel), noise, warp in zip(hyperparameters.alternatives, noises, warps, strict=True)
         )
         or None,
     )
@@ -94,6 +99,7 @@ def kernel_parameters(hyperparameters: Hyperparameters) -> KernelParameters:
 def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
     """The hyperparameters that operators saw, as ``kernel_parameters`` gave them; without an orbital trend."""
     alternatives = kernel.alternatives or ()
+    warps = tuple(None if each.warp is None else Warp(**each.warp.model_dump()) for each in alternatives)
     return Hyperparameters(
         kernel_from(kernel.name, kernel.parameters),
         kernel.noise_std_ppb,
@@ -105,6 +111,7 @@ def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
         ),
         noises_ppb=tuple(each.noise_std_ppb for each in alternatives if each.noise_std_ppb is not None),
         trend_shares=kernel.trend_shares or (),
+        warps=warps if any(warps) else (),
     )
 
 

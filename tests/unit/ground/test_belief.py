@@ -15,6 +15,7 @@ from he3.hyperparameters import Hyperparameters
 from he3.kernels import AUTO, KERNELS, Kernel, Stretched
 from he3.mixture import ProcessMixture
 from he3.trend import CovariateTrend, orbital_trend
+from he3.warping import Warp
 from services.ground.belief import Belief
 from services.ground.fitting import due, fit, fit_kernel
 from services.ground.observation import Observation
@@ -227,6 +228,25 @@ def test_a_mixture_with_any_kernel_is_kept_and_restored(kernel: Kernel) -> None:
     restored.restore(codec.decode(codec.encode(belief.checkpoint())))
     assert restored.hyperparameters == belief.hyperparameters
     np.testing.assert_array_equal(restored.map.std_ppb, belief.map.std_ppb)
+
+
+def test_a_mixture_with_warps_is_kept_and_restored_with_its_map_and_intervals() -> None:
+    belief, restored = belief_of(observations(10)), Belief(GRID, "matern52", NOISE)
+    codec = StateCodec(STATE_TYPES)
+    kernel, warp = belief.hyperparameters.kernel, Warp(8.0, 1.0, 1.0, 0.3, NOISE)
+    fitted = replace(
+        belief.hyperparameters, alternatives=((0.5, kernel), (0.5, kernel)), warps=(None, warp), log_likelihood=-1.0
+    )
+    assert codec.decode(codec.encode(fitted)) == fitted
+    belief.adopt(fitted)
+    belief.add("late", Observation((9, 1, 1), (20.0, 20.0), 8.0))
+    ends = belief.interval_ends()
+    assert ends is not None
+    restored.restore(codec.decode(codec.encode({**belief.checkpoint(), "map": None})))
+    assert restored.hyperparameters == belief.hyperparameters
+    np.testing.assert_array_equal(restored.map.mean_ppb, belief.map.mean_ppb)
+    np.testing.assert_array_equal(restored.map.std_ppb, belief.map.std_ppb)
+    np.testing.assert_array_equal(restored.interval_ends(), ends)
 
 
 def test_the_intervals_of_a_restored_belief_are_those_before_also_with_samples_since_the_last_fit() -> None:

@@ -46,3 +46,14 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     weights, means, variances = family(5)
     with pytest.raises(InvalidInput, match="expected N weights and N x P moments"):
         condensed(weights[:4], means, variances, 3)
+
+
+def test_the_weight_of_each_kind_is_kept_where_moments_do_not_tell_them_apart() -> None:
+    weights, means, variances = family(200)
+    kinds = ["a" if number % 3 else "b" for number in range(200)]
+    of_a = np.array([kind == "a" for kind in kinds])
+    wanted = float(weights[of_a].sum() / weights.sum())
+    chosen, shares = condensed(weights, means, variances, 6, kinds)
+    assert float(shares[of_a[chosen]].sum()) == pytest.approx(wanted, abs=0.02)
+    one_kind = condensed(weights, means, variances, 6, ["a"] * 200)
+    np.testing.assert_array_equal(one_kind[1], condensed(weights, means, variances, 6)[1])

@@ -15,6 +15,7 @@ from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import kernel_from
 from he3.reference import Region
+from he3.warping import Warp
 from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.measurement import MeasurementReply, MeasurementRequest
 from schemas.telemetry import EventKind, RoverMode
@@ -170,8 +171,9 @@ def test_a_mission_with_a_plug_in_planner_is_not_rehearsed() -> None:
         scenario_of(foreign)
 
 
-def test_draws_at_several_places_have_the_joint_distribution_of_the_posterior() -> None:
-    hyperparameters = Hyperparameters(kernel_from("matern52"), NOISE_PPB, 8.0, 1.5)
+@pytest.mark.parametrize("warp", [None, Warp(8.0, 1.5, 1.0, 0.3, NOISE_PPB)], ids=["normal", "skewed"])
+def test_draws_at_several_places_have_the_joint_distribution_of_the_posterior(warp: Warp | None) -> None:
+    hyperparameters = Hyperparameters(kernel_from("matern52"), NOISE_PPB, 8.0, 1.5, warp=warp)
     belief = GaussianProcess(hyperparameters).condition([(20.0, 20.0)], [9.0])
     places = [(24.0, 20.0), (25.0, 24.0), (24.0, 20.0)]
     region = flat_region()

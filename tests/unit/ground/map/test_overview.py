@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from he3.gp import Hyperparameters
 from he3.kernels import Matern12, Matern32, SmoothPlusRough, Stretched
 from he3.trend import UnknownConstant, UnknownLevel
+from he3.warping import Warp
 from schemas.ground import KernelParameters
 from services.ground.map.overview import hyperparameters_from, kernel_parameters
 
@@ -28,6 +31,17 @@ def test_an_operator_sees_every_kernel_with_its_lengths_and_noise() -> None:
         assert kernel_parameters(seen(own)) == kernel_parameters(own)
         assert seen(own).alternatives == alternatives
         assert seen(own).noises_ppb == noises
+
+
+def test_an_operator_sees_the_warp_of_each_kernel() -> None:
+    warp = Warp(8.0, 2.0, -1.0, 0.3, 0.1)
+    for alternatives, noises in ((PLAIN, ()), (ALTERNATIVES, (0.1, 0.35))):
+        own = Hyperparameters(
+            Matern32(0.8, 70.0), 0.2, 7.5, 1.5, trend=UnknownConstant(4.0), alternatives=alternatives,
+            noises_ppb=noises, warps=(None, warp),
+        )  # fmt: skip
+        assert seen(own) == replace(own, log_likelihood=seen(own).log_likelihood)
+    assert "warp" not in kernel_parameters(replace(own, warps=())).model_dump_json()
 
 
 def test_an_operator_sees_how_the_level_varies() -> None:
