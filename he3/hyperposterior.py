@@ -401,12 +401,16 @@ def _points(families: list[list[_Inference]], xy: FloatArray, extent_m: float) -
         return _of_family(families[0], xy, places, predicts=False)
     plain = _of_families(families, xy, places)
     groups = [(0.0, plain)]
+    best = int(np.argmax([one.log_weight for one in plain]))
     for warp in _warps(families[0][0]):
-        warped = [_warped(models[0], warp) for models in families]
-        found = _of_families([[each, *_extended(each, xy)] for each in warped], xy, places)
-        if found:
-            more = log_warp_weight([one.predictive for one in found], [one.predictive for one in plain])
-            groups.append((more, found))
+        first = _of_families([_warped_models(families[best], warp, xy)], xy, places)
+        if not first or log_warp_weight([first[0].predictive], [plain[best].predictive]) < LEAST_LOG_SHARE:
+            continue  # with the other families, it would hardly count either
+        others = [models for number, models in enumerate(families) if number != best]
+        found = _of_families([_warped_models(models, warp, xy) for models in others], xy, places)
+        found = _weighed([*first, *found])
+        more = log_warp_weight([one.predictive for one in found], [one.predictive for one in plain])
+        groups.append((more, found))
     least = max(more + one.log_weight for more, group in groups for one in group) + LEAST_LOG_SHARE
     return _Weighted.together(
         [
@@ -425,24 +429,27 @@ class _Family:
     predictive: the log density of the samples given each other.
     """
 
+    name: str
     points: _Weighted
     predictive: float
-    log_weight: float
+    log_weight: float = 0.0
 
 
 def _of_families(families: list[list[_Inference]], xy: FloatArray, places: FloatArray) -> list[_Family]:
     """Those families that have points, with one warp or none."""
-    names, each = [], []
+    each = []
     for models in families:
         found = _of_family(models, xy, places, predicts=True)
         if len(found):
-            names.append(models[0].posterior.likelihood.default.name)
-            each.append(replace(found, log_weights=found.log_weights - np.logaddexp.reduce(found.log_weights)))
-    if not each:
-        return []
-    predictive = [one.log_predictive() for one in each]
-    log_weights = log_family_weights(names, predictive)
-    return [_Family(*one) for one in zip(each, predictive, log_weights, strict=True)]
+            found = replace(found, log_weights=found.log_weights - np.logaddexp.reduce(found.log_weights))
+            each.append(_Family(models[0].posterior.likelihood.default.name, found, found.log_predictive()))
+    return _weighed(each)
+
+
+def _weighed(families: list[_Family]) -> list[_Family]:
+    """The same with their weights among each other."""
+    log_weights = log_family_weights([one.name for one in families], [one.predictive for one in families])
+    return [replace(one, log_weight=float(weight)) for one, weight in zip(families, log_weights, strict=True)]
 
 
 def _warps(plain: _Inference) -> list[Warp]:
@@ -451,6 +458,12 @@ def _warps(plain: _Inference) -> list[Warp]:
     if not isinstance(fitted.trend, UnknownConstant | UnknownLevel):
         return []
     return warps_to_try(fitted.mean_ppb + fitted.scale_ppb * problem.z, fitted.noise_std_ppb)
+
+
+def _warped_models(models: list[_Inference], warp: Warp, xy: FloatArray) -> list[_Inference]:
+    """The models of a family for the latent field of a warp: the plain one, and its extensions."""
+    warped = _warped(models[0], warp)
+    return [warped, *_extended(warped, xy)]
 
 
 def _warped(plain: _Inference, warp: Warp) -> _Inference:

@@ -42,12 +42,14 @@ def alone(hyperparameters: Hyperparameters) -> Hyperparameters:
 
 
 def heaviest_of(hyperparameters: Hyperparameters) -> Hyperparameters:
-    """The process of the greatest weight alone, for planners: without its warp, as they weigh the latent field.
+    """The process of the greatest weight alone, for planners: of those without a warp, if there are any.
 
-    The hyperparameters themselves if there are no others.
+    Else without its warp, so that planners weigh the latent field. The hyperparameters themselves if there are no
+    others.
     """
-    heaviest = max(alternatives_of(hyperparameters), key=lambda one: one[0])[1]
-    return heaviest if heaviest.warp is None else replace(heaviest, warp=None)
+    each = alternatives_of(hyperparameters)
+    plain = [one for one in each if one[1].warp is None]
+    return replace(max(plain or each, key=lambda one: one[0])[1], warp=None)
 
 
 def mixture_moments(
