@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from he3.frames import FloatArray, IntArray
 
 _SUM_OF_WEIGHTS = 3.0  # 1, how much the sum of the weights counts beside a moment at a place
-_WEIGHT_OF_KIND = 3.0  # 1, the same of the sum of the weights of one kind
+_WEIGHT_OF_KIND = 1.0  # 1, the same of the sum of the weights of one kind
 _NO_WEIGHT = 1e-6  # 1, below it a distribution is left out
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -71,7 +71,7 @@ class ClosedGroundReport(Wire):
 
 
 class LearnedReport(Wire):
-    """What the samples showed of the instrument's noise and of a field that is longer one way than the other."""
+    """What the samples showed of the instrument's noise, of a field's two lengths, and of its skew."""
 
     noise_std_ppb: float
     """Standard deviation of the noise that the map counts, over all kernels of the mixture."""
@@ -82,6 +82,10 @@ class LearnedReport(Wire):
     """Ratio of the lengths of the heaviest of these; None if there are none."""
     bearing_deg: float | None
     """Of its longer axis, clockwise from north, 0 to 180."""
+    varies_more_where: Literal["high", "low"] | None = Field(default=None, exclude_if=is_none)
+    """Where a skewed field varies more; None where the samples do not speak for a skew."""
+    skewed_weight: Annotated[float, Field(ge=0, le=1)] | None = Field(default=None, exclude_if=is_none)
+    """Weight of the kernels of such a field; None as above."""
 
 
 class MissionReport(Wire):

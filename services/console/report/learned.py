@@ -1,8 +1,8 @@
-"""What the samples showed of the instrument's noise and of a field's two lengths, for the report."""
+"""What the samples showed of the instrument's noise, of a field's two lengths, and of its skew, for the report."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, Literal
 
 from he3.kernels import BEARING, STRETCH
 from schemas.report import LearnedReport
@@ -10,13 +10,17 @@ from schemas.report import LearnedReport
 if TYPE_CHECKING:
     from schemas.ground import KernelParameters
 
+LEAST_SKEWED = 0.5  # 1, weight of the kernels of a skewed field from which it is told; before any sample it is 0.23
+SIDES: Final[tuple[tuple[Literal["high", "low"], int], ...]] = (("high", 1), ("low", -1))
+
 
 def learned(kernel: KernelParameters | None, stated_noise_std_ppb: float) -> LearnedReport | None:
     """The account of the kernel in use and its alternatives; None where nothing was learned beside its lengths."""
     if kernel is None:
         return None
     stretched = [each for each in kernel.alternatives or () if STRETCH in each.parameters]
-    if not stretched and kernel.noise_std_ppb <= stated_noise_std_ppb:
+    where, skewed_weight = _skewed(kernel)
+    if not stretched and where is None and kernel.noise_std_ppb <= stated_noise_std_ppb:
         return None
     heaviest = max(stretched, key=lambda each: each.weight).parameters if stretched else {}
     return LearnedReport(
@@ -25,7 +29,18 @@ def learned(kernel: KernelParameters | None, stated_noise_std_ppb: float) -> Lea
         stretched_weight=min(1.0, sum(each.weight for each in stretched)),
         stretch=heaviest.get(STRETCH),
         bearing_deg=heaviest.get(BEARING),
+        varies_more_where=where,
+        skewed_weight=skewed_weight,
     )
+
+
+def _skewed(kernel: KernelParameters) -> tuple[Literal["high", "low"] | None, float | None]:
+    """Where the field varies more, and the weight of that; None where it has less than half of the weight."""
+    for where, sign in SIDES:
+        weight = sum(each.weight for each in kernel.alternatives or () if each.warp and sign * each.warp.shift > 0)
+        if weight >= LEAST_SKEWED:
+            return where, min(1.0, weight)
+    return None, None
 
 
 def kernel_weights(kernel: KernelParameters | None) -> dict[str, float] | None:

@@ -110,4 +110,8 @@ def _learned(report: MissionReport) -> list[tuple[str, str]]:
             f"the field is {found.stretch:.1f} times longer along {found.bearing_deg:03.0f} deg than across it "
             f"({found.stretched_weight:.0%} of the mixture)"
         )
+    if found.varies_more_where is not None and found.skewed_weight is not None:
+        parts.append(
+            f"the field varies more where it is {found.varies_more_where} ({found.skewed_weight:.0%} of the mixture)"
+        )
     return [("learned", "; ".join(parts))]

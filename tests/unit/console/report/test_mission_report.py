@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from he3.errors import He3Error
-from schemas.ground import GroundStatus, KernelParameters, MissionPhase, MissionTrack, WeightedKernel
+from schemas.ground import FieldWarp, GroundStatus, KernelParameters, MissionPhase, MissionTrack, WeightedKernel
 from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
 from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MissionReport
@@ -135,6 +135,23 @@ def test_the_report_tells_what_was_learned_of_noise_and_lengths_and_nothing_wher
         "(75% of the mixture)"
     ) in summary_lines(made)
     assert not any(line.startswith("learned") for line in summary_lines(report()))
+
+
+def test_the_report_tells_that_a_field_is_skewed_where_most_of_the_mixture_says_so() -> None:
+    plain = WeightedKernel(weight=0.25, parameters={"variance": 1.0, "length_scale_m": 60.0})
+
+    def warped(shift: float) -> WeightedKernel:
+        warp = FieldWarp(centre_ppb=7.0, width_ppb=1.0, shift=shift, strength=0.3, noise_std_ppb=0.1)
+        return plain.model_copy(update={"weight": 0.375, "warp": warp})
+
+    assert learned(kernel(0.1, plain, warped(1.0)), 0.1) is None
+    for shifts, where in (((1.0, 2.0), "high"), ((-1.0, -1.0), "low")):
+        made = report().model_copy(
+            update={"learned": learned(kernel(0.1, plain, *(warped(shift) for shift in shifts)), 0.1)}
+        )
+        assert MissionReport.model_validate_json(made.model_dump_json()) == made
+        line = f"learned       the field varies more where it is {where} (75% of the mixture)"
+        assert line in summary_lines(made)
 
 
 def test_the_report_tells_which_kernels_the_map_mixes_and_nothing_where_it_has_one() -> None:
