@@ -9,7 +9,7 @@ ppb that each sample has given the others, with the mean and the variance of the
 warp enters, and what is judged is what a map has. A warp's weight is its prior odds times that density, for its best
 family, to the power of ``WARP_POWER``, over the same without a warp.
 
-Nine of thirteen parts of the weight are without a warp before any sample, and a few samples hardly change that.
+Ten of thirteen parts of the weight are without a warp before any sample, and a few samples hardly change that.
 """
 
 from __future__ import annotations
