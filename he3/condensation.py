@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _SUM_OF_WEIGHTS = 3.0  # 1, how much the sum of the weights counts beside a moment at a place
 _WEIGHT_OF_KIND = 1.0  # 1, the same of the sum of the weights of one kind
 _NO_WEIGHT = 1e-6  # 1, below it a distribution is left out
+_NOTHING_MISSING = 1e-9  # 1, of a moment: no more than rounding
 
 
 def condensed(
@@ -50,16 +51,23 @@ def condensed(
     wanted = weights @ moments
     directions = moments / np.linalg.norm(moments, axis=1)[:, None]
     chosen: list[int] = []
+    refused: list[int] = []  # one far from all others may point best, and yet have no weight
     found = np.empty(0)
-    for _ in range(most):
-        gain = directions @ (wanted - found @ moments[chosen])
-        gain[chosen] = -np.inf
+    tried = 0
+    while tried < most:
+        missing = wanted - found @ moments[chosen]
+        gain = directions @ missing
+        gain[chosen + refused] = -np.inf
         best = int(np.argmax(gain))
-        if not gain[best] > 0.0:
+        if not gain[best] > 0.0 or (refused and np.abs(missing).max() < _NOTHING_MISSING):
             break
         chosen.append(best)
         found, _ = nnls(moments[chosen].T, wanted)
         kept = found > _NO_WEIGHT
+        if kept[-1]:
+            tried += 1
+        else:
+            refused.append(best)
         chosen, found = [number for number, keep in zip(chosen, kept, strict=True) if keep], found[kept]
     order = np.argsort(-found, kind="stable")
     return np.array(chosen, dtype=np.intp)[order], found[order] / found.sum()

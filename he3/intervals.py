@@ -32,6 +32,7 @@ NORMAL_ENDS = (-2.0, -1.0, 1.0, 2.0)
 """Ends of a normal distribution's intervals of 95.4 and 68.3 %, in standard deviations from its mean, in order."""
 _STEPS = 30  # most steps of the search; five are usual
 _CLOSE = 1e-3  # 1, standard deviations: error of an end
+_LEAST_APART = 1e-12  # 1, standard deviations: distance of two ends that are taken for equal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +56,10 @@ class Intervals:
     ) -> Intervals:
         """Those of a mixture with these weights (K,), means and standard deviations (K, rows, columns) of its parts.
 
-        levels: (4,) for ``mixture_ends``.
+        levels: (4,) for ``mixture_ends``, ascending.
         """
         ends = mixture_ends(weights, means.reshape(len(weights), -1), stds.reshape(len(weights), -1), levels)
+        ends = np.maximum.accumulate(ends, axis=0)  # those of nearly one value are equal but for the search's error
         found = ends.reshape(-1, *grid.shape).astype(np.float32)
         found.setflags(write=False)
         return cls(grid, found)
@@ -122,12 +124,16 @@ def mixture_ends(
 def normal_levels(values: NDArray[np.floating], ends: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
     """Where values lie in a standard normal distribution that lie at ``values`` in the one with these ends.
 
-    values: in standard deviations from the mean. ends: the four of ``Intervals``, each of the values' shape, ascending.
-    Linear between the ends, and beyond them as between the outer two: a value at an end has the end's probability.
+    values: in standard deviations from the mean. ends: the four of ``Intervals``, each of the values' shape, in order,
+    of which some may be equal. Linear between the ends, and beyond them as between the outer two: a value at an end has
+    the end's probability.
     """
     first, second, third, last = ends
-    lower = NORMAL_ENDS[1] + (values - second) / (second - first)
-    middle = NORMAL_ENDS[1] + (NORMAL_ENDS[2] - NORMAL_ENDS[1]) * (values - second) / (third - second)
-    upper = NORMAL_ENDS[2] + (values - third) / (last - third)
+    below, within, above = (
+        np.maximum(end - before, _LEAST_APART) for before, end in ((first, second), (second, third), (third, last))
+    )
+    lower = NORMAL_ENDS[1] + (values - second) / below
+    middle = NORMAL_ENDS[1] + (NORMAL_ENDS[2] - NORMAL_ENDS[1]) * (values - second) / within
+    upper = NORMAL_ENDS[2] + (values - third) / above
     levels: NDArray[np.floating] = np.where(values < second, lower, np.where(values > third, upper, middle))
     return levels

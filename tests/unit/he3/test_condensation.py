@@ -42,6 +42,17 @@ def test_the_one_of_all_the_weight_is_kept_alone() -> None:
     assert shares[0] == pytest.approx(1.0, abs=1e-5)
 
 
+def test_one_without_weight_far_from_all_others_does_not_leave_the_mixture_empty() -> None:
+    weights, means, variances = family(9)
+    weights[2], variances[2] = 1e-14, 1e10 * variances[2]  # as after equal samples without noise
+    mean, std = moments(weights / weights.sum(), means, variances)
+    chosen, shares = condensed(weights, means, variances, 6)
+    assert len(chosen) > 1
+    kept_mean, kept_std = moments(shares, means[chosen], variances[chosen])
+    assert np.abs((kept_mean - mean) / std).max() < 0.05
+    assert np.abs(kept_std / std - 1.0).max() < 0.05
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     weights, means, variances = family(5)
     with pytest.raises(InvalidInput, match="expected N weights and N x P moments"):

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters
-from he3.intervals import NORMAL_ENDS, Intervals, mixture_ends
+from he3.intervals import NORMAL_ENDS, Intervals, mixture_ends, normal_levels
 from he3.kernels import Matern32
 from he3.mixture import ProcessMixture, mixture_moments
 from he3.mixture_posterior import MixturePosterior
@@ -32,6 +32,27 @@ def test_the_ends_are_the_quantiles_of_the_distribution(apart: float, factor: fl
     ends = mean + std * mixture_ends(WEIGHTS, means, stds, NORMAL)
     below = np.tensordot(WEIGHTS, ndtr((ends[:, None] - means[:, None].swapaxes(0, 1)) / stds), axes=([0], [1]))
     assert np.allclose(below, ndtr(np.array(NORMAL_ENDS))[:, None], atol=1e-3)
+
+
+def test_the_ends_are_in_order_where_almost_all_of_the_mixture_is_at_one_value() -> None:
+    weights, stds = np.array([0.94, 0.06]), np.array([1e-5, 1.0])
+    means = np.linspace(-1.0, 1.0, 40)[None, :] * np.array([[0.0], [1.0]])
+    found = Intervals.of(SiteGrid(1, 40, 10.0), weights, means, np.tile(stds[:, None], 40), NORMAL)
+    assert (np.diff(found.ends, axis=0) >= 0.0).all()
+    levels = normal_levels(np.linspace(-3.0, 3.0, 40)[:, None], list(found.ends.reshape(4, 1, -1)))
+    assert np.isfinite(levels).all()
+    assert (np.diff(levels, axis=0) >= 0.0).all()
+
+
+def test_a_value_at_an_end_has_its_probability_and_one_between_equal_ends_has_a_number() -> None:
+    ends = [np.array([end]) for end in (-1.5, -0.2, 0.4, 3.0)]
+    for end, normal in zip(ends, NORMAL_ENDS, strict=True):
+        assert normal_levels(end, ends) == pytest.approx(normal)
+    equal = [np.zeros(1) for _ in range(4)]
+    for value, least, most in ((-1.0, -np.inf, -2.0), (0.0, -2.0, 2.0), (1.0, 2.0, np.inf)):
+        level = normal_levels(np.array([value]), equal)
+        assert np.isfinite(level).all()
+        assert least < level < most
 
 
 def test_one_part_or_equal_ones_have_the_ends_of_a_normal_distribution() -> None:
