@@ -96,9 +96,22 @@ class Targets:
         return Targets(self.points_m[chosen], None if self.levels_ppb is None else self.levels_ppb[chosen])
 
     def thinned(self, most: int) -> Targets:
-        """At most that many of the targets, evenly spread over their order."""
-        step = -(-len(self) // most)
+        """At most that many of the targets, evenly spread over their order, and over columns if they stand in rows."""
+        step = self._step(-(-len(self) // most))
         return Targets(self.points_m[::step], None if self.levels_ppb is None else self.levels_ppb[::step])
+
+    def _step(self, least: int) -> int:
+        """A step through the targets, little more than the least, that meets most columns in which they stand.
+
+        One that shares a divisor with the number of columns meets few of them, or the first alone.
+        """
+        x = self.centres_m[:, 0]
+        columns = len(np.unique(x))
+        for step in range(least, 2 * least):
+            chosen = x[::step]
+            if 2 * len(np.unique(chosen)) >= min(columns, len(chosen)):
+                return step
+        return least
 
     def on_map(self, grid: SiteGrid, mean_ppb: NDArray[np.floating]) -> Targets:
         """The same at the levels of a map (rows, columns) [ppb]."""

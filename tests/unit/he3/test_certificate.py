@@ -38,6 +38,26 @@ def test_places_have_the_moments_that_the_process_predicts() -> None:
         np.testing.assert_allclose(found[1], std, atol=1e-10)
 
 
+@pytest.mark.parametrize("shape", [(400, 10), (10, 400), (372, 11), (60, 60), (64, 64), (90, 100)])
+def test_thinned_targets_are_spread_over_both_sides_of_the_site(shape: tuple[int, int]) -> None:
+    targets = places_of(SiteGrid(*shape), np.ones(shape, dtype=bool))
+    thinned = targets.thinned(400)
+    assert 200 <= len(thinned) <= 400
+    for axis in (0, 1):
+        whole, few = (np.unique(each.centres_m[:, axis]) for each in (targets, thinned))
+        assert np.diff(few, prepend=whole[0], append=whole[-1]).max() <= 0.1 * np.ptp(whole) + 1.0
+
+
+def test_a_long_narrow_site_is_drawn_at_all_of_its_columns() -> None:
+    grid = SiteGrid(400, 10, 10.0)
+    along = np.column_stack((np.full(41, 5.0), np.linspace(0.0, 4000.0, 41)))  # the west edge is known well
+    process = GaussianProcess(Hyperparameters(SquaredExponential(1.0, 60.0), 0.1, 7.5, 1.5))
+    known = ProcessMixture.of(process.condition(along, np.full(41, 7.0)))
+    targets = places_of(grid, np.ones(grid.shape, dtype=bool))
+    west = Targets(targets.points_m[targets.centres_m[:, 0] < 10.0])
+    assert likely_distance(known, targets, 0.95) > 1.2 * likely_distance(known, west, 0.95)
+
+
 def test_a_block_has_the_moments_of_the_average_of_its_points() -> None:
     blocks = blocks_of(GRID, 60.0)
     assert len(blocks) == 5 * 4
