@@ -24,7 +24,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import random
 import resource
 import signal
@@ -38,6 +37,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks import kept
 from benchmarks.journalled_mission import RECORDER, SERVICES, JournalledMission, judged_samples
 from benchmarks.tasks import Tasks, progress
 from benchmarks.wall_clock import WallClock, compiled
@@ -194,7 +194,7 @@ def _total(outcomes: Sequence[Outcome]) -> Row:
 def _write(outcomes: Sequence[Outcome], json: Path | None) -> None:
     if json is not None:
         rows = [asdict(each) for each in sorted(outcomes, key=lambda each: each.number)]
-        json.write_text(json_format.dumps({**_total(outcomes), "rows": rows}, indent=2) + "\n")
+        kept.write_whole(json, {**_total(outcomes), "rows": rows})
 
 
 # --- one mission, in a worker process ---------------------------------------------------------------------------

@@ -7,11 +7,11 @@ motion. All are of the rover's own model on the path driven. `steepest` is the s
 
 from __future__ import annotations
 
-import json as json_format
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks import kept
 from benchmarks.flights import DEFAULT_NOISE_STD_PPB, Conditions, conditions
 from benchmarks.places import PLACES, SIZES, Row, fly
 from benchmarks.tasks import Tasks, progress
@@ -64,8 +64,7 @@ def run(
     rows.sort(key=lambda row: order.index((row["place"], row["planner"], row["cost"])))
     for line in table(rows):
         say(line)
-    if json is not None:
-        json.write_text(json_format.dumps(rows, indent=1), encoding="utf-8")
+    kept.write_whole(json, rows)
     problems = [f"{row['place']} {row['planner']} {row['cost']}: {row['problem']}" for row in rows if row["problem"]]
     if problems:
         raise He3Error(f"{len(problems)} of the missions failed, the first: {problems[0]}")

@@ -24,6 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks import kept
 from benchmarks.exam_fields import ExamField, load_field, names_in
 from benchmarks.exam_methods import METHODS, Asked, Settings, Survey, with_our_map
 from benchmarks.exam_scores import mean_and_interval, scores
@@ -219,9 +220,7 @@ class Kept:
         self._rows[row["field"], row["method"], row["seed"]] = row
         if self._path is not None:
             document = {"format": FORMAT, "settings": self._settings, "rows": list(self._rows.values())}
-            beside = self._path.with_name(self._path.name + ".part")
-            beside.write_text(json_format.dumps(document, indent=None) + "\n", encoding="utf-8")
-            beside.replace(self._path)
+            kept.write(self._path, document)
 
     def chosen(self, fields: Sequence[str], methods: Sequence[str], seeds: int) -> list[Row]:
         """The rows that were asked for, by field, method and seed."""

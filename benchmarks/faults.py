@@ -20,7 +20,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import sys
 import time
 from collections import Counter
@@ -33,6 +32,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import kept
 from benchmarks.fault_schedules import (
     LINK_FAULTS,
     SERVICES,
@@ -145,8 +145,7 @@ def run(
             row["stopped_by"] = pool.stopped.name
             say(f"stopped by {pool.stopped.name} after {count} of {runs} missions")
         say("  ".join(f"{name} {row[name]}" for name in ("runs", "lost", "doubled", "stuck", "unequal")))
-        if json is not None:
-            json.write_text(json_format.dumps(row, indent=2) + "\n")
+        kept.write_whole(json, row)
     if failures:
         raise He3Error(f"{len(failures)} of {runs} missions failed, seeds {row['failed_seeds']}")
     return row

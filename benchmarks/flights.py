@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import kept
 from benchmarks.missions import FOOTPRINT_RADIUS_M, ROUNDS, Mission, Row, run_mission
 from benchmarks.tasks import Tasks, progress
 from he3.errors import He3Error, InvalidInput
@@ -180,6 +180,5 @@ def written(
         say(f"stopped by {stopped.name}: {len(rows)} rows so far")
         more["stopped_by"] = stopped.name
     if json is not None:
-        json.parent.mkdir(parents=True, exist_ok=True)
-        json.write_text(json_format.dumps({"rows": list(rows), **more}, indent=2) + "\n")
+        kept.write_whole(json, {"rows": list(rows), **more})
         say(f"written {json}")

@@ -27,6 +27,7 @@ from typing import Any, Final
 
 import zenoh
 
+from benchmarks import kept
 from benchmarks.fuzzing.messages import mutated_message
 from benchmarks.fuzzing.page_requests import MOST_GROWTH, ServedPageOverTls, resident_kb
 from he3.errors import He3Error, InvalidInput
@@ -130,8 +131,7 @@ def run(
         "seconds": round(time.monotonic() - began, 1),
     }
     _print(document, say)
-    if json is not None:
-        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+    kept.write_whole(json, document)
     wrong = _wrong(document)
     if wrong:
         raise He3Error(f"flood: {'; '.join(wrong)}")

@@ -24,7 +24,6 @@ if __name__ == "__main__":
     prepare_process()
 
 import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -33,6 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import kept
 from benchmarks.missions import FOOTPRINT_RADIUS_M, ROUNDS, SAMPLES_A_ROUND, START_M, start_of
 from he3.frames import FloatArray
 from he3.gp import Hyperparameters, fit_hyperparameters
@@ -248,8 +248,7 @@ def main() -> None:
         )
         if result.why_not:
             print(f"{result.region}: left out as a floor: {result.why_not}", flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"rows": floors}, indent=1) + "\n")
+    kept.write_whole(arguments.json, {"rows": floors})
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from one seed. A faulty example is printed with its seed.
 
 from __future__ import annotations
 
-import json as json_format
 import sys
 import tempfile
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from benchmarks import kept
 from benchmarks.fuzzing.surface import Hang, Surface, noticing_a_hang
 from he3.errors import He3Error, InvalidInput
 
@@ -59,8 +59,7 @@ def run(examples: int = 5_000, seed: int = 1, only: str = "", json: Path | None 
         )
         for fault in row["faults"][:SHOWN_FAULTS]:
             print(f"  seed {fault['seed']}: {fault['input']}\n    {fault['wrong']}")
-    if json is not None:
-        json.write_text(json_format.dumps(rows, indent=2) + "\n")
+    kept.write_whole(json, rows)
     if any(row["faults"] for row in rows):
         raise He3Error("fuzz: faults were found; see above")
 

@@ -16,12 +16,12 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks import kept
 from benchmarks.missions import run_mission
 from he3.errors import InvalidInput
 from services.console.launch.in_process import run_in_process
@@ -57,8 +57,7 @@ def run(
             f"{name:<12} {row['planner']:<12} {row['kernel']:<14} {row['alone_s']:>7.2f} s {row['services_s']:>8.2f} s "
             f"{row['ratio']:>7.2f}"
         )
-    if json is not None:
-        Path(json).write_text(json_format.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    kept.write_whole(json, rows)
     return rows
 
 

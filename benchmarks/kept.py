@@ -1,4 +1,6 @@
-"""The rows of a benchmark in a file as they come, so that a run that was ended goes on from there."""
+"""The file of what a benchmark finds: rows as they come, so that a run that was ended goes on from there, or all
+at once.
+"""
 
 from __future__ import annotations
 
@@ -48,3 +50,17 @@ def write(path: Path | None, document: dict[str, Any]) -> None:
         raise He3Error(
             f"{path}: expected a file that can be written, got {error.strerror}; it has the earlier rows"
         ) from None
+
+
+def write_whole(path: Path | str | None, document: Any) -> None:
+    """Write what was found to that file, which may be a device or a link, over what it has; None: nothing.
+
+    Raises He3Error, which names the file, if it cannot be written, as on a full disk.
+    """
+    if path is None:
+        return
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        Path(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise He3Error(f"{path}: expected a file that can be written, got {error.strerror}") from None

@@ -14,7 +14,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import random
 import statistics
 import tempfile
@@ -23,6 +22,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks import kept
 from benchmarks.journalled_mission import SERVICES, JournalledMission
 from he3.errors import He3Error, InvalidInput
 
@@ -86,8 +86,7 @@ def run(
             f"{name:<7} killed {len(times)} times, back after {statistics.median(times):.2f} s, "
             f"worst {max(times):.2f} s"
         )
-    if json is not None:
-        json.write_text(json_format.dumps(row, indent=2) + "\n", encoding="utf-8")
+    kept.write_whole(json, row)
     if row["lost"] or row["doubled"] or row["unequal"]:
         raise He3Error(f"{row['lost']} lost, {row['doubled']} doubled, {row['unequal']} unequal of {row['missions']}")
     return row

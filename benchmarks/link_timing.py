@@ -21,7 +21,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import os
 import sys
 import threading
@@ -34,6 +33,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from benchmarks import kept
 from benchmarks.peer import SETTLING_S, Peer, answer_line
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from schemas.codec import decode, encode
@@ -101,7 +101,7 @@ def run(
     if json is not None:
         whole = next(row for row in rows if row["direction"] == "both")
         document = {**whole, "rows": rows, "interval_s": interval_s, "machine": _machine()}
-        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+        kept.write_whole(json, document)
     return rows
 
 

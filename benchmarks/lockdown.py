@@ -7,7 +7,6 @@ map, by turns. Both figures are ratios, so that they hold on a busy machine, too
 
 from __future__ import annotations
 
-import json as json_format
 import os
 import time
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from benchmarks import kept
 from he3.errors import He3Error, InvalidInput
 from schemas.topics import MAP_POINT, Side
 from services.console.client.mission_client import MissionClient
@@ -71,8 +71,7 @@ def run(
         f"query of a point: median {1e3 * document['query_p50_s']:.2f} ms, with keys "
         f"{1e3 * document['query_with_keys_p50_s']:.2f} ms, {document['query_ratio']:.2f} times as long"
     )
-    if json is not None:
-        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+    kept.write_whole(json, document)
     return document
 
 

@@ -19,7 +19,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import tempfile
 import time
 from collections.abc import Callable
@@ -27,6 +26,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from benchmarks import kept
 from he3.errors import He3Error, PeerUnreachable
 from schemas.lockstep import TimeStatus
 from services.console.client.mission_client import MissionClient
@@ -72,8 +72,7 @@ def run(
                 f"{row['wall_s']:>6.2f} s {row['planning_s']:>7.2f} s {row['events_per_s']:>9,.0f} "
                 f"{row['wall_s_per_mission_h']:>8.3f}  {'yes' if same else 'NO'}"
             )
-    if json is not None:
-        Path(json).write_text(json_format.dumps({"rows": rows}, indent=2) + "\n", encoding="utf-8")
+    kept.write_whole(json, {"rows": rows})
     return rows
 
 

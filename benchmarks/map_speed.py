@@ -25,7 +25,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import os
 import platform
 import statistics
@@ -36,6 +35,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import kept
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters, fit_hyperparameters
@@ -90,7 +90,7 @@ def run(
             )
     if json is not None:
         document = {"rows": rows, "machine": machine(), "seed": seed, "threads": threads}
-        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+        kept.write_whole(json, document)
     return rows
 
 

@@ -6,7 +6,6 @@ The mosaic is sparse: it has its length and one block around the window, with an
 
 from __future__ import annotations
 
-import json as json_format
 import math
 import os
 import subprocess
@@ -19,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks import kept
 from he3.constants import MOON_RADIUS_M
 from he3.errors import He3Error
 from he3.frames import FloatArray
@@ -98,8 +98,7 @@ def run(json: Path | None = None, *, say: Callable[[str], None] = print) -> Row:
         f"({row['processor_s']:.2f} s of processor time), {row['peak_mb']:.0f} MB at most, "
         f"heights within {row['largest_error_m'] * 100:.2f} cm of the field"
     )
-    if json is not None:
-        json.write_text(json_format.dumps(row, indent=1), encoding="utf-8")
+    kept.write_whole(json, row)
     return row
 
 

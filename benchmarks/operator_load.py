@@ -14,7 +14,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json
 import random
 import subprocess
 import sys
@@ -27,6 +26,7 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
+from benchmarks import kept
 from he3.errors import He3Error, PeerUnreachable
 from schemas.topics import MAP_BOX, MAP_LAYER, MAP_POINT, Side
 from services.console.client.mission_client import MissionClient
@@ -306,7 +306,7 @@ def _say(line: str) -> None:
 
 
 def _write(path: Path, row: dict[str, Any]) -> None:
-    path.write_text(json.dumps(row, indent=2) + "\n", encoding="utf-8")
+    kept.write_whole(path, row)
 
 
 if __name__ == "__main__":

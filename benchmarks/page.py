@@ -13,7 +13,6 @@ task waits for a core (20 windows share the machine's), are in the file as `..._
 
 from __future__ import annotations
 
-import json as json_format
 import os
 import re
 import shutil
@@ -29,6 +28,7 @@ from socket import IPPROTO_TCP, SHUT_WR, TCP_NODELAY, create_connection, create_
 from statistics import median
 from typing import Any, Final
 
+from benchmarks import kept
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import free_endpoints
@@ -112,8 +112,7 @@ def run(
             "cores": os.cpu_count(),
         }
     _report(row, say)
-    if json is not None:
-        json.write_text(json_format.dumps(row, indent=2) + "\n", encoding="utf-8")
+    kept.write_whole(json, row)
     return row
 
 

@@ -10,7 +10,6 @@ field is not known.
 
 from __future__ import annotations
 
-import json as json_format
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks import kept
 from benchmarks.flights import Conditions, conditions, expect_open
 from benchmarks.tasks import Tasks, progress
 from he3.constants import MOON_RADIUS_M
@@ -143,15 +143,13 @@ def run(
                 rows.append(outcome)
                 if outcome["problem"]:
                     failures.append(f"{name}: {outcome['problem']}")
-                if json is not None:  # what is flown is kept, whatever happens to the rest
-                    json.write_text(json_format.dumps(rows, indent=1), encoding="utf-8")
+                kept.write_whole(json, rows)  # what is flown is kept, whatever happens to the rest
                 progress(f"  {len(rows):>3}/{len(flights)}  {name}  {outcome['wall_time_s']:.0f} s")
     order = {name: index for index, name in enumerate(places)}
     rows.sort(key=lambda row: (order[row["place"]], SIZES.index(row["size"]), row["planner"]))
     for line in (*table(rows), "", *sources(rows)):
         say(line)
-    if json is not None:
-        json.write_text(json_format.dumps(rows, indent=1), encoding="utf-8")
+    kept.write_whole(json, rows)
     if failures:
         raise He3Error(f"{len(failures)} of the missions failed, the first: {failures[0]}")
     return rows

@@ -17,7 +17,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import operator
 import statistics
 import time
@@ -28,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import kept
 from benchmarks.missions import FOOTPRINT_RADIUS_M, START_M, run_mission
 from he3.errors import InvalidInput
 from he3.gp import GaussianProcess, Hyperparameters
@@ -80,8 +80,7 @@ def run(
         say(f"{'planner':<12}{header}{'30 plans':>10}{'mission':>10}{'RMSE ppb':>10}{'driven m':>10}")
         rows = [_row(name, field, kernel, repeats, missions, process, say) for name in planners]
     document: Row = {"foundations": foundations, "rows": rows}
-    if json is not None:
-        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+    kept.write_whole(json, document)
     return document
 
 

@@ -19,7 +19,6 @@ from services.runtime.entry import prepare_process
 if __name__ == "__main__":
     prepare_process()
 
-import json as json_format
 import os
 import sys
 import time
@@ -32,6 +31,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from benchmarks import kept
 from benchmarks.peer import Peer, answer_line
 from he3.errors import He3Error, InvalidInput
 from schemas.ground import GroundStatus, MissionPhase
@@ -94,8 +94,7 @@ def run(
         f"bare Zenoh queryable in the same run: median {_ms(row['bare_p50_s'])}, 99 % {_ms(row['bare_p99_s'])}\n"
         f"ratio of the medians {row['ratio']:.2f}"
     )
-    if json is not None:
-        Path(json).write_text(json_format.dumps(row, indent=1) + "\n", encoding="utf-8")
+    kept.write_whole(json, row)
     return row
 
 

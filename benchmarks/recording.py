@@ -7,7 +7,6 @@ are `messages` of ours, and reads that recording, and one of a tenth of it, each
 
 from __future__ import annotations
 
-import json as json_format
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from benchmarks import kept
 from he3.errors import InvalidInput
 from schemas.codec import encode
 from services.mission.mission_time import seconds
@@ -88,8 +88,7 @@ def run(
             each = reads[-1]
             say(f"read {each.messages:>11} {each.bytes:>21,} {each.wall_s:>7.2f} s, {each.peak_mb:.0f} MB at most")
     result: dict[str, object] = {"plain": asdict(plain), "with_foxglove": asdict(both), "read": [*map(asdict, reads)]}
-    if json is not None:
-        json.write_text(json_format.dumps(result, indent=2) + "\n", encoding="utf-8")
+    kept.write_whole(json, result)
     return result
 
 

@@ -25,6 +25,7 @@ from typing import Any
 
 import zenoh
 
+from benchmarks import kept
 from he3.errors import He3Error, PeerUnreachable
 from schemas.roles import Role
 from schemas.topics import BY_NAME, TOPICS, Query, Side, addressed, counted
@@ -110,8 +111,7 @@ def run(
         "rows": rows,
     }
     say(f"{len(rows)} attempts, {len(exceptions)} exceptions, in {document['seconds']} s; the mission is {phase}")
-    if json is not None:
-        Path(json).write_text(json_format.dumps(document, indent=1) + "\n", encoding="utf-8")
+    kept.write_whole(json, document)
     if exceptions:
         raise He3Error(f"trust: expected no exception, got {len(exceptions)}, the first: {exceptions[0]}")
     return document

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import resource
 from collections.abc import Iterator
@@ -58,3 +59,27 @@ def test_a_disk_that_is_full_leaves_the_earlier_rows(tmp_path):
         kept.write(file, {"rows": [{"seed": k} for k in range(1000)]})
     assert kept.read(file, "rows") == {"rows": [{"seed": 1}]}
     assert [path.name for path in tmp_path.iterdir()] == ["rows.json"]
+
+
+def test_what_is_written_at_the_end_may_go_to_a_device_or_a_folder_that_is_not_there_yet(tmp_path):
+    file = tmp_path / "folder" / "rows.json"
+    kept.write_whole(str(file), [{"seed": 1}])
+    assert json.loads(file.read_text()) == [{"seed": 1}]
+    kept.write_whole(Path("/dev/null"), [])
+    kept.write_whole(None, [])
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
+def test_a_disk_that_is_full_at_the_end_is_told_with_the_name_of_the_file():
+    with pytest.raises(He3Error, match=r"^/dev/full: expected a file that can be written, got No space left"):
+        kept.write_whole(Path("/dev/full"), [{"seed": 1}])
+
+
+WRITES = re.compile(r"\.write_text\(\s*json|json(_format)?\.dump\(")
+
+
+def test_no_benchmark_writes_its_results_but_through_this_module():
+    """A full disk would be told without the name of the file."""
+    folder = Path(kept.__file__).parent
+    found = [path.name for path in folder.glob("*.py") if WRITES.search(path.read_text(encoding="utf-8"))]
+    assert [name for name in found if name != "kept.py"] == []
