@@ -93,7 +93,7 @@ def test_another_message_on_the_link_is_not_taken_for_the_command(other: InFligh
     assert commands.seen_on_link(link(other), "ground", NOW + 1)[0] == []
 
 
-def test_out_of_contact_the_link_is_looked_at_again_when_contact_comes() -> None:
+def test_out_of_contact_the_link_is_next_read_when_contact_comes() -> None:
     commands = book()
     commands.issue(pause(), NOW)
     assert commands.seen_on_link(link(flight(0, None), contact_changes_at=NOW + 4), "ground", NOW)[1] == NOW + 4

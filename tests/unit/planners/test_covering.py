@@ -127,7 +127,7 @@ def test_where_the_goal_holds_already_for_the_planner_one_sample_is_taken_where_
     assert np.linalg.norm(sample - unknown) < 25.0
 
 
-def test_what_the_samples_seem_to_make_known_is_looked_at_all_over_the_site() -> None:
+def test_the_whole_site_is_sampled_though_the_samples_of_one_corner_seem_to_make_it_known() -> None:
     corner = np.stack(np.meshgrid((np.arange(4) + 0.5) * 25.0, (np.arange(4) + 0.5) * 25.0), axis=-1).reshape(-1, 2)
     answer = plan("tour", request(everywhere(5.0), observed_m=corner, start_m=(37.5, 37.5)))
     assert (
