@@ -33,7 +33,7 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray
 from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
 from he3.measurement import sample_noise
-from he3.trend import CovariateTrend, covariate_trend, orbital_trend, split_by_scale
+from he3.trend import UNSURE_GAIN_STD, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
 from services.ground.belief import Belief
 from services.ground.fitting import fit
 from services.ground.observation import Observation
@@ -174,14 +174,18 @@ def kinds(survey: Survey, samples: int, seed: int) -> Iterator[tuple[str, Covari
         return
     orbital = survey.relation_ppb
     mean = orbital.mean()
-    yield "relation", orbital_trend(grid, orbital)
-    yield "both", orbital_trend(grid, orbital, covariates=split_by_scale(survey.layers, grid, samples))
-    yield "relation, shifted", orbital_trend(grid, survey.shifted_relation_ppb)
-    yield "relation, biased", orbital_trend(grid, biased(orbital))
-    yield "relation, gain 2", orbital_trend(grid, mean + (orbital - mean) / 2.0)
-    yield "relation, turned", orbital_trend(grid, orbital[::-1, ::-1])
-    yield "relation, upside down", orbital_trend(grid, 2.0 * mean - orbital)
-    yield "relation, gain 0", orbital_trend(grid, np.full(grid.shape, mean))
+
+    def believed(view: FloatArray, layers: FloatArray | None = None) -> CovariateTrend:
+        return orbital_trend(grid, view, UNSURE_GAIN_STD, covariates=layers)
+
+    yield "relation", believed(orbital)
+    yield "both", believed(orbital, split_by_scale(survey.layers, grid, samples))
+    yield "relation, shifted", believed(survey.shifted_relation_ppb)
+    yield "relation, biased", believed(biased(orbital))
+    yield "relation, gain 2", believed(mean + (orbital - mean) / 2.0)
+    yield "relation, turned", believed(orbital[::-1, ::-1])
+    yield "relation, upside down", believed(2.0 * mean - orbital)
+    yield "relation, gain 0", believed(np.full(grid.shape, mean))
 
 
 def biased(layer: FloatArray) -> FloatArray:

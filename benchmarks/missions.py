@@ -22,7 +22,7 @@ from he3.frames import FloatArray
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.measurement import sample_noise
 from he3.reference import Region
-from he3.trend import orbital_trend
+from he3.trend import GAIN_STD, UNSURE_GAIN_STD, orbital_trend
 from services.ground.belief import Belief
 from services.ground.fitting import due, fit
 from services.ground.observation import Observation
@@ -103,7 +103,8 @@ def run_mission(
     function = planner_named(planner) if isinstance(planner, str) else planner
     terrain = GroundTerrain(region.grid, region.traversable, FOOTPRINT_RADIUS_M)
     orbital = region.orbital_ppb if orbital_ppb is None else orbital_ppb
-    trend = orbital_trend(region.grid, orbital) if prior == "orbital" else None
+    gain_std = GAIN_STD if likeliest else UNSURE_GAIN_STD
+    trend = orbital_trend(region.grid, orbital, gain_std) if prior == "orbital" else None
     belief = Belief(region.grid, kernel, noise_std_ppb, trend, likeliest=likeliest)
     scorer = Scorer(region.he3_ppb, region.known)
     start_m = start_of(region, terrain) if start_m is None else start_m

@@ -13,7 +13,7 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray
 from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
 from he3.reference import Region
-from he3.trend import CovariateTrend, covariate_trend, orbital_trend, split_by_scale
+from he3.trend import GAIN_STD, UNSURE_GAIN_STD, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
 from services.mission.scenario import Scenario
 from services.mission.tiff import NotPlain, read_tiff
 
@@ -25,7 +25,8 @@ def trend_of(scenario: Scenario, region: Region) -> CovariateTrend | None:
     """The trend of that scenario over its region; None for an unknown constant alone. Raises InvalidInput."""
     layers = split_by_scale(covariates(scenario.ground.covariates, region), region.grid, scenario.samples)
     if scenario.ground.prior == "orbital":
-        return orbital_trend(region.grid, region.orbital_ppb, covariates=layers)
+        gain_std = GAIN_STD if scenario.ground.hyperparameters == "ml" else UNSURE_GAIN_STD
+        return orbital_trend(region.grid, region.orbital_ppb, gain_std, covariates=layers)
     return covariate_trend(region.grid, layers, MEAN_PPB, MEAN_STD_PPB, split=True) if len(layers) else None
 
 

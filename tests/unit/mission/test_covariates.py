@@ -33,6 +33,15 @@ def test_layers_of_the_region_and_rasters_become_one_trend(region, quarter_of_t1
     assert trend_of(scenario(quarter_of_t1), region) is None
 
 
+@pytest.mark.parametrize(("hyperparameters", "share"), [("ml", 0.5), ("bayes", 0.8)])
+def test_the_gain_of_the_orbital_map_is_known_to_within_a_half_in_the_published_protocol_and_worse_else(
+    hyperparameters, share, region, quarter_of_t1
+):
+    trend = trend_of(scenario(quarter_of_t1, prior="orbital", hyperparameters=hyperparameters), region)
+    assert trend is not None
+    assert trend.weight_std_ppb == pytest.approx(share * region.orbital_ppb.std())
+
+
 @pytest.mark.parametrize(
     ("name", "content", "why"),
     [
