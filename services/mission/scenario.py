@@ -377,14 +377,18 @@ class Scenario(Section):
     def changed(self, **sections: dict[str, Any]) -> Scenario:
         """This scenario with other values, validated: ``changed(ground={"planner": "rrt"}, top={"seed": 7})``."""
         document = self.model_dump(mode="json")
-        if "kernel" not in self.ground.model_fields_set:
-            del document["ground"]["kernel"]  # which depends on what may change
         for section, values in sections.items():
             (document if section == "top" else document[section]).update(values)
-        return self.replaced(document)
+        return self.replaced(document, sets_kernel="kernel" in sections.get("ground", {}))
 
-    def replaced(self, document: dict[str, Any]) -> Scenario:
-        """The scenario of a document that was derived from this one; raises InvalidInput."""
+    def replaced(self, document: dict[str, Any], *, sets_kernel: bool) -> Scenario:
+        """The scenario of a document that was derived from this one; raises InvalidInput.
+
+        sets_kernel: whether the kernel was among the changes. If it never was named, it is the default again, which
+        depends on what may have changed.
+        """
+        if not sets_kernel and "kernel" not in self.ground.model_fields_set:
+            del document["ground"]["kernel"]
         return checked_scenario(document, f"scenario '{self.name}' as changed")
 
 

@@ -203,4 +203,5 @@ def with_settings(scenario: Scenario, settings: Sequence[tuple[str, str, Any]]) 
             name = key if section == "top" else f"{section}.{key}"
             raise InvalidInput(f"expected a key of the scenario, got '{name}', which it does not have")
         place[parts[-1]] = value
-    return scenario.replaced(document)
+    changed = {(section, key) for section, key, _ in settings}
+    return scenario.replaced(document, sets_kernel=bool(changed & {("ground", "kernel"), ("top", "ground")}))

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from he3.errors import InvalidInput
+from he3.kernels import AUTO
 from services.console.launch.scenarios import choose
+from services.mission.scenario import PUBLISHED_KERNEL, Scenario
 from services.runtime.node import Level
 from services.runtime.options import parse_options, parse_setting, with_settings
 
@@ -114,6 +116,20 @@ def test_settings_change_what_they_name_and_nothing_else():
     assert changed.ground.pipeline == 3
     assert changed.changed(ground={"pipeline": scenario.ground.pipeline}) == scenario
     assert with_settings(scenario, []) == scenario
+
+
+def test_a_kernel_that_is_not_named_follows_the_hyperparameters_that_are_set() -> None:
+    """`ml` is for the published figures, which are of another kernel than the default."""
+    unnamed = Scenario(name="unnamed", region="t1")
+    assert unnamed.ground.kernel == AUTO
+    published = with_settings(unnamed, [parse_setting("ground.hyperparameters=ml"), parse_setting("seed=7")])
+    assert published.ground.kernel == PUBLISHED_KERNEL
+    assert with_settings(published, [parse_setting("ground.hyperparameters=bayes")]).ground.kernel == AUTO
+    both = [parse_setting("ground.hyperparameters=ml"), parse_setting("ground.kernel=auto")]
+    assert with_settings(unnamed, both).ground.kernel == AUTO
+    whole = with_settings(unnamed, [parse_setting('ground={"hyperparameters": "ml", "planner": "tour"}')])
+    assert whole.ground.kernel == PUBLISHED_KERNEL
+    assert unnamed.changed(ground={"hyperparameters": "ml", "kernel": "auto"}).ground.kernel == AUTO
 
 
 @pytest.fixture
