@@ -18,12 +18,13 @@ from he3.errors import InvalidInput
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from he3.frames import FloatArray, IntArray
+    from he3.frames import BoolArray, FloatArray, IntArray
 
 _SUM_OF_WEIGHTS = 3.0  # 1, how much the sum of the weights counts beside a moment at a place
 _WEIGHT_OF_KIND = 1.0  # 1, the same of the sum of the weights of one kind
 _NO_WEIGHT = 1e-6  # 1, below it a distribution is left out
 _NOTHING_MISSING = 1e-9  # 1, of a moment: no more than rounding
+_FARTHEST = 1e60  # mean or variance from which on the squares of moments overflow, as those of a warp's may
 
 
 def condensed(
@@ -39,6 +40,9 @@ def condensed(
 
     if means.shape != variances.shape or weights.shape != means.shape[:1] or most < 1:
         raise InvalidInput(f"expected N weights and N x P moments, got {weights.shape}, {means.shape}, {most}")
+    near: BoolArray = np.all((np.abs(means) < _FARTHEST) & (variances < _FARTHEST), axis=1)
+    weights = np.where(near, weights, 0.0)
+    means, variances = np.where(near[:, None], means, 0.0), np.where(near[:, None], variances, 1.0)
     weights = weights / weights.sum()
     mean = weights @ means
     apart = means - mean
@@ -51,7 +55,8 @@ def condensed(
     wanted = weights @ moments
     directions = moments / np.linalg.norm(moments, axis=1)[:, None]
     chosen: list[int] = []
-    refused: list[int] = []  # one far from all others may point best, and yet have no weight
+    # One far from all others may point best, and yet have no weight.
+    refused: list[int] = np.flatnonzero(~near).tolist()
     found = np.empty(0)
     tried = 0
     while tried < most:

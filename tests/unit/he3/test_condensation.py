@@ -53,6 +53,17 @@ def test_one_without_weight_far_from_all_others_does_not_leave_the_mixture_empty
     assert np.abs(kept_std / std - 1.0).max() < 0.05
 
 
+@pytest.mark.parametrize("far", [1e200, np.inf, np.nan])
+def test_one_whose_moments_overflow_is_left_out(far: float) -> None:
+    weights, means, variances = family(9)
+    others = np.arange(9) != 2
+    chosen, shares = condensed(weights[others], means[others], variances[others], 6)
+    weights[2], variances[2, 3] = 1e-14, far
+    found, found_shares = condensed(weights, means, variances, 6)
+    assert np.array_equal(found, np.flatnonzero(others)[chosen])
+    assert found_shares == pytest.approx(shares)
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     weights, means, variances = family(5)
     with pytest.raises(InvalidInput, match="expected N weights and N x P moments"):
