@@ -31,7 +31,7 @@ from he3.level import NARROW_M, level_columns
 GAIN_STD = 0.5  # 1, weak: half of all contrast that a map from orbit shows may be wrong, ASSUMED
 # 1, the same where hyperparameters are uncertain, too: measured soils hold 0.7 to 3 times the TiO2 that the relation
 # makes of FeO (Lunar Sample Compendium, Apollo 15 and 17), and a map may be misplaced. Chosen out of 0.5 and 0.8 on
-# variations 1 to 5 of `t1` and `t2` [measured]
+# variations 1 to 3 of `t1` and `t2` [measured]
 UNSURE_GAIN_STD = 0.8
 OFFSET_STD_PPB = 2.0  # ppb, weak: about the samples' mean misfit, which a fit subtracts first, ASSUMED
 # 1, standard deviation of the weight of a layer of which nothing is known, in units of the field's scale, ASSUMED
