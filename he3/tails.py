@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from he3.frames import FloatArray
     from he3.gp import GaussianProcess
 
-DEGREES = np.array([3.0, 4.0, 6.0, 10.0, 20.0, 1e6])
-"""Of freedom, from heavy tails to normal ones."""
+DEGREES = np.array([1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0, 1e6])
+"""Of freedom, from heavy tails to normal ones. At 2 and below no variance is finite; only quantiles are asked for."""
 SCALE_FACTOR = 0.2  # 1, standard deviation of log sigma before any sample [assumed]
 SCALES = np.exp(SCALE_FACTOR * np.linspace(-3.0, 3.0, 13))
 FARTHEST = 1e-9  # 1, probability beyond which a sample counts as that far out

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import ndtr, ndtri, stdtrit
+from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import Matern32
 from he3.mixture import ProcessMixture
-from he3.tails import interval_levels, residuals
+from he3.tails import DEGREES, SCALE_FACTOR, SCALES, interval_levels, residuals
 from he3.trend import UnknownConstant
 
 ALTERNATIVES = ((0.7, Matern32(0.5, 80.0)), (0.3, Matern32(2.0, 40.0)))
@@ -67,8 +67,28 @@ def test_heavy_tails_move_the_ends_of_the_middle_inwards_and_the_others_outwards
 
 def test_without_samples_the_tails_may_be_heavy() -> None:
     one, two = interval_levels(np.zeros(0), (1.0, 2.0))
-    assert 1.0 < one < 1.15
-    assert 2.3 < two < 3.0
+    prior = np.exp(-0.5 * (np.log(SCALES) / SCALE_FACTOR) ** 2)
+    for end, normal in ((one, 1.0), (two, 2.0)):
+        below = (stdtr(DEGREES[:, None], end / SCALES) @ prior).mean() / prior.sum()
+        assert below == pytest.approx(ndtr(normal), abs=1e-9)
+    assert 1.1 < one < 1.2
+    assert 3.0 < two < 3.4
+
+
+def test_very_heavy_tails_are_not_taken_for_lighter_ones() -> None:
+    one, two = interval_levels(stdtrit(1.5, ndtr(scores(300))), (1.0, 2.0))
+    assert one == pytest.approx(stdtrit(1.5, ndtr(1.0)), rel=0.08)
+    assert two == pytest.approx(stdtrit(1.5, ndtr(2.0)), rel=0.12)
+
+
+def test_more_samples_of_a_normal_field_need_less_caution() -> None:
+    ends = np.array([interval_levels(scores(count), (1.0, 2.0)) for count in (0, 10, 40, 150, 2000)])
+    assert (np.diff(ends[:, 1]) < 0.0).all()
+    assert ends[-1] == pytest.approx([1.0, 2.0], abs=0.01)
+
+
+def test_the_same_scores_give_the_same_ends() -> None:
+    assert (interval_levels(scores(30), (1.0, 2.0)) == interval_levels(scores(30), (1.0, 2.0))).all()
 
 
 def test_samples_beyond_all_belief_have_finite_ends() -> None:
