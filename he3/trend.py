@@ -37,6 +37,7 @@ OFFSET_STD_PPB = 2.0  # ppb, weak: about the samples' mean misfit, which a fit s
 # 1, standard deviation of the weight of a layer of which nothing is known, in units of the field's scale, ASSUMED
 WEIGHT_SHARE = 0.3
 CUT_OFF = 0.44  # 1, standard deviation of the smoothing that splits a layer, in mean spacings of the samples [measured]
+LEAST_WIDE = 0.02  # 1, least share of a layer's variance in its wide part [assumed]
 MAX_TREND_STD = 30.0  # 1, prior standard deviation of the trend anywhere, in units of the field's scale
 
 
@@ -225,11 +226,16 @@ def split_by_scale(layers: NDArray[np.floating], grid: SiteGrid, samples: int) -
     """Each layer (k, rows, columns) as two (2 k, ...): what is wider than the samples' spacing, and the rest.
 
     Samples far apart show whether a layer's large features are those of the field. They show little of its detail,
-    which may be its instrument's noise. With one weight for both, the detail is taken for true. samples: of the whole
-    mission.
+    which may be its instrument's noise. With one weight for both, the detail is taken for true. A wide part that is
+    next to nothing of its layer, as that of noise, is left out as 0: made as large as others, it would look like a
+    feature. samples: of the whole mission.
     """
     spacing_m = math.sqrt(grid.width_m * grid.height_m / max(samples, 1))
     wide = [ndimage.gaussian_filter(layer, CUT_OFF * spacing_m / grid.resolution_m, mode="nearest") for layer in layers]
+    wide = [
+        low if low.var() > LEAST_WIDE * layer.var() else np.zeros(grid.shape)
+        for layer, low in zip(layers, wide, strict=True)
+    ]
     parts = [part for layer, low in zip(layers, wide, strict=True) for part in (low, layer - low)]
     return np.array(parts, dtype=np.float64).reshape(-1, *grid.shape)
 

@@ -190,6 +190,13 @@ def test_a_layer_is_the_sum_of_its_two_scales_and_the_wide_one_has_none_of_the_d
         assert changes[0] < 0.5 * changes[1]
 
 
+def test_a_layer_of_noise_has_no_wide_features() -> None:
+    noise = np.random.default_rng(3).standard_normal(GRID.shape)
+    wide, detail = split_by_scale(noise[None], GRID, 20)
+    assert not wide.any()
+    assert np.array_equal(detail, noise)
+
+
 def test_a_layer_whose_detail_is_noise_costs_nothing_where_its_wide_features_tell() -> None:
     once, twice = [], []
     for seed in range(8):
