@@ -36,7 +36,9 @@ def lead_cost(request: PlanningRequest, footing: Place) -> float:
 def budget_share_m(request: PlanningRequest) -> float:
     """This round's even share of the remaining budget [m]. Raises NoRoute if the budget is spent."""
     if not request.budget_m > 0:
-        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")
+        raise NoRoute(
+            f"the travel budget is spent: {max(request.budget_m, 0.0):g} m remain for {request.samples_left} samples"
+        )
     return request.budget_m * request.samples / request.samples_left
 
 

@@ -97,7 +97,9 @@ def tour(request: PlanningRequest) -> PlannedRound:
     site = reachable_site(request.grid, request.traversable, request.margin_m, request.start_m, nodes, request.cost)
     budget_m = request.budget_m - lead_cost(request, (float(site.start_m[0]), float(site.start_m[1])))
     if not budget_m > 0:
-        raise NoRoute(f"the travel budget is spent: {request.budget_m:g} m remain for {request.samples_left} samples")
+        raise NoRoute(
+            f"the travel budget is spent: {max(request.budget_m, 0.0):g} m remain for {request.samples_left} samples"
+        )
     for_goal = None if request.goal is None else covering(request, request.goal, site, budget_m)
     if for_goal is not None and for_goal.places_m is not None:
         places = site.snap_to_cell_centres(for_goal.places_m)
