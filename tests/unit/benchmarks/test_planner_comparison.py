@@ -70,8 +70,8 @@ def test_every_kernel_is_judged_on_the_same_samples_and_the_mismatched_are_marke
 
 def test_missions_whose_intervals_hold_too_little_are_counted_for_each_interval():
     held = ((0.449, 0.9), (0.45, 0.799), (0.3, 0.7), (0.7, 0.8))
-    same = {"region": "t1", "planner": "tour", "hyperparameters": "bayes", "kernel": "auto", "samples": 10, "rmse_ppb": 1.0}
-    rows = [{**same, "coverage_68": one, "coverage_95": two} for one, two in held]
+    of_a_line = {"region": "t1", "planner": "tour", "hyperparameters": "bayes", "kernel": "auto", "samples": 10}
+    rows = [{**of_a_line, "rmse_ppb": 1.0, "coverage_68": one, "coverage_95": two} for one, two in held]
     assert calibration.poor(rows) == (2, 2)
     line = next(line for line in calibration.table(rows, "t1", 10) if line.startswith("tour"))
     assert line.split()[-1] == "2/2"
