@@ -139,6 +139,8 @@ def test_the_commands_of_all_units_run_a_mission_under_their_restrictions(tmp_pa
             until(lambda: client.status().is_over, "the end of the mission")
             assert client.status().samples == 3
         for each in services:
+            # A socket keeps few messages: those of a long mission would leave no room for the last one.
+            assert each.has_said("WATCHDOG=1")
             each.process.terminate()
         for each in services:
             each.process.wait(PATIENCE_S)
