@@ -188,7 +188,10 @@ def telecommand(
 
 
 def without_id(said: str, command: Telecommand) -> str:
-    """The ground's refusal of a command without the command's id, which nobody has seen of one that was not sent."""
+    """The ground's refusal of a command, without the command's id.
+
+    The operator never saw the id of a command that was not sent.
+    """
     return said.removeprefix(f"command {command.command_id}: ")
 
 

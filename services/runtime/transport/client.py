@@ -209,7 +209,7 @@ class Client:
     def _unanswered(self, topic: Topic, reason: NoReply, detail: str) -> PeerUnreachable:
         """The error that names the process which should have answered, and its mission.
 
-        It does not name the topic: whoever reads it can look after a process.
+        It names the process, not the topic: an operator can check a process.
         """
         service = " or ".join(topic.access.answer or topic.access.publish)
         what = "does not answer" if reason is NoReply.NO_ROUTE else f"has not answered {detail}"
