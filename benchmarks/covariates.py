@@ -92,7 +92,10 @@ def run(
         if unknown := [name for name in given if name not in among]:
             raise InvalidInput(f"expected names among {', '.join(among)}; got {', '.join(unknown)}")
     if not samples or min(samples) < 2 or seeds < 1 or first < 0 or not patterns:
-        raise InvalidInput(f"expected 2 samples, one seed and one pattern at least, got {list(samples)}, {seeds}")
+        raise InvalidInput(
+            "expected 2 samples or more, one seed and one pattern at least, and a first seed of 0 or more; got samples "
+            f"{', '.join(map(str, samples)) or 'none'}, {seeds} seeds from {first} on, {len(patterns)} patterns"
+        )
     if HERODOTUS not in chosen:
         say("herodotus-feo is left out: it takes --data DIR with its rasters")
     document = kept.read(json, "rows")

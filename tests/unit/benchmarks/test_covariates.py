@@ -50,7 +50,7 @@ def test_the_benchmark_is_a_command_and_says_what_it_leaves_out_and_refuses():
         covariates.run(fields=(HERODOTUS,))
     with pytest.raises(InvalidInput, match="expected names among lattice, random; got spiral"):
         covariates.run(fields=("t1",), patterns=("spiral",))
-    with pytest.raises(InvalidInput, match="expected 2 samples, one seed and one pattern at least"):
+    with pytest.raises(InvalidInput, match="expected 2 samples or more, one seed and one pattern at least"):
         covariates.run(samples=(1,))
 
 
