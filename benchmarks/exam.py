@@ -8,7 +8,11 @@ installed; a peer that is not installed is named in the table, without figures.
     he3 bench exam --data DIR --seeds 3 --fields walker-v,t1 --json exam.json --picture exam.png
 
 Results are kept in the JSON file as they come. The same command goes on where an interrupted one stopped, and more
-seeds, fields or methods are added to what is there.
+seeds, fields or methods are added to what is there. A method that another one needs is flown and kept, too.
+
+`tour-matched` flies `tour` again. Its budget is what `sgptools` drove, so it never has more metres than that:
+
+    he3 bench exam --data DIR --methods tour,tour-matched,tour-matched+sklearn,sgptools --seeds 3 --json exam.json
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from __future__ import annotations
 import json as json_format
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -25,8 +29,9 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks import kept
+from benchmarks.exam_comparison import comparisons
 from benchmarks.exam_fields import ExamField, load_field, names_in
-from benchmarks.exam_methods import METHODS, Asked, Settings, Survey, with_our_map
+from benchmarks.exam_methods import METHODS, Asked, Settings, Survey, with_needed, with_our_map
 from benchmarks.exam_scores import mean_and_interval, scores
 from benchmarks.flights import conditions, expect_open
 from benchmarks.missions import SAMPLES_A_ROUND
@@ -81,10 +86,10 @@ def run(
         raise InvalidInput(f"expected --data DIR with rasters, got {data}, which has none (docs/exam.md)")
     for name in names:
         expect_open(load_field(name, data, noise).region, settings.start_m)
-    missing = [name for name in methods if (peer := METHODS[name].peer) is not None and not peer.installed]
+    missing = [name for name in methods if not _installed(name)]
     flown = [name for name in METHODS if name in methods and name not in missing]
     kept = Kept(json, {**asdict(settings), "noise": noise})
-    tasks = [_Task(name, data, noise, settings, seed, tuple(flown), kept.of(name, seed))
+    tasks = [Task(name, data, noise, settings, seed, tuple(flown), kept.of(name, seed))
              for seed in range(1, seeds + 1) for name in names]  # fmt: skip
     failures: list[str] = []
     began = time.monotonic()
@@ -112,6 +117,11 @@ def run(
     return rows
 
 
+def _installed(name: str) -> bool:
+    """Whether there is the software that a method needs, and the methods before it."""
+    return all(peer.installed for each in with_needed([name]) if (peer := METHODS[each].peer) is not None)
+
+
 def _settings(samples: int, start: Sequence[float], budget: float | None, kernel: str, belief: str) -> Settings:
     if samples < SAMPLES_A_ROUND or samples % SAMPLES_A_ROUND:
         raise InvalidInput(f"expected samples in rounds of {SAMPLES_A_ROUND}, got {samples}")
@@ -125,7 +135,7 @@ def _settings(samples: int, start: Sequence[float], budget: float | None, kernel
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
+class Task:
     """All surveys of one field with one seed; known: the rows that there are already."""
 
     name: str
@@ -142,32 +152,34 @@ def _loaded(name: str, data: Path | None, noise: float | None) -> ExamField:
     return load_field(name, data, noise)
 
 
-def surveys(task: _Task) -> Iterator[Row]:
+def surveys(task: Task) -> Iterator[Row]:
     """A row for each survey that is not known yet, as soon as it is flown; one with the key `failed` if it failed."""
     field = _loaded(task.name, task.data, task.noise)
     known = {row["method"]: row for row in task.known}
-    tour: Survey | None = _remembered(known["tour"]) if "tour" in known else None
-    for name in METHODS:
+    before = {name: _remembered(row) for name, row in known.items()}
+    for name in _missing(task, known):
         method = METHODS[name]
-        peer = method.peer is not None
-        if name not in task.methods or (name in known and (not peer or name + OURS in known)):
-            continue
         if method.open_ground and not field.region.traversable.all():
             continue
-        asked = Asked(field, task.settings, task.seed, tour)
+        if method.after is not None and method.after not in before:
+            continue  # that one failed
+        asked = Asked(field, task.settings, task.seed, before)
         try:
-            if method.needs_tour and tour is None:
-                tour = METHODS["tour"].fly(asked)
-                asked = Asked(field, task.settings, task.seed, tour)
             survey = method.fly(asked)
-            if name == "tour":
-                tour = survey
+            before.setdefault(name, survey)
             if name not in known:
                 yield _row(asked, name, survey)
-            if peer:
+            if method.peer is not None and name in task.methods:
                 yield _row(asked, name + OURS, with_our_map(asked, survey))
         except He3Error as error:
             yield {"field": task.name, "method": name, "seed": task.seed, "failed": str(error)}
+
+
+def _missing(task: Task, known: Mapping[str, Row]) -> list[str]:
+    """The methods that are to be flown: those that lack a row, of a peer also that with our map, and what they need."""
+    rows = {name: [name] if METHODS[name].peer is None else [name, name + OURS] for name in task.methods}
+    lacking = [name for name, wanted in rows.items() if not known.keys() >= set(wanted)]
+    return [name for name in with_needed(lacking) if name in lacking or name not in known]
 
 
 def _row(asked: Asked, name: str, survey: Survey) -> Row:
@@ -179,15 +191,15 @@ def _row(asked: Asked, name: str, survey: Survey) -> Row:
         "coverage_68": score.coverage_68, "coverage_95": score.coverage_95, "metres": survey.metres,
         "samples": len(survey.places_m), "seconds": survey.seconds, "note": survey.note,
     }  # fmt: skip
-    if name == "tour":  # what other methods are measured by, when the exam is continued
+    if name in {method.after for method in METHODS.values()}:  # what they need, when the exam is continued
         row |= {"places_m": survey.places_m.tolist(), "values_ppb": survey.values_ppb.tolist()}
     return row
 
 
 def _remembered(row: Row) -> Survey:
-    """The survey of a row, without its map."""
-    nothing = np.zeros((0, 0))
-    return Survey(np.array(row["places_m"]), np.array(row["values_ppb"]), row["metres"], nothing, nothing, 0.0)
+    """The survey of a row, without its map; without its samples if no method needs them."""
+    places, values = np.array(row.get("places_m", [])).reshape(-1, 2), np.array(row.get("values_ppb", []))
+    return Survey(places, values, row["metres"], np.zeros((0, 0)), np.zeros((0, 0)), 0.0)
 
 
 class Kept:
@@ -245,6 +257,7 @@ def report(rows: Sequence[Row], fields: Sequence[str], missing: Sequence[str]) -
             lines += [*table(of_field, field), *(f"{name:<24} not installed (docs/exam.md)" for name in missing), ""]
     if len({row["field"] for row in rows}) > 1:
         lines += [*means(rows), ""]
+    lines += comparisons(rows)
     lines.append(
         "nrmse, crps: in standard deviations of the field; nlpd: nats, of the field in that unit; "
         "+-: 95 % interval of the mean over seeds; +ours: the same samples with our map"

@@ -3,13 +3,17 @@
 A method has two halves, which its name tells: `tour` alone is our planner with our map, `tour+sklearn` are the same
 samples with scikit-learn's best Gaussian process, `sgptools+ours` are the peers' samples with our map. A survey is
 compared with others of the same samples, seed, noise and start.
+
+SGP-Tools has the metres of `tour` as its budget, and does not use them all. `tour-matched` is `tour`, flown again with
+the metres that SGP-Tools drove as its budget. So the two are compared at no more metres of ours.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
@@ -24,6 +28,7 @@ from benchmarks.missions import FOOTPRINT_RADIUS_M, SAMPLES_A_ROUND, run_mission
 from benchmarks.peer_environments import PYPOLO, SGPTOOLS, PeerEnvironment
 from benchmarks.pypolo_peer import survey_with_pypolo
 from benchmarks.sgptools_peer import belief_of, map_of_sgptools, noise_of, path_through, plan_with_sgptools
+from he3.errors import He3Error
 from he3.frames import BoolArray, FloatArray, SiteGrid, path_length
 from services.ground.terrain import GroundTerrain
 
@@ -61,12 +66,15 @@ class Survey:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """One survey to fly: field, settings and seed, and the survey of `tour` where a method is measured by it."""
+    """One survey to fly: field, settings and seed, and the surveys of the methods that come before it, by their names.
+
+    A survey from before may lack its map, and that of a peer its samples too; it always has its metres.
+    """
 
     field: ExamField
     settings: Settings
     seed: int
-    tour: Survey | None = None
+    before: Mapping[str, Survey] = dataclasses.field(default_factory=dict)
 
     @property
     def start_m(self) -> tuple[float, float]:
@@ -78,27 +86,43 @@ Fly = Callable[[Asked], Survey]
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A method by its function; needs_tour: it is measured by `tour`; peer: the software that it needs."""
+    """A method by its function; after: the method whose survey it needs; peer: the software that it runs."""
 
     fly: Fly
-    needs_tour: bool = False
+    after: str | None = None
     peer: PeerEnvironment | None = None
     open_ground: bool = False
     """It knows no obstacles."""
 
 
-def _planner(asked: Asked, name: str, kernel: str | None = None) -> Survey:
-    """One of our planners, sample by sample. kernel: with the paper's maximum likelihood; None for our own belief."""
+def _planner(asked: Asked, name: str, kernel: str | None = None, budget_m: float = inf) -> Survey:
+    """One of our planners, sample by sample. kernel: with the paper's maximum likelihood; None for our own belief.
+
+    budget_m: holds beside that of the settings.
+    """
     settings, field = asked.settings, asked.field
     mission = run_mission(
         field.region, planner_for(name), kernel or settings.kernel, asked.seed,
-        rounds=settings.samples // SAMPLES_A_ROUND, budget_m=settings.budget_m, noise_std_ppb=field.noise_std_ppb,
-        likeliest=settings.likeliest if kernel is None else True, start_m=asked.start_m,
+        rounds=settings.samples // SAMPLES_A_ROUND, budget_m=min(budget_m, settings.budget_m),
+        noise_std_ppb=field.noise_std_ppb, likeliest=settings.likeliest if kernel is None else True,
+        start_m=asked.start_m,
     )  # fmt: skip
     return Survey(
         mission.samples_m, mission.values_ppb, mission.row["path_length_m"], mission.mean_ppb.astype(np.float64),
         mission.std_ppb.astype(np.float64), mission.row["wall_time_s"], mission.ended,
     )  # fmt: skip
+
+
+def _tour_matched(asked: Asked) -> Survey:
+    """`tour` with the metres that SGP-Tools drove, on the same field with the same seed, as its budget.
+
+    Raises He3Error if it drives more than that.
+    """
+    metres = asked.before["sgptools"].metres
+    survey = _planner(asked, "tour", budget_m=metres)
+    if survey.metres > metres:
+        raise He3Error(f"expected at most the {metres:g} m of sgptools, got {survey.metres:g} m")
+    return survey
 
 
 def _cover(asked: Asked, pattern: Callable[[Asked, BoolArray], FloatArray]) -> Survey:
@@ -139,10 +163,9 @@ def _mapped(asked: Asked, places: FloatArray, metres: float, seconds: float) -> 
     return Survey(places, values, metres, mean, std, seconds + time.perf_counter() - began)
 
 
-def _sklearn_of_tour(asked: Asked) -> Survey:
-    """The samples of `tour` under scikit-learn's best Gaussian process."""
-    assert asked.tour is not None
-    return _with_sklearn(asked, asked.tour)
+def _sklearn_of(asked: Asked, name: str) -> Survey:
+    """The samples of that method under scikit-learn's best Gaussian process."""
+    return _with_sklearn(asked, asked.before[name])
 
 
 def _sklearn_of_cover(asked: Asked, pattern: Callable[[Asked, BoolArray], FloatArray]) -> Survey:
@@ -208,15 +231,13 @@ def sklearn_map(
 
 def _sgptools(asked: Asked, *, online: bool) -> Survey:
     """SGP-Tools' places within the metres of `tour`, and its own map. Offline it is given a covariance to plan with."""
-    assert asked.tour is not None
-    field, region, seed = asked.field, asked.field.region, asked.seed
+    field, region, seed, tour = asked.field, asked.field.region, asked.seed, asked.before["tour"]
     noise = noise_of(seed, asked.settings.samples, field.noise_std_ppb)
     learned = None
     if not online:  # what 150 samples of the very field teach favours it
-        tour = asked.tour
         learned = belief_of(region, tour.places_m, tour.values_ppb, SMOOTH_AND_ROUGH, seed, field.noise_std_ppb)
     plan = plan_with_sgptools(
-        region, asked.settings.samples, asked.tour.metres, seed, asked.start_m,
+        region, asked.settings.samples, tour.metres, seed, asked.start_m,
         learned.hyperparameters if learned is not None else None, noise,
     )  # fmt: skip
     values = region.he3_ppb[region.grid.cells_of(plan.places_m)] + noise[: len(plan.places_m)]
@@ -239,7 +260,7 @@ def with_our_map(asked: Asked, survey: Survey) -> Survey:
 
 METHODS = {
     "tour": Method(partial(_planner, name="tour")),
-    "tour+sklearn": Method(_sklearn_of_tour, needs_tour=True),
+    "tour+sklearn": Method(partial(_sklearn_of, name="tour"), after="tour"),
     "informative": Method(partial(_planner, name="informative")),
     "rrtstar": Method(partial(_planner, name="rrtstar", kernel=PAPER_KERNEL)),
     "rrtstar-own-kernel": Method(partial(_planner, name="rrtstar")),
@@ -248,9 +269,21 @@ METHODS = {
     "random": Method(partial(_cover, pattern=_chance)),
     "hexagonal+sklearn": Method(partial(_sklearn_of_cover, pattern=_lattice)),
     "random+sklearn": Method(partial(_sklearn_of_cover, pattern=_chance)),
-    "sgptools": Method(partial(_sgptools, online=False), needs_tour=True, peer=SGPTOOLS),
-    "sgptools-online": Method(partial(_sgptools, online=True), needs_tour=True, peer=SGPTOOLS),
+    "sgptools": Method(partial(_sgptools, online=False), after="tour", peer=SGPTOOLS),
+    "tour-matched": Method(_tour_matched, after="sgptools"),
+    "tour-matched+sklearn": Method(partial(_sklearn_of, name="tour-matched"), after="tour-matched"),
+    "sgptools-online": Method(partial(_sgptools, online=True), after="tour", peer=SGPTOOLS),
     "pypolo-myopic": Method(partial(_pypolo, strategy="myopic"), peer=PYPOLO, open_ground=True),
     "pypolo-active": Method(partial(_pypolo, strategy="active"), peer=PYPOLO, open_ground=True),
 }
-"""Every method by its name. The peers' samples are also scored with our map, as `NAME+ours`."""
+"""Every method by its name, behind the one that it needs. Peers' samples are scored with our map too: `NAME+ours`."""
+
+
+def with_needed(names: Iterable[str]) -> tuple[str, ...]:
+    """These methods and those that they need, in the order of ``METHODS``."""
+    needed: set[str] = set()
+    for name in names:
+        while name not in needed:
+            needed.add(name)
+            name = METHODS[name].after or name
+    return tuple(name for name in METHODS if name in needed)
