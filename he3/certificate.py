@@ -32,7 +32,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from he3.errors import InvalidInput
@@ -148,7 +147,7 @@ class Targets:
             variance = variance + (over * over).sum(axis=0)
         mean = self.means(prior[None])[0]
         if len(process):
-            whitened = solve_triangular(process.factor, self.means(covariance), lower=True, check_finite=False)
+            whitened = process.solve(self.means(covariance))
             mean = mean + own.scale_ppb * (process.whitened @ whitened)
             variance = variance - (whitened * whitened).sum(axis=0)
         least = process.least_variance() if self.points_m.shape[1] == 1 else 0.0

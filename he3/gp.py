@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput, NumericalFailure
+from he3.factor_room import FactorRoom
 from he3.frames import FloatArray, as_points
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
 
@@ -37,13 +38,15 @@ class GaussianProcess:
     """The belief about the field given n samples.
 
     places_m: (n, 2) [m]. factor: lower Cholesky factor (n, n) of their covariance plus noise. whitened: (n,), factor^-1
-    times the standardised observations. ``condition`` sets all but ``hyperparameters``.
+    times the standardised observations. ``condition`` sets all but ``hyperparameters``. room: where the factor lies, if
+    it grows there (``with_room``).
     """
 
     hyperparameters: Hyperparameters
     places_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     factor: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     whitened: FloatArray = field(default_factory=lambda: np.empty(0))
+    room: FactorRoom | None = None
 
     def __len__(self) -> int:
         return len(self.places_m)
@@ -109,23 +112,48 @@ class GaussianProcess:
             corner = np.linalg.cholesky(block)
         except np.linalg.LinAlgError:
             raise NumericalFailure(f"{k} samples could not be added to {n}: covariance not positive definite") from None
-        factor = np.zeros((n + k, n + k))
-        factor[:n, :n] = self.factor
-        factor[n:, :n] = cross.T
-        factor[n:, n:] = corner
+        room = self.room
+        if room is None:
+            factor = np.zeros((n + k, n + k))
+            factor[:n, :n] = self.factor
+            factor[n:, :n] = cross.T
+            factor[n:, n:] = corner
+        else:
+            room = room.extended(cross.T, corner)
+            factor = room.factor(n + k)
         # A value equal to its expectation leaves the mean unchanged: its whitened residual is 0.
         new = np.zeros(k) if z is None else solve_triangular(corner, z - cross.T @ self.whitened, lower=True)
-        return GaussianProcess(
-            self.hyperparameters, np.vstack((self.places_m, xy)), factor, np.concatenate((self.whitened, new))
+        places, whitened = np.concatenate((self.places_m, xy)), np.concatenate((self.whitened, new))
+        return GaussianProcess(self.hyperparameters, places, factor, whitened, room)
+
+    def with_room(self) -> GaussianProcess:
+        """The same belief; its factor, and that of each belief conditioned on it, grows in one array.
+
+        For a belief to which many samples come one by one: none of them copies the factor. For one thread.
+        """
+        if self.room is not None:
+            return self
+        room = FactorRoom(self.factor)
+        return replace(self, factor=room.factor(len(self)), room=room)
+
+    def without_room(self) -> GaussianProcess:
+        """The same belief with a contiguous factor of its own."""
+        return self if self.room is None else replace(self, factor=np.ascontiguousarray(self.factor), room=None)
+
+    def solve(self, right: FloatArray, transposed: bool = False) -> FloatArray:
+        """factor^-1 right, or factor^-T right, for right (n,) or (n, k)."""
+        if self.room is not None:
+            return self.room.solve(right, transposed)
+        solution: FloatArray = solve_triangular(
+            self.factor, right, lower=True, trans=int(transposed), check_finite=False
         )
+        return solution
 
     def _whiten(self, xy: FloatArray) -> FloatArray:
         """Whitened covariance (n, k) between samples and places: factor^-1 K(samples, xy)."""
         if len(self) == 0:
             return np.zeros((0, len(xy)))
-        covariance = self.hyperparameters.covariance(self.places_m, xy)
-        whitened: FloatArray = solve_triangular(self.factor, covariance, lower=True, check_finite=False)
-        return whitened
+        return self.solve(self.hyperparameters.covariance(self.places_m, xy))
 
     def predict(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (k,) and standard deviation (k,) [ppb] of the field at places (k, 2) [m], noise excluded."""

@@ -31,7 +31,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
-from scipy.linalg import solve_triangular
 
 from he3.errors import InvalidInput
 from he3.mixture import ProcessMixture, mixture_moments
@@ -111,7 +110,7 @@ def drawn_fields(
     covariance = mixture.posterior_covariance(places)
     if len(process):
         crossing = process.hyperparameters.covariance(process.places_m, places)
-        unknown = process.hyperparameters.scale_ppb * _of_constant(process, _whitened(process, crossing))
+        unknown = process.hyperparameters.scale_ppb * _of_constant(process, process.solve(crossing))
         covariance += np.outer(unknown, unknown)
     return mean + _normal_draws(covariance, rng, draws), weights
 
@@ -216,15 +215,9 @@ def _learned(process: GaussianProcess, places: FloatArray, weights: FloatArray) 
     """
     if len(process) == 0:
         return 0.0, 0.0
-    whitened = _whitened(process, process.hyperparameters.covariance(process.places_m, places) @ weights)
+    whitened = process.solve(process.hyperparameters.covariance(process.places_m, places) @ weights)
     explained = float(whitened @ whitened) - float(_of_constant(process, whitened)) ** 2
     return float(whitened @ process.whitened), explained
-
-
-def _whitened(process: GaussianProcess, with_samples: FloatArray) -> FloatArray:
-    """L^-1 times covariances with the samples, (n,) or (n, k), in standardised units."""
-    whitened: FloatArray = solve_triangular(process.factor, with_samples, lower=True, check_finite=False)
-    return whitened
 
 
 def _of_constant(process: GaussianProcess, whitened: FloatArray) -> FloatArray:
@@ -235,6 +228,6 @@ def _of_constant(process: GaussianProcess, whitened: FloatArray) -> FloatArray:
     """
     if process.hyperparameters.trend is not None:
         return np.zeros(whitened.shape[1:])
-    ones = solve_triangular(process.factor, np.ones(len(process)), lower=True, check_finite=False)
+    ones = process.solve(np.ones(len(process)))
     moved: FloatArray = (1.0 - ones @ whitened) / math.sqrt(ones @ ones)
     return moved

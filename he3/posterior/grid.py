@@ -60,8 +60,10 @@ class GridPosterior:
             raise InvalidInput(f"expected one thread or more, got {threads}")
         self.grid = grid
         self._threads = threads
-        self._process = GaussianProcess(hyperparameters)
+        # All that is computed on the cells needs the process without the trend; the one with it is made when asked for.
         self._without_trend = GaussianProcess(replace(hyperparameters, trend=None))
+        self._process = GaussianProcess(hyperparameters)
+        self._not_in_process: list[tuple[FloatArray, FloatArray]] = []
         # Everything kept about the cells is in tile order; a snapshot is in the grid's.
         self._tiled = TiledGrid(grid)
         # Near a sample, the variance is at most that of the noise.
@@ -94,14 +96,15 @@ class GridPosterior:
         """
         posterior = cls(grid, hyperparameters, threads=threads)
         posterior._rows_known = followed
-        posterior._set_processes(*posterior._conditioned(np.asarray(xy_m, dtype=np.float64), values_ppb))
+        posterior._take(*posterior._conditioned(as_points(np.asarray(xy_m, dtype=np.float64)), values_ppb))
+        assert len(posterior.process) == len(posterior)  # many samples at once may be too much for a factor: said here
         posterior._recompute()
         posterior._ensure_precision(slice(None))
         return posterior
 
     def __len__(self) -> int:
         """Number of samples."""
-        return len(self._process)
+        return len(self._without_trend)
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -110,6 +113,12 @@ class GridPosterior:
     @property
     def process(self) -> GaussianProcess:
         """The belief as an immutable process, which predicts at any place and does not change with later samples."""
+        if self.hyperparameters.trend is None and self._not_in_process:
+            self._process = self._without_trend.without_room()
+        else:
+            for places, values in self._not_in_process:
+                self._process = self._process.condition(places, values)
+        self._not_in_process = []
         return self._process
 
     @property
@@ -122,12 +131,13 @@ class GridPosterior:
         place = np.asarray(xy_m, dtype=np.float64)
         if place.shape != (2,):
             raise InvalidInput(f"expected one place (2,) [m], got shape {place.shape}")
-        process, without_trend = self._conditioned(as_points(place[None, :]), [value_ppb])
+        self._without_trend = self._without_trend.with_room()
+        without_trend, xy, values = self._conditioned(as_points(place[None, :]), [value_ppb])
         if not self._rows_known:
             self._know_rows()
         n = len(self)
         row = self._rows.next_row(without_trend, self._run_tasks)
-        self._set_processes(process, without_trend)
+        self._take(without_trend, xy, values)
         residual = float(without_trend.whitened[n])
         for tile in self._tiled.tiles:
             self._sums.add_row(n, row[tile.cells], residual, tile.cells)
@@ -135,7 +145,7 @@ class GridPosterior:
 
     def at(self, points_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (k,) and standard deviation (k,) [ppb] at arbitrary places (k, 2) [m], exact."""
-        return self._process.predict(points_m)
+        return self.process.predict(points_m)
 
     @property
     def mean_ppb(self) -> Float32Array:
@@ -170,22 +180,20 @@ class GridPosterior:
         points = None if self.hyperparameters.trend is None else self._points()
         return PosteriorSums.prior(self.hyperparameters, points, self._tiled.cells)
 
-    def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike) -> tuple[GaussianProcess, GaussianProcess]:
-        """The process with more samples, with and without the trend."""
+    def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike) -> tuple[GaussianProcess, FloatArray, FloatArray]:
+        """The process without the trend with more samples, and their places and values [ppb]."""
         expect_map_fits(self.grid, self.hyperparameters.kernel.name, len(self) + len(xy))
-        process = self._process.condition(xy, values_ppb)
-        trend = self.hyperparameters.trend
-        if trend is None:
-            return process, process
         values = np.asarray(values_ppb, dtype=np.float64)
-        return process, self._without_trend.condition(xy, values - trend.at(xy))
+        trend = self.hyperparameters.trend
+        detrended = values if trend is None else values - trend.at(xy)
+        return self._without_trend.condition(xy, detrended), xy, values
 
-    def _set_processes(self, process: GaussianProcess, without_trend: GaussianProcess) -> None:
+    def _take(self, without_trend: GaussianProcess, xy: FloatArray, values: FloatArray) -> None:
         first = len(self)
-        self._process, self._without_trend = process, without_trend
-        self._snapshot = None
+        self._without_trend, self._snapshot = without_trend, None
+        self._not_in_process.append((xy, values))
         if self._sums.trend is not None:
-            basis = self.hyperparameters.trend_basis(process.places_m[first:])
+            basis = self.hyperparameters.trend_basis(xy)
             assert basis is not None
             self._sums.trend = self._sums.trend.extended(without_trend.factor[first:], basis)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, solve_triangular
+from scipy.linalg import blas
 
 from he3.kernels import Kernel, SmoothPlusRough, SquaredExponential, Stretched
 
@@ -126,5 +126,4 @@ def row_weights(process: GaussianProcess) -> FloatArray:
     """Weights (n,) of the kernel at the samples in the last row of V: (-L^-T l, 1) / d, with l of the rows before."""
     last = np.zeros(len(process))
     last[-1] = 1.0
-    weights: FloatArray = solve_triangular(process.factor, last, lower=True, trans=1, check_finite=False)
-    return weights
+    return process.solve(last, transposed=True)

@@ -56,7 +56,7 @@ class SplitRows:
         weights = row_weights(process)
         pivot = float(process.factor[-1, -1])
         coefficients = self._rough_process.factor.T @ (-pivot * weights[:-1])
-        self._rough_process = self._rough_process.condition_on_places(process.places_m[-1:])
+        self._rough_process = self._rough_process.with_room().condition_on_places(process.places_m[-1:])
         rough = RowCombination(coefficients, pivot, self._rough.tolerance(self._kernel))
         row = self._smooth.weighted_sum(process.places_m, weights, run_tasks)
         row += self._rough.next_rows(self._rough_process, run_tasks, rough)[1]

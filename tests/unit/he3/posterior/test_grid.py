@@ -219,3 +219,21 @@ def test_bad_input_is_refused_and_changes_nothing() -> None:
     with pytest.raises(InvalidInput, match="expected one thread or more"):
         GridPosterior(GRID, Hyperparameters(SquaredExponential()), threads=0)
     assert len(posterior) == 0
+
+
+@pytest.mark.parametrize("with_trend", [False, True])
+def test_the_process_of_a_map_is_that_of_its_samples_and_is_not_touched_by_later_ones(with_trend: bool) -> None:
+    trend = orbital_trend(GRID, np.add.outer(np.linspace(7, 9, GRID.rows), np.zeros(GRID.columns)))
+    hyperparameters = Hyperparameters(Matern32(1.0, 30.0), 0.1, 0.4, 0.9, trend=trend if with_trend else None)
+    places, values = samples(30, seed=3)
+    posterior = GridPosterior.build(GRID, hyperparameters, places[:10], values[:10])
+    for count in range(10, 30, 4):
+        process = posterior.process
+        exact = GaussianProcess(hyperparameters).condition(places[:count], values[:count])
+        assert len(process) == len(posterior) == count
+        np.testing.assert_allclose(process.factor, exact.factor, atol=1e-10)
+        for place, value in zip(places[count : count + 4], values[count : count + 4], strict=True):
+            posterior.add(place, value)
+        np.testing.assert_allclose(process.factor, exact.factor, atol=1e-10)
+        np.testing.assert_allclose(process.predict(places), exact.predict(places), rtol=1e-6, atol=1e-8)
+    assert posterior.process is posterior.process
