@@ -1,4 +1,4 @@
-"""Waiting in tests: for an event, for a long time; for a promised duration, scaled by the speed of the machine."""
+"""Waiting in tests: for an event, for a long time; for a promised duration, with a margin for a shared machine."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ T = TypeVar("T")
 PATIENCE_S = 600.0
 """How long an event is waited for [s]. A machine of any speed is faster, so only a test that fails takes so long."""
 POLL_S = 0.02
+
+SHARED = 4.0
+"""How many times longer than promised anything may take on a machine that seems quiet: its load changes within seconds,
+and is measured only after the event. Promises themselves are measured in `benchmarks/`, on a quiet machine."""
 
 _COUNT, _QUIET_S = 5_000_000, 0.25
 """So many squares take so long [s] on a core of its own of the machine on which the promises were made."""
@@ -57,13 +61,13 @@ def expect_within(
     clock: Callable[[], float] = time.perf_counter,
     processes: int = 1,
 ) -> None:
-    """Fail the test unless `what` took no longer than promised, or than promised times the slowness of the machine.
+    """Fail the test unless `what` took at most `SHARED` times as long as promised, or times the slowness if it is more.
 
     processes: at work in it at the same time, up to the two cores for which the promise is made.
     """
-    if took_s > promised_s:
-        factor = slowness(clock, processes)
+    if took_s > SHARED * promised_s:
+        factor = max(SHARED, slowness(clock, processes))
         assert took_s <= promised_s * factor, (
-            f"{what}: took {took_s:.2f} s, expected at most {promised_s:g} s, on a machine that is now {factor:.1f} "
-            "times slower than a quiet one"
+            f"{what}: took {took_s:.2f} s, promised are {promised_s:g} s, and on this machine, as it is now, at most "
+            f"{factor:.1f} times as much is accepted"
         )

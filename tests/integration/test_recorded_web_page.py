@@ -64,7 +64,7 @@ def at_s(driver: Any) -> int:
 
 def test_a_recorded_mission_is_seen_at_any_time_by_keyboard_and_says_that_it_is_a_recording(browser: Any) -> None:
     until(lambda: written(browser, "#liveness").startswith("recording; then"), "the recording")
-    assert (written(browser, "#authority"), written(browser, "#pace")) == ("recording", "paused")
+    until(lambda: (written(browser, "#authority"), written(browser, "#pace")) == ("recording", "paused"), "the pause")
     press(browser, END)
     until(lambda: "completed" in written(browser, "#phase"), "the end")
     samples = until(lambda: shown(browser).get("samples"), "the last map")
