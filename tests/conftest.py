@@ -3,8 +3,11 @@
 import os
 import signal
 
+from services.runtime.instructions import common_instructions
+
 # Set before numpy is imported; `services.runtime.entry` says why.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.update({**common_instructions(), **os.environ})
 
 import numpy as np
 import pytest

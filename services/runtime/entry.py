@@ -11,6 +11,8 @@ import os
 import sys
 from typing import NoReturn
 
+from services.runtime.instructions import common_instructions
+
 PARENT = "HE3_PARENT_PID"
 """Environment variable: process id of the parent. This process ends when the parent ends."""
 WATCH_EVERY_S = 0.5
@@ -28,6 +30,8 @@ def prepare_process() -> None:
     # 50 times as long as one thread. Where a second thread pays, on the map, he3.posterior.grid shares out the cells
     # itself. Results also stay the same bytes on machines with other numbers of cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for name, value in common_instructions().items():
+        os.environ.setdefault(name, value)
     # What a mission writes (journals, recordings, reports, logs) is for its owner alone.
     os.umask(0o077)
     end_with_parent()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from he3.errors import InvalidInput
 from services.runtime.child import ROOT
 from services.runtime.heartbeat import software_version
+from services.runtime.instructions import instructions
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -28,7 +29,8 @@ _LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "slope_deg", "travers
 
 @cache
 def software_identity(package: str = "services") -> str:
-    """Version of the system, of Python and of the libraries that compute, with a digest of the source that flies.
+    """Version of the system, of Python and of the libraries that compute, with a digest of the source that flies, and
+    the processor instructions that they compute with.
 
     package: of the function that computes, such as ``benchmarks``, whose source counts, too. A checkout whose source
     has changed is another software, whatever its version says.
@@ -43,7 +45,7 @@ def software_identity(package: str = "services") -> str:
                 digest.update(hashlib.sha256(path.read_bytes()).digest())
     python = ".".join(platform.python_version_tuple()[:2])
     libraries = " ".join(f"{name}-{_version(name)}" for name in _LIBRARIES)
-    return f"he3-seeker-{software_version()}+{digest.hexdigest()[:12]} python-{python} {libraries}"
+    return f"he3-seeker-{software_version()}+{digest.hexdigest()[:12]} python-{python} {libraries} {instructions()}"
 
 
 def _version(distribution: str) -> str:

@@ -12,6 +12,7 @@ from typing import Final
 
 from services.console.campaign.task import FAILED, LOST, Reply, canonical, reply_of
 from services.runtime.child import child_environment, exit_in_words, python_command
+from services.runtime.instructions import common_instructions
 
 ATTEMPTS: Final = 3
 """How often a task is computed whose worker process dies: something from outside may have killed it."""
@@ -37,7 +38,7 @@ class WorkerProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**child_environment(), **FIXED},
+            env={**child_environment(), **FIXED, **common_instructions()},
             start_new_session=True,
             text=True,
             encoding="ascii",

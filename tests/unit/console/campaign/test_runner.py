@@ -18,6 +18,7 @@ from services.console.campaign.identity import software_identity
 from services.console.campaign.runner import Progress, run
 from services.console.campaign.store import Store
 from services.console.campaign.task import DONE, FAILED, LOST, Reply, Task
+from services.runtime.instructions import common_instructions
 
 WORK = '''
 """Work of a test."""
@@ -35,7 +36,8 @@ def work(arguments):
     if number == 5:
         os._exit(7)
     print("heard by nobody")
-    env = {name: os.environ[name] for name in ("PYTHONHASHSEED", "LC_ALL", "OPENBLAS_NUM_THREADS")}
+    names = ("PYTHONHASHSEED", "LC_ALL", "OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE")
+    env = {name: os.environ[name] for name in names if name in os.environ}
     return {"square": number**2, "hash": hash("he3"), "text": f"{1.5:n}", **env}
 
 class Circle:
@@ -82,6 +84,8 @@ def test_every_task_has_its_row_although_workers_die_and_none_is_computed_twice(
 ) -> None:
     monkeypatch.setenv("PYTHONHASHSEED", "5")
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    for name in common_instructions():
+        monkeypatch.setenv(name, "of this host alone")
     with Store(work / "s.sqlite", write=True) as store, LocalEngine(2) as engine:
         run(tasks_of(work, range(3)), store, engine)
         done = run(tasks_of(work, [*range(6), 2]), store, engine)
@@ -93,6 +97,7 @@ def test_every_task_has_its_row_although_workers_die_and_none_is_computed_twice(
     assert rows[4].error == "no luck with 4"
     assert rows[5].error == "the worker process ended 3 times, at last with exit code 7"
     environment = {"PYTHONHASHSEED": "0", "LC_ALL": "C", "OPENBLAS_NUM_THREADS": "1"}
+    environment |= {name: value for name, value in common_instructions().items() if name == "OPENBLAS_CORETYPE"}
     seen: set[Any] = set()
     for number in range(4):
         result = dict(rows[number].result or {})
