@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import tempfile
 import threading
@@ -29,6 +28,7 @@ from statistics import median
 from typing import Any, Final
 
 from benchmarks import kept
+from benchmarks.browser import chromium
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import free_endpoints
@@ -44,11 +44,6 @@ MOST_BYTES_S: Final = 40_000
 MOST_CLICK_MS: Final = 60
 MOST_MAIN_THREAD: Final = 0.15
 """What is promised: bytes a second to each page, median of a click's answer, share of a core at rest."""
-FLAGS: Final = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
-    "--disable-background-networking", "--disable-sync", "--window-size=1440,900",
-)  # fmt: skip
-
 CLICK: Final = """
 const [x, y, done] = arguments, map = document.getElementById('map'), place = document.getElementById('place');
 const box = map.getBoundingClientRect();
@@ -84,7 +79,8 @@ def run(
         mission = stack.enter_context(_mission(rate))
         address = stack.enter_context(_page_server(mission))
         gates = [stack.enter_context(_counted(address)) for _ in range(pages)]
-        driver = stack.enter_context(_chromium())
+        driver = stack.enter_context(chromium("--window-size=1440,900"))
+        driver.set_script_timeout(WITHIN_S)
         windows = _opened(driver, gates)
         time.sleep(SETTLE_S)
         before, began = [gate.passed for gate in gates], time.monotonic()
@@ -227,28 +223,6 @@ def _counted(target: tuple[str, int]) -> Iterator[_Gate]:
 
 
 # --- the browser ------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _chromium() -> Iterator[Any]:
-    binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if binary is None or driver is None:
-        raise He3Error("bench page: expected chromium and chromedriver on the path, got none")
-    try:
-        from selenium import webdriver
-    except ImportError:
-        raise He3Error("bench page: expected selenium, got none: pip install selenium") from None
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    with tempfile.TemporaryDirectory() as profile:
-        for flag in (*FLAGS, f"--user-data-dir={profile}"):
-            options.add_argument(flag)
-        chromium = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-        chromium.set_script_timeout(WITHIN_S)
-        try:
-            yield chromium
-        finally:
-            chromium.quit()
 
 
 def _opened(driver: Any, gates: list[_Gate]) -> int:

@@ -14,7 +14,6 @@ import io
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -27,8 +26,8 @@ from urllib.parse import parse_qs
 
 from PIL import Image
 from selenium import webdriver
-from selenium.webdriver.chrome.options import Options
-from selenium.webdriver.chrome.service import Service
+
+from benchmarks.browser import chromium
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
@@ -138,26 +137,16 @@ def page(*mission: str, fly: Callable[[], None]) -> Iterator[webdriver.Chrome]:
 @contextmanager
 def served(*flags: str, fly: Callable[[], None] = lambda: None) -> Iterator[webdriver.Chrome]:
     """A page in a browser. flags: of ``he3 web``. fly: what is done before it is opened."""
-    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if chromium is None or chromedriver is None:
-        raise SystemExit("page_pictures: expected chromium and chromedriver on the path")
-    with tempfile.TemporaryDirectory() as profile, running("web", "--port", "0", *flags) as server:
+    with running("web", "--port", "0", *flags) as server:
         assert server.stderr is not None
         address = re.search(r"http://[^\s,]+", server.stderr.readline())
         assert address is not None
         fly()
-        options = Options()
-        options.binary_location = chromium
-        for flag in ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={profile}"):
-            options.add_argument(flag)
-        driver = webdriver.Chrome(options=options, service=Service(chromedriver))
-        try:
+        with chromium("--hide-scrollbars") as driver:
             driver.get(address[0])
             wait_for(lambda: driver.find_element("id", "map").get_attribute("data-shown"), "the page")
             driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", LAPTOP)
             yield driver
-        finally:
-            driver.quit()
 
 
 STACK = """# The boulders are closed before the rover drives on.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import pytest
 
 from services.console.__main__ import main
-from tests.integration.test_web_page import CHROMIUM, DRIVER, FLAGS, barriers, script, shown, written
+from tests.integration.test_web_page import barriers, chromium_or_skip, script, shown, written
 from tests.processes import he3, start
 from tests.waiting import until
 
@@ -30,28 +29,19 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def browser(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    if CHROMIUM is None or DRIVER is None:
-        pytest.skip("no browser: apt-get install chromium chromium-driver")
-    selenium = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
-    options = selenium.ChromeOptions()
-    options.binary_location = shutil.which("chromium")
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}", "--window-size=1440,900"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+def browser(recording: Path) -> Iterator[Any]:
     command = he3("web", "--port", "0", "--recording", str(recording))
-    with start(command, stderr=subprocess.PIPE, text=True) as server:
+    with (
+        chromium_or_skip(logged={"browser": "ALL"}) as driver,
+        start(command, stderr=subprocess.PIPE, text=True) as server,
+    ):
         assert server.stderr is not None
         line = server.stderr.readline()
         found = re.search(r"recording of mission 'short' at (http://\S+) \(read-only\)", line)
         assert found is not None, line
-        driver = selenium.Chrome(options=options, service=selenium.ChromeService(DRIVER))
-        try:
-            driver.get(found[1])
-            yield driver
-        finally:
-            driver.quit()
-            server.kill()
+        driver.get(found[1])
+        yield driver
+        server.kill()
 
 
 def press(driver: Any, key: str) -> None:

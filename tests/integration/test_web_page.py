@@ -18,7 +18,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from csv import DictReader
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.browser import chromium
 from he3.errors import PeerUnreachable
 from schemas.telemetry import RoverMode
 from services.console.__main__ import main
@@ -39,17 +40,12 @@ from services.runtime.trust.certificates import subject as subject_of
 from tests.processes import he3, run, start
 from tests.waiting import PATIENCE_S, expect_within, until
 
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 IPV6 = Path("/proc/net/if_inet6").exists() and Path("/proc/net/if_inet6").read_text() != ""
 FACTS = Path(__file__).parent / "timeline_facts.js"
 AXE = Path(__file__).parents[1] / "vendor" / "axe-core" / "axe.min.js"
 ENTER, ESCAPE = "\ue007", "\ue00c"
 RATE = 60.0
 LIGHT_TIME_S = 1.282
-FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -374,40 +370,41 @@ def test_a_thousand_connections_that_ask_nothing_keep_no_browser_waiting(address
             expect_within(3.0, time.monotonic() - began, "an answer")
 
 
-@pytest.fixture(scope="module")
-def chromium(served: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A browser that has logged in; it takes longer to start than most tests."""
-    if CHROMIUM is None or DRIVER is None:
+@contextmanager
+def chromium_or_skip(*flags: str, logged: dict[str, str]) -> Iterator[Any]:
+    """A browser; the test is skipped, and says so, where there is none."""
+    if shutil.which("chromium") is None or shutil.which("chromedriver") is None:
         pytest.skip("no browser: apt-get install chromium chromium-driver")
-    selenium = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
-    options = selenium.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}", "--window-size=1440,900"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = selenium.Chrome(options=options, service=selenium.ChromeService(DRIVER))
-    driver.get(served[1])
-    yield driver
-    driver.quit()
+    pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
+    with chromium("--window-size=1440,900", *flags, logged=logged) as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def logged_in(served: tuple[str, str]) -> Iterator[Any]:
+    """A browser that has logged in; it takes longer to start than most tests."""
+    with chromium_or_skip(logged={"browser": "ALL", "performance": "ALL"}) as driver:
+        driver.get(served[1])
+        yield driver
 
 
 @pytest.fixture
-def browser(chromium: Any, address: str, mission: MissionClient) -> Any:
+def browser(logged_in: Any, address: str, mission: MissionClient) -> Any:
     """The page with its map as a new browser shows it, of a mission that no earlier test holds up."""
     rover = mission.status().rover
     if rover is not None and rover.mode in (RoverMode.PAUSED, RoverMode.SAFE):
         mission.command("resume").wait("completed", PATIENCE_S)
-    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    logged_in.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    logged_in.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
     # A test that failed may leave a plan that was edited; the browser would ask whether to leave it.
-    script(chromium, "addEventListener('beforeunload', (event) => event.stopImmediatePropagation(), true)")
-    chromium.get(f"{address}static/icon.svg")
-    script(chromium, "localStorage.clear(); sessionStorage.clear()")
+    script(logged_in, "addEventListener('beforeunload', (event) => event.stopImmediatePropagation(), true)")
+    logged_in.get(f"{address}static/icon.svg")
+    script(logged_in, "localStorage.clear(); sessionStorage.clear()")
     for log in ("browser", "performance"):
-        chromium.get_log(log)
-    chromium.get(address)
-    until(lambda: shown(chromium).get("layer") == "mean", "the map")
-    return chromium
+        logged_in.get_log(log)
+    logged_in.get(address)
+    until(lambda: shown(logged_in).get("layer") == "mean", "the map")
+    return logged_in
 
 
 def script(driver: Any, text: str, *arguments: Any) -> Any:
