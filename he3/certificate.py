@@ -39,6 +39,7 @@ from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import LENGTH_SCALES
 from he3.kernels import SquaredExponential
+from he3.local_amplitude import covariances_within, prior_variance_at
 from he3.mixture import ProcessMixture, mixture_moments
 
 if TYPE_CHECKING:
@@ -126,12 +127,10 @@ class Targets:
         return mean
 
     def prior_variance(self, kernel: Kernel) -> FloatArray:
-        """Prior variance (T,) of each target under a stationary kernel."""
+        """Prior variance (T,) of each target, without a trend's."""
         if self.points_m.shape[1] == 1:
-            return np.full(len(self), kernel.prior_variance)
-        apart = self.points_m[:, :, None] - self.points_m[:, None]
-        covariances = kernel.of_squared_distance(kernel.squared_length(apart[..., 0], apart[..., 1]))
-        variance: FloatArray = covariances.mean(axis=(1, 2))
+            return prior_variance_at(kernel, self.points_m[:, 0])
+        variance: FloatArray = covariances_within(kernel, self.points_m).mean(axis=(1, 2))
         return variance
 
     def moments(self, process: GaussianProcess) -> tuple[FloatArray, FloatArray]:

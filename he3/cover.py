@@ -26,6 +26,7 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from he3.errors import InvalidInput, NumericalFailure
 from he3.frames import FloatArray
+from he3.local_amplitude import LocallyScaled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -137,6 +138,13 @@ class _Part:
 
 def _pulled(kernel: Kernel, a_m: FloatArray, b_m: FloatArray, m: FloatArray) -> FloatArray:
     """2 sum_j m_ij dk(a_i, b_j)/da_i, (n, 2), for weights m (n, k)."""
+    if isinstance(kernel, LocallyScaled):
+        # k = s(a) s(b) k0(a, b), so dk/da = s(a) s(b) dk0/da + k d(log s)/da.
+        at_a, at_b = kernel.amplitude.at(a_m), kernel.amplitude.at(b_m)
+        by_log = 2.0 * (m * kernel.covariance(a_m, b_m)).sum(axis=1)
+        pulled = _pulled(kernel.even, a_m, b_m, m * at_a[:, None] * at_b)
+        pulled += by_log[:, None] * kernel.amplitude.gradient_of_log(a_m)
+        return pulled
     east, north = a_m[:, 0, None] - b_m[None, :, 0], a_m[:, 1, None] - b_m[None, :, 1]
     lengths = [value for name, value in kernel.parameters().items() if name.endswith("length_scale_m")]
     r2 = kernel.squared_length(east, north) + _SOFTENING * min(lengths) ** 2

@@ -29,6 +29,7 @@ from he3.errors import InvalidInput, NumericalFailure
 from he3.factor_room import FactorRoom
 from he3.frames import FloatArray, as_points
 from he3.hyperparameters import Hyperparameters, fit_hyperparameters
+from he3.local_amplitude import covariances_within, least_prior_variance
 
 __all__ = ["GaussianProcess", "Hyperparameters", "fit_hyperparameters"]
 
@@ -179,7 +180,7 @@ class GaussianProcess:
         After n samples at the very place the variance is k / (1 + n k / s^2), with k the kernel's variance and s^2 the
         noise's; samples elsewhere tell no more. The bound is half of that; only rounding errors fall below it.
         """
-        prior = self.hyperparameters.kernel.prior_variance
+        prior = least_prior_variance(self.hyperparameters.kernel)
         return 0.5 * prior / (1.0 + len(self) * prior / self.hyperparameters.least_noise_variance)
 
     def posterior_covariance(self, points_m: ArrayLike, others_m: ArrayLike | None = None) -> FloatArray:
@@ -216,9 +217,7 @@ class GaussianProcess:
             raise InvalidInput(f"expected sets of places (B, k, 2), got {sets.shape}")
         batch, k, _ = sets.shape
         flat = as_points(sets.reshape(-1, 2))
-        difference = sets[:, :, None, :] - sets[:, None, :, :]
-        kernel = self.hyperparameters.kernel
-        covariance = kernel.of_squared_distance(kernel.squared_length(difference[..., 0], difference[..., 1]))
+        covariance = covariances_within(self.hyperparameters.kernel, sets)
         basis = self.hyperparameters.trend_basis(flat)
         if basis is not None:
             stacked = basis.reshape(batch, k, -1)

@@ -48,6 +48,7 @@ from he3.kernels import (
 )
 from he3.layer_selection import in_shares
 from he3.likelihood import log_marginal_likelihood
+from he3.local_amplitude import prior_variance_at
 from he3.warping import LEAST_SLOPE, Warp
 
 if TYPE_CHECKING:
@@ -190,7 +191,7 @@ class Hyperparameters:
 
     def prior_variance(self, xy_m: FloatArray) -> FloatArray:
         """Prior variance (n,) at places (n, 2) [m] in standardised units, trend included."""
-        variance = np.full(len(xy_m), self.kernel.prior_variance, dtype=np.float64)
+        variance = prior_variance_at(self.kernel, xy_m)
         basis = self.trend_basis(xy_m)
         if basis is not None:
             variance += (basis * basis).sum(axis=1)

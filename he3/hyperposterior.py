@@ -20,7 +20,8 @@ which draws at random:
 Where the samples speak for unstated noise or for two lengths and a bearing (``he3.model_extensions``), the points of
 those models are among them, with the weight of their evidence. Where the kernel is "auto", so are those of all families
 of kernels, with the weight of how well they predict (``he3.kernel_families``), and of skewed fields
-(``he3.warp_choice``), except where a map from orbit is the trend: its contrast is one in ppb.
+(``he3.warp_choice``); and beside the few that are chosen stand others of quiet and rough parts, where the samples speak
+for them (``he3.amplitude_inference``). With a map from orbit as the trend there are neither: its contrast is in ppb.
 
 On 20 maps of 10 to 30 samples of 16 fields, six points had the moments of a design of 256, twice the one used here:
 standard deviations within 1 % on average and 2 % at most, means within 2 and 5 % of a standard deviation.
@@ -40,6 +41,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from he3.amplitude_inference import local_member, with_local_members
 from he3.condensation import condensed
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, as_points
@@ -109,18 +111,24 @@ class HyperparameterDraws:
     """(N,), of which the sum is 1."""
     warps: list[Warp | None]
     """(N,)."""
+    samples: tuple[FloatArray, FloatArray, float] | None
+    """Places (n, 2) [m], values (n,) [ppb] and the site's width [m], where there may be a local amplitude."""
 
     def draw(self, random: np.random.Generator) -> Hyperparameters:
         """One draw."""
         number = int(random.choice(len(self.shares), p=self.shares))
         noise_ppb = self.fitted.scale_ppb * math.sqrt(self.noises[number])
-        return replace(
+        drawn = replace(
             self.fitted,
             kernel=self.kernels[number],
             noise_std_ppb=noise_ppb,
             log_likelihood=math.nan,
             warp=self.warps[number],
         )
+        local = None if self.samples is None else local_member(drawn, *self.samples)
+        if local is None or random.random() >= local.weight:
+            return drawn
+        return replace(drawn, kernel=local.kernel)
 
 
 def hyperparameter_draws(
@@ -137,7 +145,10 @@ def hyperparameter_draws(
     xy, families = _families(xy_m, values_ppb, kernel_name, prior, noise_std_ppb, trend, previous)
     points = _points(families, xy, prior.extent_m)
     shares = np.exp(points.log_weights - np.logaddexp.reduce(points.log_weights))
-    return HyperparameterDraws(families[0][0].fitted, points.kernels, points.noises, shares, points.warps)
+    guide = families[0][0]
+    values = _values_of_any_kind(guide) if len(families) > 1 else None
+    samples = None if values is None else (xy, values, prior.extent_m)
+    return HyperparameterDraws(guide.fitted, points.kernels, points.noises, shares, points.warps, samples)
 
 
 def _families(
@@ -170,8 +181,7 @@ def _families(
 
 def _points(families: list[list[KernelInference]], xy: FloatArray, extent_m: float) -> WeightedKernels:
     """The points that stand for all families, models and warps that count."""
-    axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
-    places = np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
+    places = _probes(extent_m)
     if len(families) == 1:
         return of_family(families[0], xy, places, predicts=False)
     plain = _of_families(families, xy, places)
@@ -227,12 +237,27 @@ def _weighed(families: list[_Family]) -> list[_Family]:
     return [replace(one, log_weight=float(weight)) for one, weight in zip(families, log_weights, strict=True)]
 
 
+def _probes(extent_m: float) -> FloatArray:
+    """Places (m, 2) [m] all over the site, at which the moments of the kernels are looked at."""
+    axis = (np.arange(PROBES_PER_AXIS) + 0.5) / PROBES_PER_AXIS * extent_m
+    return np.column_stack([values.ravel() for values in np.meshgrid(axis, axis)])
+
+
 def _warps(plain: KernelInference) -> list[Warp]:
-    """The warps that are looked at: none where the field has a trend from orbit, which is one in ppb."""
-    fitted, problem = plain.fitted, plain.posterior.likelihood
+    """The warps that are looked at."""
+    values = _values_of_any_kind(plain)
+    return [] if values is None else warps_to_try(values, plain.fitted.noise_std_ppb)
+
+
+def _values_of_any_kind(plain: KernelInference) -> FloatArray | None:
+    """The samples (n,) [ppb] of a field that may be skewed, or uneven.
+
+    None where it has a trend from orbit: that is one in ppb, and so is what remains.
+    """
+    fitted = plain.fitted
     if not isinstance(fitted.trend, UnknownConstant | UnknownLevel):
-        return []
-    return warps_to_try(fitted.mean_ppb + fitted.scale_ppb * problem.z, fitted.noise_std_ppb)
+        return None
+    return fitted.mean_ppb + fitted.scale_ppb * plain.posterior.likelihood.z
 
 
 def _mixed(families: list[list[KernelInference]], xy: FloatArray, extent_m: float) -> Hyperparameters:
@@ -246,14 +271,14 @@ def _mixed(families: list[list[KernelInference]], xy: FloatArray, extent_m: floa
     noises = points.noises[chosen]
     warps = tuple(points.warps[number] for number in chosen)
     fitted = replace(fitted, alternatives=alternatives, warps=warps if any(warps) else ())
-    if np.all(noises == guide.posterior.likelihood.noise):
+    if not np.all(noises == guide.posterior.likelihood.noise):
+        stds = fitted.scale_ppb * np.sqrt(noises)
+        noise_std_ppb = float(np.sqrt(shares @ stds**2))
+        fitted = replace(fitted, noise_std_ppb=noise_std_ppb, noises_ppb=tuple(float(std) for std in stds))
+    values = _values_of_any_kind(guide) if len(families) > 1 else None
+    if values is None:
         return fitted
-    stds = fitted.scale_ppb * np.sqrt(noises)
-    return replace(
-        fitted,
-        noise_std_ppb=float(np.sqrt(shares @ stds**2)),
-        noises_ppb=tuple(float(std) for std in stds),
-    )
+    return with_local_members(fitted, xy, values, extent_m, _probes(extent_m), COMPONENTS)
 
 
 def _with_layers(

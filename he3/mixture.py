@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from he3.local_amplitude import even_kernel
+
 if TYPE_CHECKING:
     from he3.frames import FloatArray
     from he3.gp import GaussianProcess
@@ -44,12 +46,13 @@ def alone(hyperparameters: Hyperparameters) -> Hyperparameters:
 def heaviest_of(hyperparameters: Hyperparameters) -> Hyperparameters:
     """The process of the greatest weight alone, for planners: of those without a warp, if there are any.
 
-    Else without its warp, so that planners weigh the latent field. The hyperparameters themselves if there are no
-    others.
+    Else without its warp, so that planners weigh the latent field; and always without a local amplitude, which they do
+    not know. The hyperparameters themselves if there are no others.
     """
     each = alternatives_of(hyperparameters)
     plain = [one for one in each if one[1].warp is None]
-    return replace(max(plain or each, key=lambda one: one[0])[1], warp=None)
+    heaviest = max(plain or each, key=lambda one: one[0])[1]
+    return replace(heaviest, kernel=even_kernel(heaviest.kernel), warp=None)
 
 
 def mixture_moments(

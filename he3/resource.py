@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 
 from he3.errors import InvalidInput
+from he3.local_amplitude import LocallyScaled, even_kernel
 from he3.mixture import ProcessMixture, mixture_moments
 
 if TYPE_CHECKING:
@@ -145,10 +146,16 @@ def _nodes(grid: SiteGrid, area: BoolArray, block: int) -> tuple[FloatArray, Flo
     return np.column_stack((x, y)), counts / counts.sum()
 
 
-def _pairs_at_lags(grid: SiteGrid, area: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How many pairs of the area's cells lie at each lag (N, M), and the lags north (N, 1) and east (1, M) [m]."""
+def _pairs_at_lags(
+    grid: SiteGrid, area: BoolArray, weights: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How many pairs of the area's cells lie at each lag (N, M), and the lags north (N, 1) and east (1, M) [m].
+
+    weights: of the cells of the area, (rows, columns); a pair then counts as the product of its two. None: all are 1.
+    """
     rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
-    mask = area[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(np.float64)
+    counted = area.astype(np.float64) if weights is None else np.where(area, weights, 0.0)
+    mask = counted[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     shape = tuple(next_fast_len(2 * size, real=True) for size in mask.shape)
     spectrum = rfft2(mask, shape)
     pairs = np.maximum(irfft2(spectrum * spectrum.conj(), shape), 0.0)
@@ -166,8 +173,11 @@ def _prior_variance(
 ) -> float:
     """w' K w over all pairs of cells, in standardised units. pairs and lags [m]: those of ``_pairs_at_lags``."""
     hyperparameters = process.hyperparameters
-    kernel = hyperparameters.kernel
+    kernel = even_kernel(hyperparameters.kernel)
     covariance = kernel.of_squared_distance(kernel.squared_length(east_m, north_m))
+    if isinstance(hyperparameters.kernel, LocallyScaled):
+        amplitude = hyperparameters.kernel.amplitude.at(grid.points()).reshape(grid.shape)
+        pairs, _, _ = _pairs_at_lags(grid, area, amplitude)
     total: float = float((pairs * covariance).sum()) / float(area.sum()) ** 2
     basis = hyperparameters.trend_basis(grid.points()[area.ravel()])
     if basis is not None:

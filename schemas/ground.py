@@ -41,7 +41,8 @@ class WeightedKernel(Wire):
     name: Text | None = Field(default=None, exclude_if=is_none)
     """None where it is of the same name as the kernel in use."""
     parameters: dict[str, float]
-    """Those that a kernel of its name has, and ``stretch`` and ``bearing_deg`` where it has two lengths."""
+    """Those that a kernel of its name has; ``stretch`` and ``bearing_deg`` where it has two lengths; ``amplitude_...``
+    where it varies more in some parts of the site than in others (``he3.local_amplitude``)."""
     noise_std_ppb: float | None = Field(default=None, exclude_if=is_none)
     """None where the noise is that of the kernel in use."""
     warp: FieldWarp | None = Field(default=None, exclude_if=is_none)

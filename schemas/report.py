@@ -71,7 +71,7 @@ class ClosedGroundReport(Wire):
 
 
 class LearnedReport(Wire):
-    """What the samples showed of the instrument's noise, of a field's two lengths, and of its skew."""
+    """What the samples showed of the instrument's noise, of a field's two lengths, of its skew and of uneven parts."""
 
     noise_std_ppb: float
     """Standard deviation of the noise that the map counts, over all kernels of the mixture."""
@@ -86,6 +86,8 @@ class LearnedReport(Wire):
     """Where a skewed field varies more; None where the samples do not speak for a skew."""
     skewed_weight: Annotated[float, Field(ge=0, le=1)] | None = Field(default=None, exclude_if=is_none)
     """Weight of the kernels of such a field; None as above."""
+    uneven_weight: Annotated[float, Field(ge=0, le=1)] | None = Field(default=None, exclude_if=is_none)
+    """Weight of the kernels of a field that varies more in some parts than in others; None if it is small."""
 
 
 class MissionReport(Wire):

@@ -177,7 +177,7 @@ class GridPosterior:
         return self._tiled.in_tile_order(self.grid.points())
 
     def _prior_sums(self) -> PosteriorSums:
-        points = None if self.hyperparameters.trend is None else self._points()
+        points = self._points() if PosteriorSums.needs_points(self.hyperparameters) else None
         return PosteriorSums.prior(self.hyperparameters, points, self._tiled.cells)
 
     def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike) -> tuple[GaussianProcess, FloatArray, FloatArray]:

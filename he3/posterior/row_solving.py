@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas
 
 from he3.kernels import Kernel, SmoothPlusRough, SquaredExponential, Stretched
+from he3.local_amplitude import LocallyScaled
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray, SiteGrid
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from he3.posterior.screening import RowBlock
     from he3.posterior.tiles import Tile, TiledGrid
 
+_BY_PLACES = Stretched, LocallyScaled  # kernels that are no functions of east^2 + north^2
 _ROWS_TO_SOLVE = 128  # rows solved for together; more waste time in the triangle, fewer in the product [measured]
 
 
@@ -45,8 +47,8 @@ def solve_rows(
     for first in range(0, len(process), _ROWS_TO_SOLVE):
         last = min(first + _ROWS_TO_SOLVE, len(process))
         work = np.empty((last - first, part.size), dtype=dtype)
-        if isinstance(kernel, Stretched):
-            _stretched_on_cells(kernel, process.places_m[first:last], grid.x_m[part.columns], grid.y_m[part.rows], work)
+        if isinstance(kernel, _BY_PLACES):
+            _by_places_on_cells(kernel, process.places_m[first:last], grid.x_m[part.columns], grid.y_m[part.rows], work)
         else:
             covariance_on_cells(kernel, dx2[first:last], dy2[first:last], work)
         for before, rows in solved_before:
@@ -60,10 +62,10 @@ def solve_rows(
 
 def fill_covariance(kernel: Kernel, place_m: FloatArray, tiled: TiledGrid, out: NDArray[np.floating]) -> None:
     """Write the kernel between one place (2,) [m] and all cells, in tile order, into out (cells,)."""
-    if isinstance(kernel, Stretched):
+    if isinstance(kernel, _BY_PLACES):
         x, y = tiled.grid.x_m, tiled.grid.y_m
         for tile in tiled.tiles:
-            _stretched_on_cells(kernel, place_m[None, :], x[tile.columns], y[tile.rows], out[None, tile.cells])
+            _by_places_on_cells(kernel, place_m[None, :], x[tile.columns], y[tile.rows], out[None, tile.cells])
         return
     dx2 = squared_offsets(place_m[None, :], tiled.grid.x_m, 0, out.dtype)
     dy2 = squared_offsets(place_m[None, :], tiled.grid.y_m, 1, out.dtype)
@@ -102,16 +104,15 @@ def covariance_on_cells(
         shaped[...] = _of_squared_distance(kernel, dy2[:, :, None] + dx2[:, None, :])
 
 
-def _stretched_on_cells(
-    kernel: Stretched, places_m: FloatArray, x_m: FloatArray, y_m: FloatArray, out: NDArray[np.floating]
+def _by_places_on_cells(
+    kernel: Kernel, places_m: FloatArray, x_m: FloatArray, y_m: FloatArray, out: NDArray[np.floating]
 ) -> None:
     """Write the kernel between k places (k, 2) and the cells at x (columns,) and y (rows,) [m] into out (k, cells).
 
     In float64: only the coarse maps of a mixture have such kernels.
     """
-    east = (places_m[:, 0, None] - x_m)[:, None, :]
-    north = (places_m[:, 1, None] - y_m)[:, :, None]
-    out[...] = kernel.of_squared_distance(kernel.squared_length(east, north)).reshape(out.shape)
+    x, y = np.meshgrid(x_m, y_m)
+    out[...] = kernel.covariance(places_m, np.column_stack((x.ravel(), y.ravel())))
 
 
 def _of_squared_distance(kernel: Kernel, r2: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from he3.frames import FloatArray, IntArray
+from he3.local_amplitude import LocallyScaled, prior_variance_at
 from he3.trend import TrendOnCells
 
 if TYPE_CHECKING:
@@ -34,15 +35,23 @@ class PosteriorSums:
 
     @classmethod
     def prior(cls, hyperparameters: Hyperparameters, points_m: FloatArray | None, cells: int) -> PosteriorSums:
-        """The sums before any sample. points_m: the cells' centres (cells, 2) [m], needed with a trend only."""
+        """The sums before any sample. points_m: the cells' centres (cells, 2) [m]; see ``needs_points``."""
         trend = None
         if hyperparameters.trend is not None:
             assert points_m is not None
             basis = hyperparameters.trend_basis(points_m)
             assert basis is not None
             trend = TrendOnCells(basis.T.copy(), np.empty((0, basis.shape[1])))
-        variance = np.full(cells, hyperparameters.kernel.prior_variance, dtype=np.float64)
-        return cls(np.zeros(cells), variance, trend)
+        kernel = hyperparameters.kernel
+        if isinstance(kernel, LocallyScaled):
+            assert points_m is not None
+            return cls(np.zeros(cells), prior_variance_at(kernel, points_m), trend)
+        return cls(np.zeros(cells), np.full(cells, kernel.prior_variance, dtype=np.float64), trend)
+
+    @staticmethod
+    def needs_points(hyperparameters: Hyperparameters) -> bool:
+        """Whether the sums before any sample differ from place to place."""
+        return hyperparameters.trend is not None or isinstance(hyperparameters.kernel, LocallyScaled)
 
     def add_row(self, number: int, row: RowBlock, whitened: float, cells: slice) -> None:
         """Add one row (k,) on some of the cells. whitened: the sample's whitened residual."""

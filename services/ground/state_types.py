@@ -14,6 +14,7 @@ from he3.gp import GaussianProcess, Hyperparameters
 from he3.hyperprior import Hyperprior
 from he3.intervals import Intervals
 from he3.kernels import Matern12, Matern32, Matern52, SmoothPlusRough, SquaredExponential, Stretched
+from he3.local_amplitude import LocalAmplitude, LocallyScaled
 from he3.posterior.grid import PosteriorMap
 from he3.trend import CovariateTrend, UnknownConstant, UnknownLevel
 from he3.warping import Warp
@@ -45,6 +46,8 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     Intervals,
     KeepOutArea,
     LinkConditions,
+    LocalAmplitude,
+    LocallyScaled,
     LogEntry,
     MapRegion,
     MapScore,

@@ -1,16 +1,18 @@
-"""What the samples showed of the instrument's noise, of a field's two lengths, and of its skew, for the report."""
+"""What the samples showed of the instrument's noise, and of a field's two lengths, skew and uneven parts."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Literal
 
 from he3.kernels import BEARING, STRETCH
+from he3.local_amplitude import AMPLITUDE_EXTENT
 from schemas.report import LearnedReport
 
 if TYPE_CHECKING:
     from schemas.ground import KernelParameters
 
 LEAST_SKEWED = 0.5  # 1, weight of the kernels of a skewed field from which it is told; before any sample it is 0.23
+LEAST_UNEVEN = 1.0 / 3.0  # 1, the same of uneven parts, which have two thirds of the weight at most
 SIDES: Final[tuple[tuple[Literal["high", "low"], int], ...]] = (("high", 1), ("low", -1))
 
 
@@ -20,7 +22,10 @@ def learned(kernel: KernelParameters | None, stated_noise_std_ppb: float) -> Lea
         return None
     stretched = [each for each in kernel.alternatives or () if STRETCH in each.parameters]
     where, skewed_weight = _skewed(kernel)
-    if not stretched and where is None and kernel.noise_std_ppb <= stated_noise_std_ppb:
+    uneven = sum(each.weight for each in kernel.alternatives or () if AMPLITUDE_EXTENT in each.parameters)
+    uneven_weight = min(1.0, uneven) if uneven >= LEAST_UNEVEN else None
+    quiet = kernel.noise_std_ppb <= stated_noise_std_ppb
+    if not stretched and where is None and uneven_weight is None and quiet:
         return None
     heaviest = max(stretched, key=lambda each: each.weight).parameters if stretched else {}
     return LearnedReport(
@@ -31,6 +36,7 @@ def learned(kernel: KernelParameters | None, stated_noise_std_ppb: float) -> Lea
         bearing_deg=heaviest.get(BEARING),
         varies_more_where=where,
         skewed_weight=skewed_weight,
+        uneven_weight=uneven_weight,
     )
 
 

@@ -114,4 +114,8 @@ def _learned(report: MissionReport) -> list[tuple[str, str]]:
         parts.append(
             f"the field varies more where it is {found.varies_more_where} ({found.skewed_weight:.0%} of the mixture)"
         )
+    if found.uneven_weight is not None:
+        parts.append(
+            f"the field varies more in some parts of the site than in others ({found.uneven_weight:.0%} of the mixture)"
+        )
     return [("learned", "; ".join(parts))]

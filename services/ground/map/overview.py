@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import kernel_from
+from he3.local_amplitude import site_kernel_from
 from he3.trend import UnknownConstant, UnknownLevel, unknown_level
 from he3.warping import Warp
 from schemas.ground import (
@@ -107,7 +108,7 @@ def hyperparameters_from(kernel: KernelParameters) -> Hyperparameters:
         kernel.scale_ppb,
         trend=None if kernel.mean_std_ppb is None else unknown_level(kernel.mean_std_ppb, kernel.level_extent_m or 0.0),
         alternatives=tuple(
-            (each.weight, kernel_from(each.name or kernel.name, each.parameters)) for each in alternatives
+            (each.weight, site_kernel_from(each.name or kernel.name, each.parameters)) for each in alternatives
         ),
         noises_ppb=tuple(each.noise_std_ppb for each in alternatives if each.noise_std_ppb is not None),
         trend_shares=kernel.trend_shares or (),

@@ -13,6 +13,7 @@ from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
 from he3.kernels import AUTO, KERNELS, Kernel, Stretched
+from he3.local_amplitude import LocalAmplitude, LocallyScaled, modes
 from he3.mixture import ProcessMixture
 from he3.trend import CovariateTrend, orbital_trend
 from he3.warping import Warp
@@ -216,7 +217,15 @@ def test_a_map_that_is_asked_for_once_is_to_the_byte_the_one_that_was_asked_for_
     np.testing.assert_array_equal(asked.process.factor, watched.process.factor)
 
 
-@pytest.mark.parametrize("kernel", [*(kind() for kind in KERNELS.values()), Stretched(KERNELS["se"](), 2.0, 40.0)])
+UNEVEN = LocallyScaled(
+    KERNELS["matern12"](), LocalAmplitude(GRID.extent_m, tuple(0.1 * j - 0.2 * k for j, k in modes()))
+)
+
+
+@pytest.mark.parametrize(
+    "kernel", [*(kind() for kind in KERNELS.values()), Stretched(KERNELS["se"](), 2.0, 40.0), UNEVEN],
+    ids=lambda kernel: f"{type(kernel).__name__}",
+)  # fmt: skip
 def test_a_mixture_with_any_kernel_is_kept_and_restored(kernel: Kernel) -> None:
     """The journal keeps the result of a fit before the node sees it, and a checkpoint the belief that adopted it."""
     belief, restored = belief_of(observations(10)), Belief(GRID, "matern52", NOISE)

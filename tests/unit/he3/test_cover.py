@@ -11,6 +11,7 @@ from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import GaussianProcess, Hyperparameters
 from he3.kernels import Kernel, Matern12, Matern52, SmoothPlusRough, SquaredExponential, Stretched
+from he3.local_amplitude import LocalAmplitude, LocallyScaled, modes
 from he3.trend import UnknownConstant
 
 GRID = SiteGrid(20, 30, 10.0)
@@ -29,6 +30,7 @@ KERNELS = [
     Matern52(1.0, 60.0),
     SmoothPlusRough(),
     Stretched(SquaredExponential(1.0, 60.0), 2.0, 30.0),
+    LocallyScaled(Matern52(1.0, 60.0), LocalAmplitude(300.0, tuple(0.4 / (1 + j + k) for j, k in modes()))),
 ]
 
 

@@ -137,6 +137,16 @@ def test_the_report_tells_what_was_learned_of_noise_and_lengths_and_nothing_wher
     assert not any(line.startswith("learned") for line in summary_lines(report()))
 
 
+def test_the_report_tells_that_a_field_is_uneven_where_much_of_the_mixture_says_so() -> None:
+    even = WeightedKernel(weight=0.5, parameters={"variance": 1.0, "length_scale_m": 60.0})
+    uneven = even.model_copy(update={"parameters": {**even.parameters, "amplitude_extent_m": 500.0}})
+    account = learned(kernel(0.1, even, uneven), 0.1)
+    made = report().model_copy(update={"learned": account})
+    told = "learned       the field varies more in some parts of the site than in others (50% of the mixture)"
+    assert told in summary_lines(made)
+    assert learned(kernel(0.1, even, uneven.model_copy(update={"weight": 0.3})), 0.1) is None
+
+
 def test_the_report_tells_that_a_field_is_skewed_where_most_of_the_mixture_says_so() -> None:
     plain = WeightedKernel(weight=0.25, parameters={"variance": 1.0, "length_scale_m": 60.0})
 

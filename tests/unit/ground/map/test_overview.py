@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from he3.gp import Hyperparameters
 from he3.kernels import Matern12, Matern32, SmoothPlusRough, Stretched
+from he3.local_amplitude import LocalAmplitude, LocallyScaled, modes
 from he3.trend import UnknownConstant, UnknownLevel
 from he3.warping import Warp
 from schemas.ground import KernelParameters
@@ -42,6 +43,13 @@ def test_an_operator_sees_the_warp_of_each_kernel() -> None:
         )  # fmt: skip
         assert seen(own) == replace(own, log_likelihood=seen(own).log_likelihood)
     assert "warp" not in kernel_parameters(replace(own, warps=())).model_dump_json()
+
+
+def test_an_operator_sees_where_a_field_varies_more() -> None:
+    amplitude = LocalAmplitude(500.0, tuple(0.1 * j - 0.3 * k for j, k in modes()))
+    uneven = tuple((weight, LocallyScaled(kernel, amplitude)) for weight, kernel in ALTERNATIVES)
+    own = Hyperparameters(Matern32(0.8, 70.0), 0.2, 7.5, 1.5, trend=UnknownConstant(4.0), alternatives=uneven)
+    assert seen(own) == replace(own, log_likelihood=seen(own).log_likelihood)
 
 
 def test_an_operator_sees_how_the_level_varies() -> None:
