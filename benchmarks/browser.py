@@ -31,7 +31,7 @@ FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
     "--disable-background-networking", "--disable-sync",
 )  # fmt: skip
-"""A browser without a screen that speaks to nobody by itself."""
+"""No window, and no requests of the browser's own."""
 
 _PR_SET_CHILD_SUBREAPER = 36  # Linux, prctl(2)
 

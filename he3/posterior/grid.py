@@ -97,7 +97,7 @@ class GridPosterior:
         posterior = cls(grid, hyperparameters, threads=threads)
         posterior._rows_known = followed
         posterior._take(*posterior._conditioned(as_points(np.asarray(xy_m, dtype=np.float64)), values_ppb))
-        assert len(posterior.process) == len(posterior)  # many samples at once may be too much for a factor: said here
+        posterior._catch_up()  # many samples at once may be too much for a factor: that is said here
         posterior._recompute()
         posterior._ensure_precision(slice(None))
         return posterior
@@ -113,12 +113,7 @@ class GridPosterior:
     @property
     def process(self) -> GaussianProcess:
         """The belief as an immutable process, which predicts at any place and does not change with later samples."""
-        if self.hyperparameters.trend is None and self._not_in_process:
-            self._process = self._without_trend.without_room()
-        else:
-            for places, values in self._not_in_process:
-                self._process = self._process.condition(places, values)
-        self._not_in_process = []
+        self._catch_up()
         return self._process
 
     @property
@@ -179,6 +174,15 @@ class GridPosterior:
     def _prior_sums(self) -> PosteriorSums:
         points = self._points() if PosteriorSums.needs_points(self.hyperparameters) else None
         return PosteriorSums.prior(self.hyperparameters, points, self._tiled.cells)
+
+    def _catch_up(self) -> None:
+        """Take the samples into the process with the trend that it has not yet."""
+        if self.hyperparameters.trend is None and self._not_in_process:
+            self._process = self._without_trend.without_room()
+        else:
+            for places, values in self._not_in_process:
+                self._process = self._process.condition(places, values)
+        self._not_in_process = []
 
     def _conditioned(self, xy: FloatArray, values_ppb: ArrayLike) -> tuple[GaussianProcess, FloatArray, FloatArray]:
         """The process without the trend with more samples, and their places and values [ppb]."""
