@@ -13,8 +13,8 @@ the constant alone, which no part is quiet or rough for. The amplitude in use is
 of what the posterior makes of its square: a part of which little is known may vary more than the mode says.
 
 The member's weight is shared. That of the local one has prior odds of ``ODDS``, times the evidence to the power of
-``POWER``, since neighbouring samples are no independent witnesses of how much a part varies. It is at most ``MOST``: of
-a quiet part without a peak no few samples show that there is none.
+``POWER``, since neighbouring samples are no independent witnesses of how much a part varies. It is at most ``MOST``: a
+few samples of a quiet part do not show that it has no peak.
 
 Shapes, odds, power and limits were chosen on sets of samples of quarters of two SRTM pieces, of a part of Walker Lake,
 of six pieces of the lunar LDEM_4, and of heights and slopes of Apollo 17. [measured: docs/scenarios.md]
