@@ -35,6 +35,7 @@ from benchmarks.exam_methods import METHODS, Asked, Settings, Survey, with_neede
 from benchmarks.exam_scores import mean_and_interval, scores
 from benchmarks.flights import conditions, expect_open
 from benchmarks.missions import SAMPLES_A_ROUND
+from benchmarks.peer_environments import PeerEnvironment
 from benchmarks.tasks import Tasks, progress
 from he3.errors import He3Error, InvalidInput
 from he3.kernels import AUTO, KERNELS
@@ -88,6 +89,9 @@ def run(
         expect_open(load_field(name, data, noise).region, settings.start_m)
     missing = [name for name in methods if not _installed(name)]
     flown = [name for name in METHODS if name in methods and name not in missing]
+    if not flown:
+        for peer in _peers_of(missing):
+            peer.python()  # says what is missing, and how it is installed
     kept = Kept(json, {**asdict(settings), "noise": noise})
     tasks = [Task(name, data, noise, settings, seed, tuple(flown), kept.of(name, seed))
              for seed in range(1, seeds + 1) for name in names]  # fmt: skip
@@ -119,7 +123,12 @@ def run(
 
 def _installed(name: str) -> bool:
     """Whether there is the software that a method needs, and the methods before it."""
-    return all(peer.installed for each in with_needed([name]) if (peer := METHODS[each].peer) is not None)
+    return all(peer.installed for peer in _peers_of([name]))
+
+
+def _peers_of(methods: Sequence[str]) -> list[PeerEnvironment]:
+    """The environments that methods need, and the methods before them."""
+    return [peer for each in with_needed(methods) if (peer := METHODS[each].peer) is not None]
 
 
 def _settings(samples: int, start: Sequence[float], budget: float | None, kernel: str, belief: str) -> Settings:

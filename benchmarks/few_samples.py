@@ -78,11 +78,16 @@ def run(
     rounds: of 5 samples, of each mission. variations: of each field, the first of which has the number `first`.
     engine, store: as `he3 campaign run` takes them. Raises InvalidInput for names and numbers that do not fit.
     """
-    if min(variations, first, jobs) < 1 or not planners or not rounds or min(rounds) < 1:
-        raise InvalidInput(
-            f"expected one planner, round, variation and job at least, and a first variation of 1 or more; "
-            f"got {len(planners)}, {min(rounds, default=0)}, {variations}, {jobs} and {first}"
-        )
+    for name, least in (
+        ("variations", variations),
+        ("first", first),
+        ("jobs", jobs),
+        ("rounds", min(rounds, default=0)),
+    ):
+        if least < 1:
+            raise InvalidInput(f"--{name}: expected 1 or more, got {least}")
+    if not planners:
+        raise InvalidInput("--planners: expected one planner or more, got none")
     if kernel not in (*KERNELS, AUTO):
         raise InvalidInput(f"expected a kernel among {', '.join((*KERNELS, AUTO))}; got {kernel!r}")
     for planner in planners:

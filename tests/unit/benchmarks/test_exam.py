@@ -98,6 +98,12 @@ def test_the_same_command_goes_on_and_adds_what_is_new(data, tmp_path, monkeypat
         exam.run(data, methods=("random",), **{**asked, "kernel": "se"})
 
 
+def test_an_exam_of_methods_that_are_all_missing_says_how_to_install_them(monkeypatch):
+    monkeypatch.setenv("HE3_PEERS_PYTHON", "/nonexistent")
+    with pytest.raises(InvalidInput, match="SGP-Tools needs a separate environment, expected its interpreter at /none"):
+        exam.run(fields=("t1",), methods=("tour-matched",), seeds=1)
+
+
 def test_a_budget_holds_for_a_cover_too(data):
     settings = Settings(samples=10, kernel="matern52", likeliest=True, budget_m=40.0, start_m=(20.5, 15.5))
     survey = METHODS["hexagonal"].fly(Asked(load_field("waves.npy", data), settings, seed=1))

@@ -142,9 +142,10 @@ def test_missions_that_ended_early_are_told() -> None:
 @pytest.mark.parametrize(
     ("asked", "why"),
     [
-        ({"variations": 0}, "expected one planner"),
-        ({"first": 0}, "a first variation of 1 or more"),
-        ({"rounds": ()}, "expected one planner"),
+        ({"variations": 0}, "--variations: expected 1 or more, got 0"),
+        ({"first": 0}, "--first: expected 1 or more, got 0"),
+        ({"rounds": ()}, "--rounds: expected 1 or more, got 0"),
+        ({"planners": ()}, "--planners: expected one planner or more, got none"),
         ({"kernel": "cubic"}, "expected a kernel among"),
         ({"planners": ("teleport",)}, "expected planners among|teleport"),
         ({"fields": ("nowhere",)}, "expected fields out of t1, t2"),
