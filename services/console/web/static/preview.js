@@ -56,5 +56,7 @@ export function forgetPreview() {
   toast("The page has connected anew: nothing was sent", true);
 }
 
+// The second click of the double click that has opened the dialog may come at one of its controls: it decides nothing.
+dialog.addEventListener("click", (event) => { if (event.detail > 1) { event.stopPropagation(); event.preventDefault(); } }, true);
 button.addEventListener("click", () => dialog.close("send"));
 $("preview-close").addEventListener("click", () => dialog.close(""));
