@@ -129,6 +129,8 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
         get("/api/plan", partial(_plan, hub)),
         get("/api/rehearsal", partial(_rehearsal, hub)),
         *(post(f"/api/{name}", partial(answer, hub), roles) for name, (answer, roles) in posted.items()),
+        # Browsers ask for it by this name where they show a file instead of the page.
+        Route("/favicon.ico", lambda _: FileResponse(STATIC / "icon.svg")),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     return Starlette(
