@@ -56,9 +56,11 @@ def endpoints() -> Endpoints:
 @pytest.fixture(scope="module")
 def launcher(endpoints: Endpoints, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Launcher]:
     logs = tmp_path_factory.mktemp("logs")
-    quick = ("--set", "rover.drill_s_per_m=600.0", "--set", "rover.analysis_s=30.0", "--set", "rover.speed_m_s=2.0")
+    # Rounds of ten seconds, and so many that the mission outlasts the tests on a machine of any speed.
+    quick = ("rover.drill_s_per_m=600.0", "rover.analysis_s=30.0", "rover.speed_m_s=2.0", "rounds=400")
+    flags = [word for setting in quick for word in ("--set", setting)]
     scenario = Path(__file__).parents[2] / "deploy" / "scenarios" / "t1-paper.toml"
-    with Launcher(scenario, endpoints, ("--rate", str(RATE), *quick), logs=logs) as launcher:
+    with Launcher(scenario, endpoints, ("--rate", str(RATE), *flags), logs=logs) as launcher:
         yield launcher
 
 
@@ -442,7 +444,10 @@ def still(driver: Any) -> None:
 
 def decide(driver: Any, key: str) -> None:
     """Press that key once the preview of a command can be sent."""
-    until(lambda: script(driver, "return document.activeElement.id") == "preview-send", "the preview")
+    until(
+        lambda: script(driver, "return document.activeElement.id") == "preview-send",
+        lambda: f"Send; the preview says {written(driver, '#preview')!r}, the page {written(driver, '#toast')!r}",
+    )
     driver.switch_to.active_element.send_keys(key)
 
 
@@ -581,6 +586,12 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     assert (bool(ours), elsewhere) == (True, [])
 
 
+def test_the_icon_is_found_by_the_name_that_browsers_ask_for(address: str) -> None:
+    status, icon = get(f"{address}favicon.ico")
+    assert (status, icon) == (200, get(f"{address}static/icon.svg")[1])
+    assert b"<svg" in icon
+
+
 def test_a_double_click_sends_once_and_reaches_no_control_that_moves_under_the_pointer(
     browser: Any, mission: MissionClient
 ) -> None:
@@ -597,10 +608,18 @@ def test_a_double_click_sends_once_and_reaches_no_control_that_moves_under_the_p
     deliberately(browser, ActionChains(browser).double_click(keep_out).perform)
     decide(browser, ENTER)
     until(lambda: new() == ["set_keep_out"], "the keep-out at the ground")
+    # Nor does the second click close the preview where its control not to send lies under the pointer.
+    script(
+        browser,
+        "const box = document.querySelector('[data-command=pause]').getBoundingClientRect();"
+        "const close = document.getElementById('preview-close');"
+        "close.style = `position: fixed; left: ${box.left}px; top: ${box.top}px; width: ${box.width}px;`",
+    )
     pause = browser.find_element("css selector", "[data-command=pause]")
     deliberately(browser, ActionChains(browser).double_click(pause).perform)
     decide(browser, ENTER)
     until(lambda: new() == ["set_keep_out", "pause"], "one pause")
+    script(browser, "document.getElementById('preview-close').style = ''")
     # A click comes at a control that was moved in that moment: it is not sent, and the page says so.
     still(browser)
     text = script(
@@ -1082,7 +1101,7 @@ def test_a_page_that_is_not_seen_draws_nothing_and_shows_the_present_when_it_is_
         "window.kept = []; window.real = requestAnimationFrame;"
         "window.requestAnimationFrame = (draw) => window.kept.push(draw)",  # a browser does so with a hidden page
     )
-    until(lambda: script(browser, "return kept.length") == 1, "the frame that the page waits for")
+    until(lambda: script(browser, "return kept.length") > 0, "the frame that the page waits for")
     before, heard = written(browser, "#elapsed"), "it.state.clock.now"
     began = in_module(browser, "state.js", heard)
     until(lambda: in_module(browser, "state.js", heard) > began + 100e9, "what the server sends")
@@ -1389,7 +1408,7 @@ def test_what_was_decided_on_one_mission_is_not_sent_to_another_at_the_same_addr
     places = "it.map.proposal?.samples.map(({x_m, y_m}) => [x_m, y_m]) ?? null"
 
     def planned(mission: MissionClient) -> Any:
-        proposal = until(mission.proposed_plan, "a plan")
+        proposal = until(lambda: proposed(mission), "a plan")
         return proposal.proposal, [[each.x_m, each.y_m] for each in proposal.plan.samples]
 
     with ExitStack() as flown:
