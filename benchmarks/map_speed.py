@@ -11,7 +11,7 @@ Every figure is of the same machine, the same run, the same samples and hyperpar
                         less than its stream_s, which is that of reading all n
     refit_s             new hyperparameters from the last ones (warm start), and the whole map recomputed
     update_map_s        update_s, and mean and standard deviation of every cell as a map (median)
-    mixture_update_s    the same with the uncertainty of the hyperparameters counted (median)
+    mixture_update_s    the same with the uncertainty of the hyperparameters counted, as in a mission (median)
     mixture_refit_s     new hyperparameters with their uncertainty, and the whole map recomputed
     predict_s           the whole map recomputed, mean and standard deviation of every cell
     sklearn_predict_s   the same from scikit-learn, already fitted, in its fastest chunking, on as many threads
@@ -40,11 +40,11 @@ from benchmarks import kept
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.gp import Hyperparameters, fit_hyperparameters
-from he3.hyperposterior import infer_hyperparameters
 from he3.hyperprior import Hyperprior
-from he3.kernels import KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential
+from he3.kernels import AUTO, KERNELS, Kernel, Matern12, SmoothPlusRough, SquaredExponential
 from he3.mixture_posterior import MixturePosterior
 from he3.posterior.grid import GridPosterior
+from services.ground.fitting import FitRequest, fit
 
 SITE = SiteGrid(500, 500, 1.0)
 NOISE_STD_PPB = 0.1
@@ -56,7 +56,7 @@ Row = dict[str, Any]
 
 def run(
     sizes: Sequence[int] = (150, 1000),
-    kernels: Sequence[str] = tuple(KERNELS),
+    kernels: Sequence[str] = (*KERNELS, AUTO),
     json: Path | str | None = None,
     *,
     grid: SiteGrid = SITE,
@@ -133,10 +133,12 @@ def measure(n: int, kernel_name: str, *, grid: SiteGrid, seed: int, threads: int
     read_fraction = statistics.median(read)
     update_map_s = _median(update_with_map, 8)
     start = time.perf_counter()
-    inferred = infer_hyperparameters(
-        places, values, kernel_name, Hyperprior(max(grid.width_m, grid.height_m)), noise_std_ppb=NOISE_STD_PPB,
-        previous=fitted,
-    )  # fmt: skip
+    extent_m = max(grid.width_m, grid.height_m)
+    inferred = fit(
+        FitRequest(
+            places, values, kernel_name, NOISE_STD_PPB, fitted, None, (seed, n), extent_m, prior=Hyperprior(extent_m)
+        )
+    )
     mixture = MixturePosterior(
         grid, inferred, lambda on, of: GridPosterior.build(on, of, places, values, threads=threads)
     )

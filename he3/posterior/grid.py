@@ -264,7 +264,8 @@ class GridPosterior:
                     return
                 task()
 
-        others = [_pool(self._threads - 1).submit(run_waiting) for _ in range(self._threads - 1)]
+        helpers = min(self._threads, len(waiting)) - 1
+        others = [_pool(self._threads - 1).submit(run_waiting) for _ in range(helpers)]
         run_waiting()
         for other in others:
             if not other.cancel():  # one that has not begun is no longer needed
