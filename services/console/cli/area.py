@@ -58,7 +58,7 @@ def list_areas(
     session: Session,
     json: AsJson = False,
 ) -> None:
-    """List the areas."""
+    """List the areas, and say which changes are still on their way to the rover."""
     with session.join() as client:
         areas = client.areas()
     if json:
@@ -91,7 +91,7 @@ def add(
         if not replace:
             expect_new_name(client, kind, name)
         _set(client, area, yes=yes)
-    typer.echo(f"mission '{client.mission}': {kind.value} {name} set")
+    typer.echo(f"mission '{client.mission}': {_said(area, f'{kind.value} {name}', 'set')}")
 
 
 @app.command(epilog=EXAMPLES)
@@ -114,7 +114,9 @@ def rename(
         if objection is not None:
             raise InvalidInput(objection)
         _rename(client, area, changed(area, name=new_name), yes=yes)
-    typer.echo(f"mission '{client.mission}': {area.kind.value} {name} is now {new_name}")
+    typer.echo(
+        f"mission '{client.mission}': {_said(area, f'the new name {new_name} of {area.kind.value} {name}', 'set')}"
+    )
 
 
 @app.command(epilog=EXAMPLES)
@@ -129,7 +131,7 @@ def remove(
     with session.join() as client:
         area = _found(client.areas(), name, kind)
         _remove(client, area, yes=yes)
-    typer.echo(f"mission '{client.mission}': {area.kind.value} {name} removed")
+    typer.echo(f"mission '{client.mission}': {_said(area, f'the removal of {area.kind.value} {name}', 'done')}")
 
 
 def _found(areas: tuple[Area, ...], name: str, kind: str | None) -> Area:
@@ -143,6 +145,11 @@ def _found(areas: tuple[Area, ...], name: str, kind: str | None) -> Area:
     if len(found) > 1:
         raise InvalidInput(f"expected --kind, as a keep-out and an area of interest have the name '{name}'; got none")
     return found[0]
+
+
+def _said(area: Area, change: str, done: str) -> str:
+    """What has become of a change: the ground has it at once, the rover gets a keep-out later."""
+    return f"{change} {done}" if area.weight is not None else f"{change} is on its way to the rover (he3 area list)"
 
 
 def _set(client: MissionClient, area: Area, *, yes: bool) -> None:
@@ -190,10 +197,13 @@ def _command(client: MissionClient, what: dict[str, Any], *, yes: bool) -> None:
 
 
 def area_lines(areas: tuple[Area, ...]) -> list[str]:
-    """The areas in aligned lines of plain text: kind, name, weight, corners."""
+    """The areas in aligned lines of plain text: kind, name, weight, corners, and the state unless it is in force."""
+    from services.console.client.areas import AreaState
+
     width = max((len(area.name) for area in areas), default=0)
     return [
         f"{area.kind.value:<9} {area.name:<{width}}  {'' if area.weight is None else f'weight {area.weight:g}  '}"
         + " ".join(f"{x:g},{y:g}" for x, y in area.polygon_m)
+        + ("" if area.state is AreaState.IN_FORCE else f"  ({area.state.value})")
         for area in areas
     ]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,18 @@ class AreaKind(StrEnum):
     """Its uncertainty counts more, or less, when rounds are planned."""
 
 
+class AreaState(StrEnum):
+    """Whether the rover, as far as Earth knows, has what an operator has sent of the area."""
+
+    IN_FORCE = "in force"
+    ON_ITS_WAY = "on its way to the rover"
+    """The rover has not reported that it keeps out of this outline; new rounds are planned around it already."""
+    UNCONFIRMED = "not confirmed by the rover"
+    """The rover has rejected it, or it expired or was lost on its way; the ground goes on to plan around it."""
+    BEING_REMOVED = "being removed"
+    """The rover has not reported that it may enter the area again."""
+
+
 @dataclass(frozen=True, slots=True)
 class Area:
     """An area that is set, or on its way to the rover."""
@@ -33,11 +45,15 @@ class Area:
     """Corners [m]."""
     weight: float | None = None
     """Of an area of interest."""
+    state: AreaState = AreaState.IN_FORCE
 
     def document(self) -> dict[str, Any]:
         """The area as JSON values."""
         corners = [list(corner) for corner in self.polygon_m]
-        return {"kind": self.kind.value, "name": self.name, "polygon_m": corners, "weight": self.weight}
+        return {
+            "kind": self.kind.value, "name": self.name, "polygon_m": corners, "weight": self.weight,
+            "state": self.state.value,
+        }  # fmt: skip
 
 
 class Areas(Commanding, MapQueries):
@@ -51,9 +67,8 @@ class Areas(Commanding, MapQueries):
         """The areas of one kind."""
         if kind is AreaKind.INTEREST:
             return tuple(Area(kind, each.area_id, each.polygon_m, each.weight) for each in self.set_interest())
-        outlines = {each.area_id: each.polygon_m for each in self.track().keep_outs}
-        outlines.update(commanded_keep_outs(self.commands()))
-        return tuple(Area(kind, name, corners) for name, corners in outlines.items())
+        known = {each.area_id: Area(kind, each.area_id, each.polygon_m) for each in self.track().keep_outs}
+        return tuple(with_commanded(known, self.commands()).values())
 
     def name_objection(self, kind: AreaKind, name: str | None, command_id: str | None = None) -> str | None:
         """One line on why a new area cannot have that name: one of its kind has it. None if it can.
@@ -68,15 +83,26 @@ class Areas(Commanding, MapQueries):
         return f"expected a new name, got that of {of} that is set: {name}"
 
 
-def commanded_keep_outs(commands: Iterable[CommandStatus]) -> dict[str, tuple[Place, ...]]:
-    """Name -> corners [m] of the keep-outs that operators have set and that are, or may come, in force."""
-    found: dict[str, tuple[Place, ...]] = {}
+def with_commanded(known: Mapping[str, Area], commands: Iterable[CommandStatus]) -> dict[str, Area]:
+    """Name -> keep-out: those of the ground's map, changed by the commands that are, or may come, in force.
+
+    known: the keep-outs of the map, which is a moment behind the commands. commands: oldest first.
+    """
+    found = dict(known)
     for status in commands:
         command, end = status.command, status.end
-        if command.area_id is None or (end is not None and end.stage is not CommandStage.COMPLETED):
+        name = command.area_id
+        if name is None:
             continue
-        if command.polygon_m is not None:
-            found[command.area_id] = command.polygon_m
+        if end is not None and end.stage is not CommandStage.COMPLETED:
+            only_known = found.get(name)
+            if only_known is not None and only_known is known.get(name) and only_known.polygon_m == command.polygon_m:
+                found[name] = replace(only_known, state=AreaState.UNCONFIRMED)
+        elif command.polygon_m is not None:
+            state = AreaState.ON_ITS_WAY if end is None else AreaState.IN_FORCE
+            found[name] = Area(AreaKind.KEEP_OUT, name, command.polygon_m, state=state)
         elif end is not None:
-            found.pop(command.area_id, None)
+            found.pop(name, None)
+        elif name in found:
+            found[name] = replace(found[name], state=AreaState.BEING_REMOVED)
     return found

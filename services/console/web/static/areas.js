@@ -135,15 +135,20 @@ const keyOf = (kind, name) => `${kind}:${name}`;
 export function takeInterests({ areas }) { state.interests = areas; showAreas(); }
 whenTrackChanges(showAreas);
 
+const same = (corners, others) => JSON.stringify(corners) === JSON.stringify(others ?? null);
+
 export function showAreas() {
   const keepOuts = new Map();
-  for (const { area_id, polygon_m } of map.track?.keep_outs ?? []) keepOuts.set(area_id, { corners: polygon_m, on: "" });
+  for (const { area_id, polygon_m } of map.track?.keep_outs ?? []) keepOuts.set(area_id, { corners: polygon_m, on: "", map: true });
   // The ground's map is a moment behind the commands.
   if (state.past === null) for (const { command: sent, end } of state.commands.values()) {
-    if (sent.kind !== "set_keep_out" || (end && end !== "completed")) continue;
-    if (sent.polygon_m) keepOuts.set(sent.area_id, { corners: sent.polygon_m, on: end ? "" : "on its way to the rover" });
+    if (sent.kind !== "set_keep_out") continue;
+    const known = keepOuts.get(sent.area_id);
+    if (end && end !== "completed") {
+      if (known?.map && same(known.corners, sent.polygon_m)) known.on = "not confirmed by the rover";
+    } else if (sent.polygon_m) keepOuts.set(sent.area_id, { corners: sent.polygon_m, on: end ? "" : "on its way to the rover" });
     else if (end) keepOuts.delete(sent.area_id);
-    else if (keepOuts.has(sent.area_id)) keepOuts.get(sent.area_id).on = "being removed";
+    else if (known) known.on = "being removed";
   }
   listed = [
     ...[...keepOuts].map(([name, area]) => ({ key: keyOf("keepout", name), kind: "keepout", name, ...area })),
