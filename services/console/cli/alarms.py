@@ -84,11 +84,16 @@ def alarms(
         name, found = _of_mission(session)
     if json:
         document: dict[str, Any] = {"mission": name, "alarms": documents(found.current)}
-        typer.echo(json_format.dumps({**document, "history": documents(found.history)}, indent=2))
+        shelved = [{"kind": kind, "until": until, "by": by} for kind, (until, by) in found.shelved.items()]
+        document |= {"history": documents(found.history), "shelved": shelved}
+        typer.echo(json_format.dumps(document, indent=2))
         return
-    lines = alarm_lines(found.current)
+    lines = alarm_lines(found.current) + _shelved_lines(found)
     if history:
-        lines += ["over:", *(alarm_lines(tuple(reversed(found.history))) or ["  none"])]
+        lines += [
+            "over, and acknowledged or raised again:",
+            *(alarm_lines(tuple(reversed(found.history))) or ["  none"]),
+        ]
     typer.echo("\n".join(lines or [f"mission '{name}': no alarms"]))
 
 
@@ -113,6 +118,23 @@ def alarms_of(client: MissionClient, state: MissionState) -> Alarms:
     return found
 
 
+def _name(kind: str) -> str:
+    """The kind as it is written on the command line and in the documents."""
+    return kind.replace("_", "-")
+
+
+def _shelved_lines(found: Alarms) -> list[str]:
+    """One line for each kind that is shelved without an alarm: the next one of it will need no attention."""
+    from services.console.client.time_format import utc
+
+    raised = {alarm.kind for alarm in found.current}
+    return [
+        f"{'shelved':<9} {_name(kind):<15} until {utc(until, 0)} by {by}; no alarm now"
+        for kind, (until, by) in found.shelved.items()
+        if kind not in raised
+    ]
+
+
 def alarm_lines(found: Sequence[Alarm]) -> list[str]:
     """Alarms in aligned lines of plain text."""
     from services.console.client.time_format import utc
@@ -123,7 +145,7 @@ def alarm_lines(found: Sequence[Alarm]) -> list[str]:
         again = f", {alarm.times} times" if alarm.times > 1 else ""
         ended = "" if alarm.ended_at is None else f" to {utc(alarm.ended_at, 0)}"
         lines.append(
-            f"{alarm.severity.value:<9} {alarm.kind.value:<15} {state:<7} {utc(alarm.raised_at, 0)}{ended}{again}  "
+            f"{alarm.severity.value:<9} {_name(alarm.kind):<15} {state:<7} {utc(alarm.raised_at, 0)}{ended}{again}  "
             f"{alarm.text}"
         )
         if alarm.acknowledged_at is not None:
@@ -186,4 +208,4 @@ def _require(client: MissionClient, kind: str) -> None:
 
     found = alarms_of(client, client.state())
     if not any(alarm.kind.value == kind for alarm in found.current):
-        raise He3Error(f"mission '{client.mission}': there is no alarm {kind.replace('_', '-')} to acknowledge")
+        raise He3Error(f"mission '{client.mission}': there is no alarm {_name(kind)} to acknowledge")

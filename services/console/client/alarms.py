@@ -15,7 +15,7 @@ from schemas.ground import GroundStatus, MissionPhase
 from schemas.mission_log import AlarmAction, AlarmKind, LogEntry, MissionLog
 from schemas.telemetry import EventKind, RoverEvent, RoverMode
 from services.console.client.staleness import STATE_PERIOD_S, stale_after_s
-from services.console.client.time_format import duration
+from services.console.client.time_format import utc
 from services.mission.mission_time import SECOND, MissionTime, seconds
 
 if TYPE_CHECKING:
@@ -101,6 +101,9 @@ class Alarm:
         return {**asdict(self), "acknowledged": self.acknowledged}
 
 
+_RENEWED = (AlarmKind.STALE, AlarmKind.NO_CONTACT, AlarmKind.DEFECT)
+"""Kinds whose text and severity follow the mission's state while they are active."""
+
 _RANKS = {severity: number for number, severity in enumerate(Severity)}
 
 
@@ -129,6 +132,11 @@ class Alarms:
         """The alarms that are over and acknowledged or raised anew since, in the order of their end."""
         return tuple(self._history)
 
+    @property
+    def shelved(self) -> dict[AlarmKind, tuple[MissionTime, str]]:
+        """Until when each shelved kind is shelved, and by whom, whether or not there is an alarm of that kind."""
+        return dict(self._shelved)
+
     def past(self, log: MissionLog) -> None:
         """Take in what the ground has logged before this display joined."""
         for heard in log.events:
@@ -151,8 +159,7 @@ class Alarms:
         empty if there are none.
         """
         found = self._conditions(status, link, now, stale_after_s(state_period_s, link, rate))
-        if defects:  # it stays true for as long as the process runs
-            found[AlarmKind.DEFECT] = (defects, now)
+        found[AlarmKind.DEFECT] = (defects or None), now
         changes = [self._set(kind, text, at, _severity(kind, link)) for kind, (text, at) in found.items()]
         self._looked = True
         changes += [self._unshelve(kind) for kind, (until, _) in list(self._shelved.items()) if until <= now]
@@ -208,18 +215,21 @@ class Alarms:
     def _conditions(
         self, status: GroundStatus | None, link: LinkStatus | None, now: MissionTime, stale_s: float
     ) -> dict[AlarmKind, tuple[str | None, MissionTime]]:
-        """Text of each condition that is known, None where it does not hold, and since when."""
+        """Text of each condition that is known, None where it does not hold, and since when.
+
+        A text stands in the log under the time at which its alarm was raised, so it has no figure that grows older.
+        """
         found: dict[AlarmKind, tuple[str | None, MissionTime]] = {}
         over = status is not None and status.is_over
         if status is not None and status.rover is not None and status.rover_made_at is not None:
             rover, made_at = status.rover, status.rover_made_at
             age_s = (now - made_at) / SECOND
             stale = age_s > stale_s and not over
-            text = f"no report of the rover for {duration(age_s)}" if stale else None
+            text = f"no report of the rover since {utc(made_at, 0)}" if stale else None
             found[AlarmKind.STALE] = text, (made_at + seconds(stale_s) if stale else made_at)
             share = rover.energy_wh / rover.capacity_wh
             if self._is_news(AlarmKind.LOW_ENERGY, made_at):
-                low = f"the rover's battery is at {share:.0%}" if share < LOW_ENERGY_SHARE else None
+                low = f"the rover's battery is below {LOW_ENERGY_SHARE:.0%}" if share < LOW_ENERGY_SHARE else None
                 found[AlarmKind.LOW_ENERGY] = low, made_at
             # The state says it too: the event may still be in flight.
             if self._is_news(AlarmKind.SAFE_MODE, made_at):
@@ -242,12 +252,12 @@ class Alarms:
 
     def _set(self, kind: AlarmKind, text: str | None, at: MissionTime, severity: Severity | None = None) -> bool:
         before = self._alarms.get(kind)
-        active = before is not None and before.active
+        if before is not None and before.active:
+            if text is not None:
+                return self._renew(before, text, severity)
+            self._keep(replace(before, active=False, ended_at=max(at, before.raised_at)))
+            return True
         if text is None:
-            if before is not None and active:
-                self._keep(replace(before, active=False, ended_at=max(at, before.raised_at)))
-            return active
-        if active:
             return False
         times = 1
         if before is not None:  # its cause is gone, and it is not acknowledged
@@ -269,6 +279,17 @@ class Alarms:
             shelved_by=by,
         )
         return True
+
+    def _renew(self, alarm: Alarm, text: str, severity: Severity | None) -> bool:
+        """Give an active alarm the text and the severity of now; returns whether one is another.
+
+        What an event has said of the rover stays: it knows the place and the cause, which the rover's state does not.
+        """
+        if alarm.kind not in _RENEWED:
+            return False
+        renewed = replace(alarm, text=text, severity=severity or alarm.severity)
+        self._alarms[alarm.kind] = renewed
+        return renewed != alarm
 
     def _keep(self, alarm: Alarm) -> None:
         if alarm.acknowledged and not alarm.active:

@@ -6,6 +6,7 @@ from schemas.ground import GroundStatus, MissionPhase
 from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkEvent, LinkStatus
 from schemas.mission_log import AlarmAction, AlarmKind, AlarmMark, HeardEvent, LogEntry, LogKind, MissionLog
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
+from services.console.cli.alarms import _shelved_lines, alarm_lines
 from services.console.client.alarms import Alarms, Severity
 from services.mission.mission_time import SECOND
 
@@ -133,6 +134,38 @@ def test_a_process_that_failed_upon_a_message_raises_an_alarm_that_stays():
     assert (alarm.kind.value, alarm.text, alarm.active) == ("defect", line, True)
 
 
+def test_the_text_of_an_alarm_says_the_same_for_as_long_as_its_cause_is_the_same() -> None:
+    alarms = Alarms()
+    low = status(rover(energy_wh=1000.0))
+    alarms.look(low, link(), START + 600 * SECOND)
+    said = {alarm.kind: alarm.text for alarm in alarms.current}
+    assert said[AlarmKind.STALE] == "no report of the rover since 2030-01-01T00:00:00Z"
+    assert said[AlarmKind.LOW_ENERGY] == "the rover's battery is below 25%"
+    assert not alarms.look(low, link(), START + 9000 * SECOND)
+    alarms.look(status(rover(energy_wh=500.0)), link(), START + 9000 * SECOND)
+    joined_late = Alarms()
+    joined_late.look(low, link(), START + 9000 * SECOND)
+    assert {alarm.kind: alarm.text for alarm in alarms.current} == said
+    assert {alarm.kind: alarm.text for alarm in joined_late.current} == said
+
+
+def test_a_failure_of_a_second_process_is_named_and_the_alarm_ends_with_the_process_that_failed() -> None:
+    alarms = Alarms()
+    alarms.look(None, None, START, defects="ground 1")
+    assert alarms.look(None, None, START + SECOND, defects="ground 1, rover 2")
+    assert [alarm.text for alarm in alarms.current] == ["ground 1, rover 2"]
+    assert alarms.look(None, None, START + 2 * SECOND)
+    assert [(alarm.active, alarm.ended_at) for alarm in alarms.current] == [(False, START + 2 * SECOND)]
+
+
+def test_contact_that_the_schedule_ended_becomes_a_warning_when_a_person_holds_it_off() -> None:
+    alarms = Alarms()
+    alarms.look(None, link(contact=False), START)
+    assert [alarm.severity for alarm in alarms.current] == [Severity.ADVISORY]
+    assert alarms.look(None, link(contact=False, forced=False), START + SECOND)
+    assert [(alarm.severity, alarm.times) for alarm in alarms.current] == [(Severity.WARNING, 1)]
+
+
 def test_what_wants_attention_comes_first_then_what_is_active_then_the_more_severe() -> None:
     alarms = Alarms()
     alarms.happened(event(EventKind.BLOCKED))
@@ -165,6 +198,17 @@ def test_a_shelved_alarm_wants_no_attention_until_its_time_is_over() -> None:
     alarms.logged(marked(AlarmAction.SHELVE, AlarmKind.NO_CONTACT, number=2))
     assert alarms.logged(marked(AlarmAction.UNSHELVE, AlarmKind.NO_CONTACT, number=3))
     assert alarms.current[0].wants_attention
+
+
+def test_a_kind_that_is_shelved_is_listed_without_an_alarm_until_its_time_is_over() -> None:
+    alarms = Alarms()
+    alarms.logged(marked(AlarmAction.SHELVE, AlarmKind.NO_CONTACT))
+    assert _shelved_lines(alarms) == ["shelved   no-contact      until 2030-01-01T00:10:01Z by anna; no alarm now"]
+    alarms.look(None, link(contact=False), START)
+    assert _shelved_lines(alarms) == []  # the alarm itself says so
+    assert alarm_lines(alarms.current)[0].startswith("advisory  no-contact      active")
+    alarms.look(None, link(contact=True), START + 601 * SECOND)
+    assert alarms.shelved == {}
 
 
 def test_a_display_that_joins_late_shows_the_alarms_and_marks_of_before() -> None:
