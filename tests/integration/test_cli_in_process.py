@@ -16,8 +16,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from schemas.codec import encode
+from schemas.ground import InterestArea, InterestList
 from schemas.report import MissionReport
-from schemas.topics import STATE
+from schemas.topics import INTERESTS, MAP_OVERVIEW, STATE
 from services.console.__main__ import main
 from services.recorder.foxglove.derivation import CHANNELS, STEP_PPB
 from services.recorder.reader import Recorded, Recording
@@ -245,6 +247,34 @@ def test_rerun_finds_grid_path_samples_and_rover(first: Path) -> None:
     (scene,) = columns["/rover/path foxglove.SceneUpdate:message"][-1].as_py()
     assert len(scene["entities"][0]["lines"][0]["points"]) > 1
     assert {name.split(" ")[1] for name in columns} >= {"GeoPoints:positions", "TextLog:text", "EncodedImage:blob"}
+
+
+def test_areas_of_interest_are_exported_from_a_recording_as_they_were_in_force(first: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    recording = Recording(first / "mission.mcap")
+    messages = list(recording.messages())
+    revisions = [each for each in messages if each.topic is MAP_OVERVIEW]
+    third = next(each for each in revisions if each.body.revision == 3)
+    corners = ((10.0, 10.0), (60.0, 10.0), (60.0, 60.0))
+    ridge = InterestList(areas=(InterestArea(area_id="ridge", polygon_m=corners, weight=3.0),))
+    changed = tmp_path / "changed.mcap"
+    with changed.open("wb") as stream, RecordingWriter(stream, "short", about=recording.about) as writer:
+        for message in messages:
+            writer.write(message.topic, message.payload, message.received_at, message.header.made_at, 0)
+            if message is third:
+                payload = encode(third.header, ridge)
+                writer.write(INTERESTS, payload, third.received_at, third.header.made_at, 0)
+
+    def exported(*as_of: str) -> list[str]:
+        folder = tmp_path / "-".join(("maps", *as_of))
+        done = he3_here("map", "export", str(folder), "--recording", str(changed), "--quiet", *as_of)
+        assert done.returncode == 0, done.stderr
+        areas = json.loads((folder / "interest_areas.geojson").read_text())["features"]
+        return [area["properties"]["area_id"] for area in areas]
+
+    assert exported() == ["ridge"]
+    assert exported("--as-of", "3") == ["ridge"]
+    assert exported("--as-of", "2") == []
 
 
 def test_the_map_of_a_recording_is_exported_without_a_mission(first: Path, tmp_path: Path) -> None:

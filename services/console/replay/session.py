@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import InvalidInput, NotAllowed, NotFound, NotReady
 from schemas.commands import CommandList
-from schemas.ground import InterestArea, InterestList
+from schemas.ground import InterestList
 from schemas.link import ClockMode, ClockState
 from schemas.mission_log import MAX_ENTRIES, MAX_EVENTS, MAX_MODES, HeardEvent, MissionLog, ModeChange, mode_change
 from schemas.plans import PlanReview
@@ -288,11 +288,4 @@ class RecordedSession(Client):
         if last is not None:
             listed: InterestList = last.body
             return listed
-        scenario = self._tape.evidence.scenario
-        areas = {} if scenario is None else scenario.ground.interests
-        return InterestList(
-            areas=tuple(
-                InterestArea(area_id=name, polygon_m=tuple(area.polygon_m), weight=area.weight)
-                for name, area in areas.items()
-            )
-        )
+        return InterestList(areas=self._tape.evidence.interests_at_first())

@@ -18,7 +18,7 @@ from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
 from schemas.ground import MissionTrack
 from schemas.maps import BELIEF, MapLayer, MapLayerQuery
-from schemas.topics import EVENT, GROUND_STATUS, MAP_OVERVIEW, SAMPLE, STATE
+from schemas.topics import EVENT, GROUND_STATUS, INTERESTS, MAP_OVERVIEW, SAMPLE, STATE
 from services.console.map_export.contents import MapContents, RasterLayer, belief_layer
 from services.console.map_export.region_layers import region_layers
 from services.console.report.verification import TOLERANCE_AFTER_LOSS_PPB, Evidence, RebuiltBelief, difference
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from he3.frames import BoolArray
     from he3.reference import Region
-    from schemas.ground import MapOverview, MapValues
+    from schemas.ground import InterestArea, MapOverview, MapValues
     from schemas.telemetry import RoverEvent
     from services.mission.scenario import Scenario
 
@@ -89,6 +89,7 @@ def recorded_map(
             samples=samples, driven_path_m=snapshot.driven_path_m, planned_path_m=(), score_history=(),
             keep_outs=overview.keep_outs,
         ),
+        interests=evidence.interests_at_first() if facts.interests is None else facts.interests,
         software=software_version(), simulated=facts.simulated, notes=(OF_REPORTS, *notes, *evidence.problems),
     )  # fmt: skip
 
@@ -101,12 +102,19 @@ class _Facts:
         self.events: list[RoverEvent] = []
         self.simulated = False
         """Whether the ground had a reference field to score the map with."""
+        self.interests: tuple[InterestArea, ...] | None = None
+        """The areas of interest when that revision was last shown; None if none had been set until then."""
         recording = Recording(path)
         seen: set[tuple[int, int]] = set()
+        shown = True  # until the next revision came
         for message in recording.messages():
+            body, header = message.body, message.header
+            if message.topic is MAP_OVERVIEW:
+                shown = shown and body.revision <= overview.revision
+            elif message.topic is INTERESTS and shown:
+                self.interests = body.areas
             if message.received_at > overview.mission_time_ns:
                 continue
-            body, header = message.body, message.header
             if message.topic is STATE:
                 self.path.add(header.made_at, (body.x_m, body.y_m))
             elif message.topic is SAMPLE:

@@ -18,6 +18,7 @@ import numpy as np
 from he3.errors import He3Error, InvalidInput
 from he3.frames import Float32Array, SiteGrid
 from he3.trend import CovariateTrend
+from schemas.ground import InterestArea
 from schemas.topics import MAP_OVERVIEW, PLAN, SAMPLE
 from services.ground.belief import Belief
 from services.ground.map.overview import checksum, hyperparameters_from, kernel_parameters, reduced
@@ -141,6 +142,14 @@ class Evidence:
         for message in Recording(self._path).messages():
             if message.topic is MAP_OVERVIEW:
                 yield message.body, message.body.values
+
+    def interests_at_first(self) -> tuple[InterestArea, ...]:
+        """The areas of interest of the scenario, which hold until an operator changes one."""
+        areas = {} if self.scenario is None else self.scenario.ground.interests
+        return tuple(
+            InterestArea(area_id=name, polygon_m=tuple(area.polygon_m), weight=area.weight)
+            for name, area in areas.items()
+        )
 
     def trend(self) -> CovariateTrend | None:
         """The prior mean of the belief, if the scenario has one; raises He3Error if its region is not at hand."""
