@@ -25,6 +25,10 @@ class PeerUnreachable(He3Error):
     """A peer process is not running, or did not reply in time."""
 
 
+class OutcomeUnknown(PeerUnreachable):
+    """A peer was reached and did not reply in time: it may have done what was asked, or may still do it."""
+
+
 class NotFound(He3Error):
     """The request is well formed, but what it names does not exist."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,9 +14,10 @@ from services.console.cli.coordinates import NEGATIVE_NUMBERS, Corners, X, Y, po
 from services.console.cli.flag_groups import FlagGroup, with_flags
 from services.console.cli.options import MAX_WAIT_S, AsJson, checked, one_of, within
 from services.console.cli.session import NamedSession, Session
+from services.console.interruption import Terminated
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from schemas.commands import CommandStage, CommandStatus
     from services.console.client.areas import AreaKind
@@ -144,6 +146,7 @@ def _issue(session: NamedSession, kind: str, what: dict[str, Any], how: Sending,
     """Send the command; `new_area`: it sets an area whose name must be new."""
     from schemas.commands import CommandStage
     from services.console.client.areas import AreaKind
+    from services.console.client.commands import new_command_id
 
     stage = None if how.wait is None else CommandStage(how.wait)
     with session.join() as client:
@@ -155,11 +158,27 @@ def _issue(session: NamedSession, kind: str, what: dict[str, Any], how: Sending,
         if asks(kind, yes=how.yes) and not confirmed(client, client.preview(kind, **what)):
             typer.echo("he3: nothing was sent", err=True)
             raise typer.Exit(1)
-        issued = client.command(kind, expires_in_s=how.expires_in, command_id=how.command_id, **what)
-        status = issued.status if stage is None else issued.wait(stage, how.timeout)
-    sent = f"mission '{client.mission}'", *command_lines([status])
-    typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(sent))
+        command_id = how.command_id or new_command_id()
+        with _named_if_interrupted(command_id):
+            issued = client.command(kind, expires_in_s=how.expires_in, command_id=command_id, **what)
+        try:
+            if stage is not None:
+                issued.wait(stage, how.timeout)
+        finally:  # it is sent, whatever ends the waiting
+            status = issued.status
+            sent = f"mission '{client.mission}'", *command_lines([status])
+            typer.echo(status.model_dump_json(indent=2) if how.json else "\n".join(sent))
     fail_if_it_failed(status, stage)
+
+
+@contextmanager
+def _named_if_interrupted(command_id: str) -> Iterator[None]:
+    """Name the command, on standard error, if a signal ends the waiting for the ground's answer: it may be sent."""
+    try:
+        yield
+    except (KeyboardInterrupt, Terminated):
+        typer.echo(f"he3: command {command_id} may have been sent (he3 commands)", err=True)
+        raise
 
 
 def expect_new_name(client: MissionClient, kind: AreaKind, name: str, command_id: str | None = None) -> None:

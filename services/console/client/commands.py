@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from he3.errors import InvalidInput, PeerUnreachable
+from he3.errors import InvalidInput, OutcomeUnknown, PeerUnreachable
 from schemas.authority import AuthorityAction, AuthorityChange, AuthorityState
 from schemas.commands import CommandKind, CommandList, CommandStage, CommandStatus, NoParameters, Telecommand
 from schemas.topics import COMMAND_STATUS, ISSUE_COMMAND, LIST_COMMANDS, SET_AUTHORITY, SHOW_AUTHORITY
@@ -106,7 +106,8 @@ class Commanding(ClockQueries, Acting):
         """Send a telecommand; the handle follows it through its stages. Equal ids execute once.
 
         expires_in_s: mission time from now after which the rover does not execute it any more. Raises InvalidInput or
-        He3Error, in one line, for a command that cannot be sent.
+        He3Error, in one line, for a command that cannot be sent, and OutcomeUnknown, with its id, for one that may have
+        been.
         """
         command = telecommand(
             kind, target_m=target_m, area_id=area_id, polygon_m=polygon_m, command_id=command_id
@@ -121,6 +122,8 @@ class Commanding(ClockQueries, Acting):
             status = self._session.query(ISSUE_COMMAND, command)
         except InvalidInput as refusal:
             raise InvalidInput(without_id(str(refusal), command)) from None
+        except OutcomeUnknown as silence:
+            raise OutcomeUnknown(f"command {command.command_id}: {silence}") from None
         return CommandHandle(self._session, status)
 
     def authority(self) -> AuthorityState:
@@ -162,6 +165,11 @@ def _duration_s(value: object) -> float:
     return value
 
 
+def new_command_id() -> str:
+    """An id that no other command has."""
+    return f"op-{uuid.uuid4().hex[:10]}"
+
+
 def telecommand(
     kind: CommandKind | str,
     *,
@@ -178,7 +186,7 @@ def telecommand(
         raise InvalidInput(f"command: expected one of {kinds}; got '{kind}'") from None
     return _checked(
         {
-            "command_id": command_id or f"op-{uuid.uuid4().hex[:10]}",
+            "command_id": command_id or new_command_id(),
             "kind": known,
             "target_m": None if target_m is None else tuple(map(float, target_m)),
             "area_id": area_id,

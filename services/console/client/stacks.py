@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
-from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from he3.errors import He3Error, InvalidInput, OutcomeUnknown, PeerUnreachable
 from schemas.commands import CommandKind, CommandStage, Telecommand
 from schemas.telemetry import RoverMode
 from services.console.client.commands import MAX_EXPIRY_S, stage_named, telecommand
@@ -267,6 +267,8 @@ class StackRun:
         """
         try:
             yield from self._run(may_send)
+        except OutcomeUnknown as silence:
+            raise OutcomeUnknown(f"stack: {silence}; beside it {self._account()}") from None
         except PeerUnreachable as silence:
             raise PeerUnreachable(f"stack: {silence}; {self._account()}") from None
 
@@ -285,7 +287,7 @@ class StackRun:
             except InvalidInput as refusal:
                 raise self._failure(line, str(refusal)) from None
             except PeerUnreachable as silence:
-                raise PeerUnreachable(f"{line.name}: {silence}, so whether it has this command is not known") from None
+                raise type(silence)(f"{line.name}: {silence}") from None
             self.sent[name] = line
             yield from self._look()
         while any(not self._ended(name) for name in self.sent):

@@ -13,14 +13,14 @@ from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from he3.errors import He3Error, InvalidInput, NotAllowed, PeerUnreachable
+from he3.errors import He3Error, InvalidInput, NotAllowed, OutcomeUnknown, PeerUnreachable
 from schemas.codec import Refused, body_of, decode, decode_reply, encode
 from schemas.commands import Telecommand
 from schemas.link import ClockMode
 from schemas.refusal import Refusal
 from schemas.roles import Role
 from schemas.signing import Part
-from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_STATUS, Side, Topic
+from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_STATUS, Query, Side, Topic
 from schemas.wire import Header, Wire
 from services.mission.mission_time import seconds
 from services.runtime.clock import mission_time
@@ -209,11 +209,16 @@ class Client:
     def _unanswered(self, topic: Topic, reason: NoReply, detail: str) -> PeerUnreachable:
         """The error that names the process which should have answered, and its mission.
 
-        It names the process, not the topic: an operator can check a process.
+        It names the process, not the topic: an operator can check a process. A process that was reached and has not
+        answered may have done what was asked, or may still do it.
         """
         service = " or ".join(topic.access.answer or topic.access.publish)
-        what = "does not answer" if reason is NoReply.NO_ROUTE else f"has not answered {detail}"
-        return PeerUnreachable(f"mission '{self._mission}': the {service} {what}")
+        if reason is NoReply.NO_ROUTE:
+            return PeerUnreachable(f"mission '{self._mission}': the {service} does not answer")
+        silence = f"mission '{self._mission}': the {service} has not answered {detail}"
+        if isinstance(topic.service, Query) and not topic.service.observes:
+            return OutcomeUnknown(f"{silence}, and may have done what was asked")
+        return PeerUnreachable(silence)
 
     # --- subscriptions ------------------------------------------------------------------------------------------
 

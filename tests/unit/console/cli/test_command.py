@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from contextlib import nullcontext
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from he3.errors import He3Error
+from he3.errors import He3Error, PeerUnreachable
 from schemas import commands
 from schemas.commands import CommandKind, CommandReport, CommandStage, CommandStatus, Telecommand
-from services.console.cli.command import asks, fail_if_it_failed, sends
+from services.console.cli.command import Sending, _issue, asks, fail_if_it_failed, sends
 
 Stage = CommandStage
 ENDS = tuple(stage for stage in Stage if stage in commands.ENDS)
@@ -88,3 +91,37 @@ def test_nothing_is_asked_where_a_stream_is_closed(closed: str, monkeypatch: pyt
     for name in ("stdin", "stderr"):
         monkeypatch.setattr(sys, name, None if name == closed else SimpleNamespace(isatty=lambda: True))
     assert not asks("pause", yes=False)
+
+
+class Waiting:
+    """A command that was sent; what ends the waiting for its stages."""
+
+    def __init__(self, end: BaseException) -> None:
+        self.status, self._end = status(Stage.QUEUED, Stage.RELEASED), end
+
+    def wait(self, stage: CommandStage, timeout_s: float) -> CommandStatus:
+        raise self._end
+
+
+@pytest.mark.parametrize("end", [PeerUnreachable("expected completed within 1 s"), KeyboardInterrupt()])
+def test_a_command_that_was_sent_is_printed_whatever_ends_the_waiting_for_its_stage(
+    end: BaseException, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mission = SimpleNamespace(mission="m", command=lambda *_, **__: Waiting(end))
+    session: Any = SimpleNamespace(join=lambda: nullcontext(mission))
+    with pytest.raises(type(end)):
+        _issue(session, "resume", {}, Sending(wait="completed", yes=True, json=True))
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"]["command_id"] == "r1"
+    assert [each["stage"] for each in document["stages"]] == ["queued", "released"]
+
+
+def test_a_command_whose_sending_was_interrupted_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    session: Any = SimpleNamespace(join=lambda: nullcontext(SimpleNamespace(mission="m", command=interrupted)))
+    with pytest.raises(KeyboardInterrupt):
+        _issue(session, "resume", {}, Sending(command_id="mine", yes=True))
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == ("", "he3: command mine may have been sent (he3 commands)\n")

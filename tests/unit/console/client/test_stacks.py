@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from he3.errors import He3Error, InvalidInput, PeerUnreachable
+from he3.errors import He3Error, InvalidInput, OutcomeUnknown, PeerUnreachable
 from schemas.commands import CommandPreview, CommandReport, CommandStage, CommandStatus
 from schemas.telemetry import RoverMode
 from services.console.client.previews import CommandOutlook, Passage
@@ -222,6 +222,17 @@ def test_a_stack_whose_mission_falls_silent_says_what_was_sent_and_what_is_not_k
     desk.send = silent  # type: ignore[method-assign]
     stack = StackRun(parse_stack("pause", START), desk)
     with pytest.raises(
-        PeerUnreachable, match=r"line 1 \(pause\): mission 'm': the ground does not answer, so whether it has"
+        PeerUnreachable,
+        match=r"^stack: line 1 \(pause\): mission 'm': the ground does not answer; 0 of 1 commands sent, nothing",
     ):
         list(stack.run(lambda line, outlook: True))
+
+    def reached(*_: object) -> Any:
+        raise OutcomeUnknown("command op-1: mission 'm': the ground has not answered, and may have done what was asked")
+
+    desk.send = reached  # type: ignore[method-assign]
+    with pytest.raises(
+        OutcomeUnknown,
+        match=r"line 1 \(pause\): command op-1: .* may have done what was asked; beside it 0 of 1 commands",
+    ):
+        list(StackRun(parse_stack("pause", START), desk).run(lambda line, outlook: True))
