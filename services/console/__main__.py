@@ -98,12 +98,14 @@ def _enough_read() -> int:
 
 
 def _usage(error: Any) -> int:
+    from schemas.wire import printable
+
     message: str = error.format_message()
-    if "\n" in message:  # the help itself, for a command that was given nothing
+    if message.startswith("Usage: "):  # the help itself, for a command that was given nothing
         sys.stdout.write(message + "\n")
         return BAD_INPUT
     command = "he3" if error.ctx is None else error.ctx.command_path
-    return _say(f"{message} (see {command} --help)", BAD_INPUT)
+    return _say(f"{printable(message)} (see {command} --help)", BAD_INPUT)
 
 
 def _say(message: str, code: int) -> int:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.console.cli.flag_groups import FlagGroup
+from services.console.cli.options import checked
 
 if TYPE_CHECKING:
     from services.console.client.mission_client import MissionClient
@@ -39,12 +40,23 @@ Insecure = Annotated[
     bool,
     typer.Option("--insecure", help="Allow an endpoint off loopback without TLS: anyone who reaches it may command."),
 ]
+
+
+def _person(text: str) -> str:
+    from he3.errors import InvalidInput
+
+    if not (0 < len(text) <= 100 and text.isprintable() and text.strip()):
+        raise InvalidInput(f"expected a name of 1 to 100 characters on one line, got '{text[:100]}'")
+    return text
+
+
 AsName = Annotated[
     str | None,
     typer.Option(
-        "--as", metavar="NAME", help="Your name, in a mission without keys; else user@host. It is not proven."
+        "--as", metavar="NAME", help="Your name, in a mission without keys; else user@host. It is not proven.",
+        callback=checked(_person),
     ),
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

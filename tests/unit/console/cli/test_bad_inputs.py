@@ -144,6 +144,9 @@ CASES: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "a time beyond all times": (SCENARIO, ["time", "until", "999999999d"], ("TIME", "2262", "999999999d")),
     "a speed of nothing": (SCENARIO, ["time", "rate", "0"], ("R", "above 0 up to 1000000000", "got 0")),
     "no region, by the former name of the command": (SCENARIO, ["reference", "show", "nowhere"], ("nowhere", "t1")),
+    "a value of two lines": (SCENARIO, ["area", "remove", "a\nb\x1b[31m"], ("AREA", "letter or digit first", "--help")),
+    "a name of two lines": (SCENARIO, ["command", "pause", "--as", "a\nb"], ("--as", "on one line")),
+    "a name of nothing": (SCENARIO, ["command", "pause", "--as", ""], ("--as", "on one line")),
     "no such stage": (SCENARIO, ["command", "pause", "--wait", "soon"], ("soon", "completed")),
 }  # fmt: skip
 
