@@ -208,8 +208,18 @@ def test_a_process_appears_under_its_own_name_alone(site):
 
 @pytest.mark.parametrize("who", ["expired", "foreign"])
 def test_a_certificate_that_does_not_count_gets_no_session(site, who):
-    with pytest.raises(PeerUnreachable, match="no earth router"):
+    name = site.identities[who].common_name
+    refused = (
+        rf"^no earth router at \S+: a program listens there, but it and {name} do not accept each other; expected keys"
+    )
+    with pytest.raises(PeerUnreachable, match=refused):
         open_client(Side.EARTH, site.endpoint, identity=site.identities[who])
+
+
+def test_a_client_without_keys_is_told_that_the_mission_may_have_some(site):
+    endpoint = site.endpoint.replace("tls/", "tcp/")
+    with pytest.raises(PeerUnreachable, match=r"a program listens there.* a mission with keys has tls/ endpoints"):
+        open_client(Side.EARTH, endpoint)
 
 
 def test_only_a_link_can_pose_as_a_router(site):

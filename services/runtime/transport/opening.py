@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from services.runtime.trust.identity import Identity
 
 RETRY_CONNECT_S = 0.3
+PROBE_TIMEOUT_S = 1.0
+"""Longest wait for a connection to an endpoint that gave no session, to tell why."""
 LOOK_EVERY_S = 0.05
 SILENT_AFTER_S = 3.0
 """An endpoint that takes a connection and has not replied for this long is reported; a busy router may still reply."""
@@ -113,8 +116,28 @@ def open_client(
         abandoned.append(True)
         raise
     if not opened:
-        raise PeerUnreachable(f"no {side.value} router at {endpoint}")
+        raise PeerUnreachable(f"no {side.value} router at {endpoint}{_what_listens(endpoint, identity)}")
     return opened[0]
+
+
+def _what_listens(endpoint: str, identity: Identity | None) -> str:
+    """What to add about an endpoint that gave no session: that a program listens there, if one does."""
+    _, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=PROBE_TIMEOUT_S):
+            pass
+    except (OSError, ValueError):
+        return ""
+    if identity is None:
+        return (
+            ": a program listens there, but not as the router of a mission without keys; "
+            "a mission with keys has tls/ endpoints and takes --identity DIR"
+        )
+    return (
+        f": a program listens there, but it and {identity.common_name} do not accept each other; "
+        "expected keys of one mission, valid by the clocks of both machines"
+    )
 
 
 def connect_client(
@@ -127,10 +150,11 @@ def connect_client(
 ) -> Session | None:
     """A client session on that side, once its router answers; None if `stop` is set first.
 
-    on_waiting: called with one line if the router does not answer at once, or if another program seems to listen.
+    on_waiting: called with one line if the router does not answer at once, or if another program seems to listen, and
+    again when the reason is another one.
     """
     silence = SilenceReport(side, endpoint, on_waiting)
-    reported = False
+    reported = ""
 
     def look(waited_s: float) -> None:
         if stop.is_set():
@@ -142,9 +166,9 @@ def connect_client(
             try:
                 return Session(open_client(side, endpoint, look, identity), mission)
             except PeerUnreachable as error:
-                if not reported:
-                    on_waiting(f"{error}; still trying")
-                    reported = True
+                if str(error) != reported:
+                    reported = str(error)
+                    on_waiting(f"{reported}; still trying")
                 stop.wait(RETRY_CONNECT_S)
     return None
 
