@@ -36,6 +36,8 @@ HELIUM3_OFFSET_PPB: Final = 1.62  # ppb, FA-JIN
 HELIUM3_MAX_PPB: Final = 1e6  # ppb, a thousandth of the soil's mass; anything above is a mistake, ASSUMED
 IRON_MIN_WT: Final = 1e-3  # wt %, FeO that no product resolves; 0 or less marks missing values, ASSUMED
 IRON_MAX_WT: Final = 40.0  # wt %, FeO of no soil; lunar ones hold up to 25, ASSUMED
+TITANIUM_MAX_WT: Final = 35.0  # wt %, TiO2 of no soil; lunar ones hold up to 14, ilmenite itself 53, ASSUMED
+ABUNDANCE_ERROR: Final = 1.0  # wt % or ppb below 0 that the error of a retrieval may lead to, ASSUMED
 OMAT_MAX: Final = 2.0  # 1, OMAT of no soil; valid data lie at about 0.1 to 0.3, ASSUMED
 OMAT_MIN: Final = 0.05  # 1, below it the helium-3 relation blows up; valid data lie at about 0.1 to 0.3, FA-JIN
 

@@ -8,9 +8,11 @@ that hollows become open ground. Each refusal is one line with the number of cel
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from he3.errors import InvalidInput
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 # Numbers in use for missing values that may lie within a physical range: runs of nines, and limits of 16 bits. Those
 # beyond any range (-32768, -3.4e38, 1e20) need no list.
 SENTINELS: Final = (-9999.0, -999.0, 999.0, 9999.0, 32767.0, 65535.0, 99999.0, 999999.0)
+_OF_NO_RANGE: Final = (-32768.0, -32767.0, -99999.0, -999999.0, -99.0, -1e20, 1e20)
+"""Further ones, for values whose unit, and so whose range, is not known."""
 MAX_STEP_DEG: Final = 85.0  # deg, from a cell to the next; no ground stands steeper over MIN_STEP_M, ASSUMED
 MIN_STEP_M: Final = 300.0  # m, lower steps may be boulders, scarps, or walls in a synthetic region, ASSUMED
 
@@ -49,6 +53,37 @@ def expect_measured(name: str, values: FloatArray, low: float, high: float, unit
                     f"{name}: expected values as the others, {lowest:g} to {highest:g}{unit and ' ' + unit}, got "
                     f"{sentinel:g}, which marks missing values, in {cells_where(missing)}"
                 )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Undeclared:
+    """A number that marks missing values, and where (rows, columns)."""
+
+    number: float
+    where: BoolArray
+
+
+def undeclared(values: NDArray[Any], known: BoolArray) -> Undeclared | None:
+    """A number among the known ``values`` (rows, columns) that marks missing ones, in any unit; None if there is none.
+
+    It is one of the customary numbers, or an end of the range of the array's integers, and lies farther from all other
+    values than these lie from one another.
+    """
+    ends: tuple[float, ...] = ()
+    if values.dtype.kind in "iu":
+        limits = np.iinfo(values.dtype)
+        ends = (float(limits.max),) if values.dtype.kind == "u" else (float(limits.min), float(limits.max))
+    for number in dict.fromkeys((*SENTINELS, *_OF_NO_RANGE, *ends)):
+        where = known & (values == number)
+        others = values[known & ~where] if where.any() else values[:0]
+        if not others.size:
+            continue
+        lowest, highest = float(others.min()), float(others.max())
+        # 0 and 255 alone may be a mask.
+        varies = highest > lowest or number not in ends
+        if varies and max(lowest - number, number - highest) > highest - lowest:
+            return Undeclared(number, where)
+    return None
 
 
 def filled_with_nearest(values: FloatArray) -> tuple[FloatArray, BoolArray | None]:

@@ -18,6 +18,7 @@ from he3.provenance import LayerOrigin, OriginKind, summary
 from he3.terrain import relief_m, slope_deg, traversable
 from he3.vehicle_ground import VehicleLimits, judged
 from services.mission.region_build.chemistry import chemistry_of, laid_over
+from services.mission.region_build.plausible import ROCKS_BEYOND
 from services.mission.region_build.projection import SitePlane, site_plane
 from services.mission.region_build.recipe import Recipe
 from services.mission.region_build.sampling import Sampled, sample
@@ -33,7 +34,6 @@ _DESCRIPTIONS = {
     "rock_abundance": "share of the ground under rocks", "filled": "1: a hole was filled here",
 }  # fmt: skip
 _GROUND = ("elevation_m", "rock_abundance")
-_OVERSHOOT = 0.2  # 1, how far cubic splines may lead beyond 0 and 1 beside a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +121,7 @@ def _rock_abundance(sampled: Sampled | None, unknown: BoolArray | None) -> Float
     """Share of each cell under rocks, 0 to 1, NaN where it is not known; None without the layer."""
     if sampled is None:
         return None
-    expect_measured("layer rock_abundance", sampled.values, -_OVERSHOOT, 1.0 + _OVERSHOOT)
+    expect_measured("layer rock_abundance", sampled.values, -ROCKS_BEYOND, 1.0 + ROCKS_BEYOND)
     rocks: FloatArray = np.clip(sampled.values, 0.0, 1.0)
     return rocks if unknown is None else np.where(unknown, np.nan, rocks)
 

@@ -22,6 +22,7 @@ from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput
 from he3.frames import FloatArray
 from services.mission.region_build.geo import pyproj, rasterio
+from services.mission.region_build.plausible import expect_no_marks, expect_plausible
 from services.mission.region_build.recipe import GridTable, SourceTable
 
 MAX_WINDOW_PIXELS: Final = 64_000_000
@@ -55,7 +56,8 @@ class Source:
     product_id: str
     reader: Any
     """(row, column, rows, columns) -> values, NaN where missing."""
-    notes: list[str]
+    unit: str
+    """Unit of the recipe or the file; empty if neither says it."""
 
     def pixels(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows and columns of places in the raster's projection; the first pixel's centre is (0.5, 0.5)."""
@@ -71,7 +73,10 @@ class Source:
         return self.period is not None and abs(self.columns - self.period) < 0.5
 
     def read(self, row: int, column: int, rows: int, columns: int) -> FloatArray:
-        """A window, (rows, columns) float64; a global raster continues across its seam."""
+        """A window, (rows, columns) float64; a global raster continues across its seam.
+
+        Raises InvalidInput for values that are not possible in this layer, and for a window that is too large.
+        """
         if rows * columns > MAX_WINDOW_PIXELS:
             raise InvalidInput(
                 f"{self.name}: expected a window of at most {MAX_WINDOW_PIXELS} pixels, got {rows} x {columns}"
@@ -83,6 +88,7 @@ class Source:
             parts.append(self.reader(row, first, rows, width))
             at += width
         values: FloatArray = np.concatenate(parts, axis=1)
+        expect_plausible(self.name, self.layer, values, self.unit)
         return values
 
 
@@ -129,19 +135,18 @@ def _gdal_source(layer: str, table: SourceTable, dataset: Any, name: str) -> Sou
     if dataset.crs is None:
         raise InvalidInput(f"{name}: layer {layer}: expected a georeferenced raster, got one without a projection")
     transform = dataset.transform
-    notes: list[str] = []
     label = _label_text(name)
     scale = dataset.scales[band - 1] if table.scale is None else table.scale
     offset = dataset.offsets[band - 1] if table.offset is None else table.offset
-    unit = table.unit or dataset.units[band - 1] or _label_word(label, "UNIT")
+    unit = table.unit or dataset.units[band - 1] or _label_word(label, "UNIT") or ""
     factor = _factor(layer, unit)
+    path = Path(name)
     no_data = [*table.no_data, *([] if dataset.nodatavals[band - 1] is None else [dataset.nodatavals[band - 1]])]
 
     def read(row: int, column: int, rows: int, columns: int) -> FloatArray:
         raw = dataset.read(band, window=((row, row + rows), (column, column + columns)))
-        return _values(raw, layer, table, no_data, scale, offset, factor)
+        return _values(path.name, raw, layer, table, no_data, scale, offset, factor)
 
-    path = Path(name)
     data = [path] if path.is_file() else []
     if data and path.suffix.lower() in (".lbl", ".xml"):
         data = [Path(file) for file in dataset.files if Path(file).suffix.lower() not in (".lbl", ".xml")] or data
@@ -149,7 +154,7 @@ def _gdal_source(layer: str, table: SourceTable, dataset: Any, name: str) -> Sou
     source = Source(
         name=Path(name).name, layer=layer, table=table, rows=dataset.height, columns=dataset.width,
         transform=(transform.a, transform.b, transform.c, transform.d, transform.e, transform.f), crs=crs,
-        period=_period(crs, transform.a), sha256=_checksum(data), reader=read, notes=notes,
+        period=_period(crs, transform.a), sha256=_checksum(data), reader=read, unit=unit,
         product_id=table.product_id or _label_word(label, "PRODUCT_ID"),
     )  # fmt: skip
     _expect_the_moon(source, crs)
@@ -173,7 +178,7 @@ def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable)
 
     def read(row: int, column: int, height: int, width: int) -> FloatArray:
         raw = np.asarray(values[row : row + height, column : column + width])
-        return _values(raw, layer, table, list(table.no_data), scale, offset, factor)
+        return _values(path.name, raw, layer, table, list(table.no_data), scale, offset, factor)
 
     cell = grid.resolution_m
     crs = (
@@ -182,8 +187,8 @@ def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable)
     )
     return Source(
         name=path.name, layer=layer, table=table, rows=rows, columns=columns, sha256=_checksum([path]), reader=read,
-        transform=(cell, 0.0, -columns * cell / 2, 0.0, -cell, rows * cell / 2), crs=crs, period=None, notes=[],
-        product_id=table.product_id,
+        transform=(cell, 0.0, -columns * cell / 2, 0.0, -cell, rows * cell / 2), crs=crs, period=None,
+        product_id=table.product_id, unit=table.unit or "",
     )  # fmt: skip
 
 
@@ -214,8 +219,9 @@ def _factor(layer: str, unit: str | None) -> float:
 
 
 def _values(
-    raw: Any, layer: str, table: SourceTable, no_data: list[float], scale: float, offset: float, factor: float
-) -> FloatArray:
+    name: str, raw: Any, layer: str, table: SourceTable, no_data: list[float], scale: float, offset: float,
+    factor: float,
+) -> FloatArray:  # fmt: skip
     values = raw.astype(np.float64)
     missing = ~np.isfinite(values) | (values < _MISSING_BELOW)
     for number in no_data:
@@ -225,6 +231,7 @@ def _values(
         missing |= values == 0
     if layer in _POSITIVE:
         missing |= values <= 0
+    expect_no_marks(name, layer, raw, missing)
     values = (values * scale + offset) * factor
     if layer == "elevation_m" and (~missing).any() and float(np.median(values[~missing])) > _PLANET_RADIUS_M:
         values -= MOON_RADIUS_M  # the label's offset makes radii of heights

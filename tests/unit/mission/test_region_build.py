@@ -405,6 +405,85 @@ def test_a_hole_that_is_masked_has_no_reference_is_closed_and_says_so(tmp_path: 
         build(document, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("layer", "level", "wrong", "said"),
+    [
+        (
+            "he3_ppb",
+            5.0,
+            -999.0,
+            r"expected values as the others, .* got -999, which marks missing values, in 25 cells",
+        ),
+        ("he3_ppb", 5.0, -7.0, r"expected -1 to 1e\+06 ppb, got -7 in 25 cells"),
+        ("titanium_wt", 3.0, -99.0, r"expected values as the others, .* got -99, which marks missing values"),
+        ("titanium_wt", 3.0, 255.0, r"expected -1 to 35 wt %, got 255 in 25 cells"),
+        ("iron_wt", 14.0, 255.0, r"expected 0 to 40 wt %, got 255 in 25 cells"),
+        ("maturity", 0.2, 255.0, r"expected 0 to 2, got 255 in 25 cells"),
+        ("elevation_m", -2600.0, -999.0, r"expected values as the others, .* got -999, which marks missing values"),
+        ("elevation_m", -2600.0, 20000.0, r"expected -9500 to 11000 m, got 20000 in 25 cells"),
+    ],
+)
+@pytest.mark.parametrize("cell_m", [1.0, 20.0])
+def test_a_number_that_no_ground_has_is_refused_as_the_raster_has_it_and_not_smeared_by_resampling(
+    tmp_path: Path, cell_m: float, layer: str, level: float, wrong: float, said: str
+) -> None:
+    document = chemistry_of_levels(tmp_path, resolution_m=cell_m)
+    values = level * (1.0 + 0.001 * np.arange(96)) + np.zeros((96, 1))
+    values[46:51, 46:51] = wrong
+    plain(tmp_path, values, name=f"{layer}.tif")
+    document["layers"] = measured_with(document["layers"], layer)
+    with pytest.raises(InvalidInput, match=rf"{layer}\.tif: layer {layer}: {said}") as refusal:
+        build(document, tmp_path)
+    assert "no_data" in str(refusal.value)
+    document["layers"][layer] |= {"no_data": [wrong], "fill_holes": True}
+    assert build(document, tmp_path).he3_ppb.min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("layer", "factor", "unit", "said"),
+    [
+        ("iron_wt", 100.0, None, r"expected 0 to 40 wt %, got 1[34]\d\d"),
+        ("iron_wt", 1.0, "fraction", r"expected 0 to 40 wt %, got 1[34]\d\d"),
+        ("iron_wt", 0.01, None, r'expected FeO in wt %, got at most 0\.14: give unit = "fraction" or "wt%"'),
+        ("titanium_wt", 100.0, None, r"expected -1 to 35 wt %, got 3\d\d"),
+        ("maturity", 100.0, None, r"expected 0 to 2, got 2\d"),
+        (
+            "radius_km",
+            1.0,
+            None,
+            r'expected heights in m, got 1734\.\d+ to 1734\.\d+, as radii in km: give unit = "km"',
+        ),
+    ],
+)
+def test_values_in_another_unit_are_refused(
+    tmp_path: Path, layer: str, factor: float, unit: str | None, said: str
+) -> None:
+    document = chemistry_of_levels(tmp_path)
+    levels = {"iron_wt": 14.0, "titanium_wt": 3.0, "maturity": 0.2, "radius_km": 1734.8}
+    values = levels[layer] * (1.0 + 1e-6 * np.arange(96)) + np.zeros((96, 1))
+    layer = {"radius_km": "elevation_m"}.get(layer, layer)
+    plain(tmp_path, factor * values, name=f"{layer}.tif")
+    document["layers"] = measured_with(document["layers"], layer)
+    document["layers"][layer] |= {} if unit is None else {"unit": unit}
+    with pytest.raises(InvalidInput, match=rf"{layer}\.tif: layer {layer}: {said}"):
+        build(document, tmp_path)
+
+
+def chemistry_of_levels(folder: Path, **changes: Any) -> dict[str, Any]:
+    """A recipe with rasters of FeO, TiO2, OMAT, helium-3 and height that hardly vary."""
+    levels = {"iron_wt": 14.0, "titanium_wt": 3.0, "maturity": 0.2, "he3_ppb": 5.0, "elevation_m": -2600.0}
+    for name, level in levels.items():
+        plain(folder, level * (1.0 + 0.001 * np.arange(96)) + np.zeros((96, 1)), name=f"{name}.tif")
+    layers = {name: {"file": f"{name}.tif", "source": "made"} for name in levels}
+    return recipe(LAT, LON, layers=layers, chemistry={"solar_wind_flux": 0.5}, slope_limit_deg=45.0) | changes
+
+
+def measured_with(layers: dict[str, Any], layer: str) -> dict[str, Any]:
+    """Those of the layers that a region with that one is computed from."""
+    chosen = {"elevation_m", layer} | ({"maturity", "iron_wt"} if layer != "he3_ppb" else set())
+    return {name: dict(table) for name, table in layers.items() if name in chosen}
+
+
 @pytest.mark.parametrize("offset", [(60, 0), (0, 60), (-60, 0), (0, -60)])
 def test_ground_beyond_the_edge_of_a_raster_is_not_invented(tmp_path: Path, offset: tuple[int, int]) -> None:
     plain(tmp_path)
