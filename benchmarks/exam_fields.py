@@ -22,7 +22,7 @@ from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, SiteGrid
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
-from he3.nodata import filled_with_nearest
+from he3.nodata import cells_where, filled_with_nearest, undeclared
 from he3.reference import Region, orbital_view
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.regions import load_region
@@ -169,9 +169,20 @@ def _raster(path: Path, part: str) -> tuple[FloatArray, float | None]:
     values, cell_m = reader(path, part)
     if values.ndim != 2 or values.dtype.kind not in "iuf":
         raise InvalidInput(f"{path}: expected numbers in rows and columns, got {values.dtype} of shape {values.shape}")
+    _expect_no_marks(path, values, np.abs(values.astype(np.float64)) < 1e30)
     finite = values.astype(np.float64)
     finite[~(np.abs(finite) < 1e30)] = np.nan  # infinities and the "no data" of many products
     return finite, cell_m
+
+
+def _expect_no_marks(path: Path, values: NDArray[Any], known: NDArray[np.bool_]) -> None:
+    """Raises InvalidInput if numbers among the known ones mark missing values, which the file does not say."""
+    marks = undeclared(values, known)
+    if marks is not None:
+        raise InvalidInput(
+            f"{path}: expected values as the others, got {marks.number:g}, which marks missing values, in "
+            f"{cells_where(marks.where)}; a GeoTIFF names its no-data value, an array has NaN"
+        )
 
 
 def _npy(path: Path, _part: str) -> tuple[NDArray[Any], None]:
@@ -212,7 +223,9 @@ def _geotiff(path: Path, part: str) -> tuple[FloatArray, float]:
             if part and part not in raster.descriptions:
                 raise InvalidInput(f"{path}: expected a band {part}, got {', '.join(map(str, raster.descriptions))}")
             band = 1 + raster.descriptions.index(part) if part else 1
-            values = raster.read(band, masked=True).astype(np.float64).filled(np.nan)
+            masked = raster.read(band, masked=True)
+            _expect_no_marks(path, masked.data, ~np.ma.getmaskarray(masked))
+            values = masked.astype(np.float64).filled(np.nan)
             # Pixels are taken as squares; in degrees their height counts.
             degrees = raster.crs is not None and raster.crs.is_geographic
             cell_m = abs(raster.transform.e) * (math.radians(1.0) * MOON_RADIUS_M if degrees else 1.0)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput
 from he3.frames import FloatArray
 from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
+from he3.nodata import cells_where, undeclared
 from he3.reference import Region
 from he3.trend import GAIN_STD, UNSURE_GAIN_STD, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
 from services.mission.scenario import Scenario
-from services.mission.tiff import NotPlain, read_tiff
+from services.mission.tiff import NotPlain, no_data_of, read_tiff
 
 REGION_LAYERS: Final = ("orbital_ppb", "elevation_m", "slope_deg")
 """Layers that every region has, which a scenario may name; the reference field is none of them."""
@@ -35,7 +36,7 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
 
     A name is one of ``REGION_LAYERS``, or a raster of the region's cells: .npy with row 0 south, or .tif with row 0
     north. Raises InvalidInput, in one line, for a name that is neither, and for a raster of another shape or with cells
-    that are not finite.
+    without a value: not finite, the file's no-data value, or a number that marks missing values in any unit.
     """
     layers = np.empty((len(names), *region.grid.shape))
     for number, name in enumerate(names):
@@ -47,6 +48,12 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
             )
         if not np.isfinite(values).all():
             raise InvalidInput(f"covariate {name}: expected a value on every cell, got NaN or infinity")
+        marks = None if name in REGION_LAYERS else undeclared(values, np.ones(values.shape, dtype=np.bool_))
+        if marks is not None:
+            raise InvalidInput(
+                f"covariate {name}: expected a value on every cell, got {marks.number:g}, which marks missing values, "
+                f"in {cells_where(marks.where)}"
+            )
         layers[number] = values
     return layers
 
@@ -57,13 +64,30 @@ def _raster(name: str) -> NDArray[Any]:
         raise InvalidInput(f"covariate {name}: expected {', '.join(REGION_LAYERS)}, or a file .npy or .tif")
     if not path.is_file():
         raise InvalidInput(f"covariate {name}: expected a file, found none")
+    values: NDArray[Any]
     if path.suffix.lower() != ".npy":
         try:
-            return read_tiff(path)[::-1]
+            values = read_tiff(path)[::-1]
+            _expect_no_holes(name, values, no_data_of(path))
+            return values
         except NotPlain as error:
             raise InvalidInput(f"covariate {name}: expected a plain GeoTIFF, got {error}") from None
     try:
-        values: NDArray[Any] = np.load(path, allow_pickle=False)
+        values = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise InvalidInput(f"covariate {name}: expected an array that NumPy reads, got {error}") from None
     return values
+
+
+def _expect_no_holes(name: str, values: NDArray[Any], no_data: float | None) -> None:
+    """Raises InvalidInput if cells (rows, columns) have the file's no-data value."""
+    if no_data is None:
+        return
+    # As the raster's own type rounds it: -3.4028226550889045e38 is no float32.
+    rounded = np.asarray(no_data).astype(values.dtype) if values.dtype.kind == "f" else no_data
+    holes: NDArray[np.bool_] = np.asarray(values == rounded)
+    if holes.any():
+        raise InvalidInput(
+            f"covariate {name}: expected a value on every cell, got none (the raster's no-data value, {no_data:g}) in "
+            f"{cells_where(holes)}"
+        )

@@ -25,6 +25,7 @@ ReadAt = Callable[[int, int], bytes]
 _WIDTH, _LENGTH, _BITS, _COMPRESSION, _SAMPLES, _PREDICTOR, _FORMAT = 256, 257, 258, 259, 277, 317, 339
 _STRIPS, _ROWS_PER_STRIP, _STRIP_BYTES = 273, 278, 279
 _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES = 322, 323, 324, 325
+_NO_DATA: Final = 42113  # text, GDAL's
 _KINDS: Final = {1: "B", 2: "B", 3: "H", 4: "I", 5: "Q", 7: "B", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}
 _DTYPES: Final = {
     (1, 8): "u1",
@@ -99,6 +100,29 @@ def read_tiff(path: Path) -> NDArray[Any]:
             return _read_blocks(layout, read_at, str(path))
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
+
+
+def no_data_of(path: Path) -> float | None:
+    """The number that marks missing values in a TIFF file, by GDAL's tag; None if the file names none.
+
+    Raises InvalidInput for a file that is no TIFF.
+    """
+    try:
+        with path.open("rb") as stream:
+
+            def read_at(offset: int, length: int) -> bytes:
+                stream.seek(offset)
+                return stream.read(length)
+
+            tags, _ = _tags(read_at)
+    except OSError as error:
+        raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
+    except (struct.error, IndexError, KeyError, ValueError):
+        raise InvalidInput(f"{path}: expected a TIFF file, got other or damaged bytes") from None
+    try:
+        return float(bytes(tags[_NO_DATA]).split(b"\0")[0])
+    except (KeyError, ValueError):
+        return None
 
 
 def tiff_layout(read_at: ReadAt, name: str) -> TiffLayout:

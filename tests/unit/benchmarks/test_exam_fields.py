@@ -51,6 +51,8 @@ def test_a_large_raster_is_averaged_over_blocks_and_keeps_its_size_in_metres():
         (np.array([["a"] * 20] * 20), "expected numbers"),
         (np.eye(8), "at least 16 x 16 cells"),
         (np.where(np.eye(20) > 0, 1.0, np.nan), "cells with a value"),
+        (np.where(np.eye(30)[:20] > 0, -9999.0, SLOPE), "-9999, which marks missing values, in 20 cells"),
+        (np.where(np.eye(30)[:20] > 0, -32768, SLOPE).astype(np.int16), "-32768, which marks missing values"),
     ],
 )
 def test_what_is_no_field_is_refused_in_one_line_that_names_the_file(content, why, tmp_path):

@@ -8,6 +8,8 @@ from services.mission.covariates import covariates, trend_of
 from services.mission.regions import load_region
 from services.mission.scenario import checked_scenario
 
+HILLS = np.add.outer(np.arange(125), np.arange(125)) / 3.0
+
 
 @pytest.fixture(scope="module")
 def region(quarter_of_t1):
@@ -49,6 +51,12 @@ def test_the_gain_of_the_orbital_map_is_known_to_within_a_half_in_the_published_
         ("none.npy", None, "found none"),
         ("small.npy", np.zeros((3, 3)), r"numbers of shape \(125, 125\)"),
         ("holes.npy", np.full((125, 125), np.nan), "a value on every cell"),
+        (
+            "marks.npy",
+            np.where(np.eye(125) > 0, -9999.0, HILLS),
+            "a value on every cell, got -9999, which marks missing",
+        ),
+        ("ends.npy", np.where(np.eye(125) > 0, 255, HILLS).astype(np.uint8), "got 255, which marks missing values"),
         ("text.npy", b"no array", "an array that NumPy reads"),
         ("text.tif", b"no raster", "expected a TIFF file"),
     ],
@@ -62,3 +70,24 @@ def test_what_is_no_covariate_is_refused_in_one_line(name, content, why, region,
     with pytest.raises(InvalidInput, match=why) as refusal:
         covariates([name if name == "he3_ppb" else str(path)], region)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("number", [-1.0, 7.5, -3.4028226550889045e38])
+def test_a_raster_with_cells_of_its_own_no_data_value_is_no_covariate(number, region, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    values = HILLS.copy()
+    values[3, 4] = number
+    path = tmp_path / "hills.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", height=125, width=125, count=1, dtype="float32", nodata=number,
+        transform=rasterio.Affine(4.0, 0.0, 0.0, 0.0, -4.0, 500.0),
+    ) as target:  # fmt: skip
+        target.write(values.astype("float32"), 1)
+    with pytest.raises(InvalidInput, match=r"got none \(the raster's no-data value, .*\) in 1 cell"):
+        covariates([str(path)], region)
+
+
+def test_a_mask_of_0_and_255_is_a_covariate(region, tmp_path):
+    mask = np.where(HILLS > 40, 255, 0).astype(np.uint8)
+    np.save(tmp_path / "mask.npy", mask)
+    assert (covariates([str(tmp_path / "mask.npy")], region)[0] == mask).all()
