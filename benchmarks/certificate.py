@@ -25,6 +25,7 @@ from benchmarks.peer_environments import SGPTOOLS_COVERS
 from benchmarks.promises import Promise
 from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
+from services.console.campaign.identity import checksum_of
 
 OURS = "tour"
 OURS_AND_GREEDY = (OURS, "greedy")
@@ -68,6 +69,7 @@ def run(
         say("SGP-Tools: not installed, its planners are left out")
         peers = ()
     document = kept.read(json, "designs", "missions")
+    kept.expect_fields(json, document, {name: checksum_of(load_field(name, data).region) for name in chosen})
     designs: list[Row] = document["designs"]
     flown: list[Row] = document["missions"]
     asked: list[_Asked] = []

@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -39,6 +40,7 @@ from benchmarks.peer_environments import PeerEnvironment
 from benchmarks.tasks import Tasks, progress
 from he3.errors import He3Error, InvalidInput
 from he3.kernels import AUTO, KERNELS
+from services.console.campaign.identity import checksum_of
 
 Row = dict[str, Any]
 Key = tuple[str, str, int]
@@ -85,14 +87,17 @@ def run(
     names = list(fields) or names_in(data)
     if data is not None and not fields and names == names_in(None):
         raise InvalidInput(f"expected --data DIR with rasters, got {data}, which has none (docs/exam.md)")
+    sums = {}
     for name in names:
-        expect_open(load_field(name, data, noise).region, settings.start_m)
+        region = load_field(name, data, noise).region
+        expect_open(region, settings.start_m)
+        sums[name] = checksum_of(region)
     missing = [name for name in methods if not _installed(name)]
     flown = [name for name in METHODS if name in methods and name not in missing]
     if not flown:
         for peer in _peers_of(missing):
             peer.python()  # says what is missing, and how it is installed
-    kept = Kept(json, {**asdict(settings), "noise": noise})
+    kept = Kept(json, {**asdict(settings), "noise": noise}, sums)
     tasks = [Task(name, data, noise, settings, seed, tuple(flown), kept.of(name, seed))
              for seed in range(1, seeds + 1) for name in names]  # fmt: skip
     failures: list[str] = []
@@ -214,11 +219,15 @@ def _remembered(row: Row) -> Survey:
 class Kept:
     """The rows of an exam in its JSON file, which is written after each."""
 
-    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
-        """Raises InvalidInput for a file that is no exam, or one with other settings."""
+    def __init__(self, path: Path | None, settings: dict[str, Any], sums: Mapping[str, str] = MappingProxyType({})):
+        """sums: checksum of the values of each field, by name.
+
+        Raises InvalidInput for a file that is no exam, or one with other settings, or of fields with other values.
+        """
         self._path = path
         self._settings = json_format.loads(json_format.dumps(_finite(settings)))
         self._rows: dict[Key, Row] = {}
+        self._fields: dict[str, Any] = {"fields": dict(sums)}
         if path is None or not path.exists():
             return
         try:
@@ -231,6 +240,8 @@ class Kept:
         if found != FORMAT or other:
             at = ", ".join(f"{key} {settings_there.get(key)}" for key in sorted(other)) or found
             raise InvalidInput(f"{path}: expected results of the same settings, got {at}; name another file")
+        self._fields = {"fields": document.get("fields", {})}
+        kept.expect_fields(path, self._fields, sums)
 
     def of(self, field: str, seed: int) -> tuple[Row, ...]:
         """The rows of a field and a seed."""
@@ -240,7 +251,7 @@ class Kept:
         """Keep a row, on disk too; the file is replaced as a whole, so that an interruption does not damage it."""
         self._rows[row["field"], row["method"], row["seed"]] = row
         if self._path is not None:
-            document = {"format": FORMAT, "settings": self._settings, "rows": list(self._rows.values())}
+            document = {"format": FORMAT, "settings": self._settings, **self._fields, "rows": list(self._rows.values())}
             kept.write(self._path, document)
 
     def chosen(self, fields: Sequence[str], methods: Sequence[str], seeds: int) -> list[Row]:

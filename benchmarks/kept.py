@@ -5,6 +5,7 @@ at once.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,20 @@ def read(path: Path | None, *lists: str) -> dict[str, Any]:
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             raise InvalidInput(f"{path}: expected a file of this benchmark, got one without rows in '{name}'")
     return dict(document)
+
+
+def expect_fields(path: Path | None, document: dict[str, Any], sums: Mapping[str, str]) -> None:
+    """Note in the document which values its fields have, by a checksum for each name.
+
+    Raises InvalidInput if the document has rows of a field with other values: a raster was changed meanwhile.
+    """
+    noted = document.setdefault("fields", {})
+    if not isinstance(noted, dict):
+        raise InvalidInput(f"{path}: expected a file of this benchmark, got one whose 'fields' are no table")
+    for name, checksum in sums.items():
+        if noted.setdefault(name, checksum) != checksum:
+            raise InvalidInput(f"{path}: expected results of {name} as it is now, got those of other values; name "
+                               "another file")  # fmt: skip
 
 
 def write(path: Path | None, document: dict[str, Any]) -> None:

@@ -50,6 +50,9 @@ def test_our_design_holds_and_is_shorter_than_the_greedy_one_and_what_is_done_is
     assert found["designs"] == [ours, greedy]
     assert kept.read(file, "designs")["designs"] == [ours, greedy, *other]
     assert f"{ours['metres'] / greedy['metres']:.3f}" in "\n".join(said)
+    kept.write(file, {"designs": [ours, greedy], "missions": [], "fields": {"waves.npy": "another"}})
+    with pytest.raises(InvalidInput, match=r"kept\.json: expected results of waves\.npy as it is now, got those"):
+        certificate.run(data, ["waves.npy"], [0.6], (), json=file, say=said.append)
 
 
 def test_ours_is_compared_with_the_best_whose_certificate_holds():

@@ -98,6 +98,16 @@ def test_the_same_command_goes_on_and_adds_what_is_new(data, tmp_path, monkeypat
         exam.run(data, methods=("random",), **{**asked, "kernel": "se"})
 
 
+def test_rows_of_a_raster_that_has_other_values_now_are_not_mixed_with_new_ones(data, tmp_path):
+    asked = {"samples": 10, "methods": ("random",), "seeds": 1, "json": tmp_path / "exam.json", "say": str}
+    exam.run(data, **asked, fields=("waves.npy",))
+    exam.run(data, **asked, fields=("waves.npy",))
+    values = np.load(data / "waves.npy")
+    np.save(data / "waves.npy", values[::-1])
+    with pytest.raises(InvalidInput, match=r"exam\.json: expected results of waves\.npy as it is now, got those"):
+        exam.run(data, **asked, fields=("waves.npy",))
+
+
 def test_an_exam_of_methods_that_are_all_missing_says_how_to_install_them(monkeypatch):
     monkeypatch.setenv("HE3_PEERS_PYTHON", "/nonexistent")
     with pytest.raises(InvalidInput, match="SGP-Tools needs a separate environment, expected its interpreter at /none"):
