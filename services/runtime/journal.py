@@ -17,6 +17,7 @@ SQLite in WAL mode is not used, because it does not notice damage. [measured: ex
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import struct
@@ -53,6 +54,9 @@ FORMAT: Final = "2"
 
 
 _FRAME: Final = struct.Struct("<BQ")  # operation code and length of an MCAP record
+
+_MAY_PASS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
+"""Errors of the system that are no mistake of the operator's, and that may be gone at the next start."""
 
 _Parsed = TypeVar("_Parsed")
 
@@ -170,7 +174,8 @@ class JournalFolder:
             path = self._folder / f"{self._node}-{len(self._files()) + 1:04d}.mcap"
             stream = open_output(path, new=True)
         except OSError as error:
-            raise InvalidInput(f"{self._folder}: cannot keep a journal there: {error.strerror}") from None
+            kind = He3Error if error.errno in _MAY_PASS else InvalidInput
+            raise kind(f"{self._folder}: cannot keep a journal there: {error.strerror}") from None
         if history is None:
             return JournalWriter(stream, self._identity, self._codec, where=str(path))
         earlier_starts = history.starts

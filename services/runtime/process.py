@@ -20,7 +20,7 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from he3.errors import He3Error
+from he3.errors import He3Error, InvalidInput
 from schemas.topics import ONLOOKERS, Side, Topic
 from services.runtime.audit_trail import AuditTrail
 from services.runtime.context import Driver, ProcessContext
@@ -83,7 +83,10 @@ def serve(
     in_lockstep: MakeDriver = LockstepDriver,
     open_side: OpenSide = connect_side,
 ) -> int:
-    """Run the service until it is told to stop; the process's exit code. One line on standard error if it cannot."""
+    """Run the service until it is told to stop; the process's exit code. One line on standard error if it cannot.
+
+    2 is bad input, which the same command meets again; 1 is a failure, such as a full disk, that a restart may mend.
+    """
     inbox = Inbox()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, inbox.stop)
@@ -95,7 +98,7 @@ def serve(
         run_process(service, options, inbox, make_driver, open_side)
     except He3Error as error:
         sys.stderr.write(f"he3 {service.name}: {error}\n")
-        return 2
+        return 2 if isinstance(error, InvalidInput) else 1
     return 0
 
 

@@ -15,7 +15,7 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from he3.errors import He3Error
+from he3.errors import InvalidInput
 from schemas.claims import RoleClaim, RoleHolder
 from schemas.codec import Refused, decode_reply, encode
 from schemas.topics import EARTH_CLAIM, HOLDERS, MOON_CLAIM, Side, Topic
@@ -35,6 +35,13 @@ RENEWS_EVERY_S: Final = 1.0
 ANSWERS_WITHIN_S: Final = 1.0
 REPORTS_AFTER_S: Final = 2.0
 """A link that does not answer is reported after this time."""
+
+
+class RoleRefused(InvalidInput):
+    """Another process has the role. A start too many is bad input, which no service manager tries again.
+
+    Tried again and again, it would take the role while its holder is started anew, and without the holder's journal.
+    """
 
 
 class ClaimedRole:
@@ -76,7 +83,7 @@ class ClaimedRole:
         return False
 
     def keep(self, monotonic_s: float) -> None:
-        """Renew the claim if that is due. The answer comes through the inbox, which raises He3Error if it is lost."""
+        """Renew the claim if that is due. The answer comes by the inbox, which raises RoleRefused if it is lost."""
         if monotonic_s - self._claimed_s >= RENEWS_EVERY_S:
             self._claim()
 
@@ -91,7 +98,7 @@ class ClaimedRole:
     def _answered(self, outcome: Outcome) -> None:
         if isinstance(outcome, NotReplied):
             if outcome.why is NoReply.REFUSED:
-                raise He3Error(f"cannot take part as {self._name}: {outcome.detail}")
+                raise RoleRefused(f"cannot take part as {self._name}: {outcome.detail}")
             return  # no link yet, or none any more: it asks again
         try:
             _, holder = decode_reply(self._topic, outcome.payload, self._mission)
@@ -102,11 +109,11 @@ class ClaimedRole:
         if holder.process == self.process:
             self._held = True
         elif self._held:
-            raise He3Error(f"another process has taken part as {self._name} since: {_shown(holder.process)}")
+            raise RoleRefused(f"another process has taken part as {self._name} since: {_shown(holder.process)}")
         elif self._other is None or self._other.process != holder.process:
             self._other = holder
         elif holder.renewals > self._other.renewals:
-            raise He3Error(
+            raise RoleRefused(
                 f"expected to be the only {self._name} of mission '{self._mission}', "
                 f"got another one that takes part: {_shown(holder.process)}"
             )

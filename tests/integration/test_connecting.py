@@ -17,10 +17,11 @@ import pytest
 from he3.errors import He3Error, PeerUnreachable
 from schemas.commands import NoParameters
 from schemas.topics import LIST_COMMANDS, Side
+from services.console.launch.endpoints import free_endpoints
 from services.runtime.transport.client import Client
 from services.runtime.transport.opening import SILENT_AFTER_S, SilenceReport, connect_client, open_router
 from services.runtime.transport.session import Session
-from tests.processes import he3, start
+from tests.processes import he3, run, start
 from tests.waiting import expect_within, until
 
 MISSION = "connecting"
@@ -175,3 +176,20 @@ def _free() -> str:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("short", "--set", "network.earth={silent}"), 1, "cannot listen as the earth router at {silent}"),
+        (("nowhere.toml",), 2, "nowhere.toml: cannot read the scenario: No such file or directory"),
+    ],
+)
+def test_the_exit_code_of_a_service_tells_a_failure_that_may_pass_from_bad_input(
+    words: tuple[str, ...], code: int, said: str, silent: str
+) -> None:
+    moon = ("--set", f"network.moon={free_endpoints().moon}") if code == 1 else ()
+    given = [word.format(silent=silent) for word in words]
+    done = run([sys.executable, "-P", "-m", "services.link", *given, *moon])
+    assert (done.returncode, len(done.stderr.splitlines())) == (code, 1), done.stderr
+    assert done.stderr.startswith(f"he3 link: {said.format(silent=silent)}")

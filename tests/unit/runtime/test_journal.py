@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import pickle
 import resource
 import tempfile
@@ -242,6 +244,19 @@ def test_a_journal_that_cannot_be_written_is_one_line_and_what_was_written_befor
         assert same(kept[:8], inputs(8))
         assert same(kept[8:], [(2000, TimerElapsed("step"))] * (len(kept) - 8))
         ended(writer)
+
+
+@pytest.mark.parametrize(("number", "kind"), [(errno.ENOSPC, He3Error), (errno.EACCES, InvalidInput)])
+def test_a_full_disk_is_no_bad_input_where_a_journal_begins(
+    number: int, kind: type[He3Error], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("services.runtime.journal.open_output", refused)
+    with pytest.raises(He3Error, match="cannot keep a journal there") as found:
+        JournalFolder(tmp_path, "rover", WHO, CODEC).begin()
+    assert type(found.value) is kind
 
 
 def append_without_end(writer: JournalWriter) -> None:
