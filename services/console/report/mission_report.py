@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from he3.driving import J_PER_WH, DrivenGround
 from he3.driving_cost import cost_unit
 from he3.errors import He3Error
-from schemas.ground import GroundStatus, MissionPhase, MissionTrack
+from he3.kernels import AUTO
+from schemas.ground import GoalStatus, GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import MapLayer, MapRaster, MapScore, RegionLayer
 from schemas.report import ClosedGroundReport, DrivingReport, MessageCounts, MissionReport, ReportSample
 from services.console.report.learned import kernel_weights, learned
@@ -81,6 +82,21 @@ def gather(mission: Answers, scenario: Scenario, status: GroundStatus, run: Run)
     return Outcome(report, track, array_of(mean), array_of(std), mean.resolution_m)
 
 
+def _kernel(scenario: Scenario, status: GroundStatus) -> str:
+    """The scenario's kernel; with `auto` and one kernel taken for certain, that one."""
+    if status.kernel is None or (scenario.ground.kernel == AUTO and status.kernel.alternatives):
+        return scenario.ground.kernel
+    return status.kernel.name
+
+
+def _goal(status: GroundStatus) -> GoalStatus | None:
+    """The goal as it stands; without what was foreseen of samples to come, once none is to come."""
+    goal = status.goal
+    if goal is None or goal.forecast is None or status.phase is not MissionPhase.COMPLETED:
+        return goal
+    return goal.model_copy(update={"forecast": None, "text": goal.text.removesuffix(f"; {goal.forecast.text}")})
+
+
 def build_report(
     scenario: Scenario,
     run: Run,
@@ -107,7 +123,7 @@ def build_report(
         region_note=run.region_note,
         region_layers=tuple(RegionLayer(**asdict(origin)) for origin in run.region_layers),
         planner=scenario.ground.planner,
-        kernel=scenario.ground.kernel if status.kernel is None else status.kernel.name,
+        kernel=_kernel(scenario, status),
         kernel_weights=kernel_weights(status.kernel),
         seed=scenario.seed,
         driver=run.driver,
@@ -125,7 +141,7 @@ def build_report(
         driving=_driving(scenario, run, track),
         closed_ground=None if run.closed is None else ClosedGroundReport(**asdict(run.closed)),
         learned=learned(status.kernel, scenario.field.noise_std_ppb),
-        goal=status.goal,
+        goal=_goal(status),
         drilled_m=round(sum(sample.depth_m for sample in track.samples), 9),
         mission_time_s=run.mission_time_s,
         wall_time_s=run.wall_time_s,

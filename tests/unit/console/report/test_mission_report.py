@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from he3.errors import He3Error
-from schemas.ground import FieldWarp, GroundStatus, KernelParameters, MissionPhase, MissionTrack, WeightedKernel
+from schemas.ground import (
+    FieldWarp,
+    GoalForecast,
+    GoalStatus,
+    GroundStatus,
+    KernelParameters,
+    MissionPhase,
+    MissionTrack,
+    WeightedKernel,
+)
 from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
 from schemas.maps import MapLayer, MapRaster, MapScore
 from schemas.report import MissionReport
@@ -58,6 +67,10 @@ def link() -> LinkStatus:
 
 
 def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True, samples: int = 2) -> MissionReport:
+    return reported(status(phase, samples), scored=scored)
+
+
+def reported(found: GroundStatus, scenario: Scenario = SCENARIO, *, scored: bool = True) -> MissionReport:
     track = MissionTrack(
         samples=(sample(1), sample(2)),
         driven_path_m=((25.0, 25.0), (10.0, 5.0), (20.0, 5.0)),
@@ -65,7 +78,7 @@ def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True, sa
         score_history=(score(2),),
     )
     run = Run("in-process", None, "made up", 123.5, 0.25)
-    return build_report(SCENARIO, run, status(phase, samples), track, link(), score(2) if scored else None)
+    return build_report(scenario, run, found, track, link(), score(2) if scored else None)
 
 
 def test_the_report_says_what_the_mission_did() -> None:
@@ -175,6 +188,28 @@ def test_the_report_tells_which_kernels_the_map_mixes_and_nothing_where_it_has_o
     assert MissionReport.model_validate_json(made.model_dump_json()) == made
     assert "map mixes     matern12 75%, matern52 25%" in summary_lines(made)
     assert not any(line.startswith("map mixes") for line in summary_lines(report()))
+
+
+@pytest.mark.parametrize(
+    ("named", "mixed", "said"),
+    [("auto", True, "auto"), ("auto", False, "matern52"), ("matern52", True, "matern52")],
+)
+def test_the_report_names_the_scenarios_kernel_where_the_map_is_a_mixture(named: str, mixed: bool, said: str) -> None:
+    one = WeightedKernel(weight=0.5, parameters={"variance": 1.0, "length_scale_m": 60.0})
+    found = status(MissionPhase.COMPLETED).model_copy(update={"kernel": kernel(0.1, *([one, one] if mixed else []))})
+    assert reported(found, SCENARIO.changed(ground={"kernel": named})).kernel == said
+
+
+def test_what_was_foreseen_of_samples_to_come_is_in_no_report_of_a_mission_that_is_over() -> None:
+    foreseen = GoalForecast(samples=None, metres=None, worst_ppb=0.9, budget_m=None, reachable=False,
+                            text="with the 4 samples left the greatest std is about 0.9 ppb")  # fmt: skip
+    goal = GoalStatus(std_ppb=0.5, probability=0.95, area="everywhere", holds=False, worst_ppb=0.6, share=0.9,
+                      weight=None, forecast=foreseen, text=f"greatest 0.600 ppb; {foreseen.text}")  # fmt: skip
+    for phase, text in ((MissionPhase.COMPLETED, "greatest 0.600 ppb"), (MissionPhase.EXECUTING, goal.text)):
+        found = status(phase).model_copy(update={"goal": goal})
+        made = reported(found)
+        assert made.goal is not None
+        assert made.goal.text == text
 
 
 def test_the_report_is_one_json_document_that_reads_back_equal() -> None:
