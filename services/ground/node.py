@@ -40,6 +40,7 @@ from schemas.topics import (
 from services.ground.authority import CommandAuthority
 from services.ground.belief import Belief
 from services.ground.budget import Budget
+from services.ground.closed_ground import enclosure
 from services.ground.command_history import CommandHistory
 from services.ground.director import REPLAN_TIMER, Director
 from services.ground.driving_costs import DrivingCosts
@@ -66,7 +67,6 @@ from services.ground.status import StatusReporter
 from services.ground.telecommands import LOOK_QUERY, LOOK_TIMER, LOST_TIMER, TelecommandHandler
 from services.ground.terrain import (
     GroundTerrain,
-    enclosure,
     interest_area_objection,
     interest_objection,
     interest_weights,

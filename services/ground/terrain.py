@@ -18,7 +18,6 @@ from scipy import ndimage
 
 from he3.errors import InvalidInput
 from he3.polygons import outline_objection
-from he3.terrain import reachable
 from services.ground.planners.traversability import MOST_MARGIN, OpenGround, open_ground
 
 if TYPE_CHECKING:
@@ -30,7 +29,6 @@ Outline = tuple["Place", ...]
 
 _BOUNDARY_STEP_CELLS = 0.25  # step along a polygon's edge; it can miss only the corner of a cell
 BESIDE_TRACK_M = 2.5  # distance from the end of its known track within which the rover is taken to stand on it
-_ENOUGH_REACHED = 0.5  # share of the open ground that a mission reaches from its start without a note
 _FLAT_M = 1e-6  # distance from a line within which corners count as lying on it
 
 
@@ -150,6 +148,10 @@ class GroundTerrain:
         cells = np.unique(np.column_stack((rows, columns)), axis=0)
         return int((~self._open[cells[:, 0], cells[:, 1]]).sum())
 
+    def open_in_region(self, place_m: Place) -> bool:
+        """Whether the region is open at the place, whatever obstacles and keep-outs close."""
+        return bool(self._orbital[cell_of(self.grid, place_m)])
+
     def open_from(self, start_m: Place) -> BoolArray:
         """(rows, columns), read-only: where the rover may go from the place where it stands.
 
@@ -253,25 +255,6 @@ class GroundTerrain:
         self._areas, self._outlines = state["areas"], state["outlines"]
         self._obstacles, self._met = state["obstacles"], state["met"]
         self._bare, self._open = state["bare"], state["open"]
-
-
-def enclosure(terrain: GroundTerrain, start_m: Place) -> str:
-    """One line on how little of the open ground can be reached from the start [m]; empty if it is most of it."""
-    grid, open_cells = terrain.grid, terrain.traversable
-    reached = reachable(terrain.open_from(start_m), grid, start_m) & open_cells
-    total, count = int(np.count_nonzero(open_cells)), int(np.count_nonzero(reached))
-    if count >= _ENOUGH_REACHED * total:
-        return ""
-    said = (
-        f"from the start ({start_m[0]:g}, {start_m[1]:g}) m only {count / total:.1%} of the open ground can be reached"
-    )
-    labels, parts = ndimage.label(open_cells)
-    sizes = np.bincount(labels.ravel(), minlength=parts + 1)[1:]
-    if sizes.max() <= count:
-        return f"{said}, the largest of {parts} parts that closed ground keeps apart"
-    places = (np.argwhere(labels == 1 + int(np.argmax(sizes)))[:, ::-1] + 0.5) * grid.resolution_m
-    x, y = places[int(np.argmin(np.hypot(*(places - start_m).T)))]
-    return f"{said}; from ({x:g}, {y:g}) m it is {sizes.max() / total:.1%}"
 
 
 def cell_of(grid: SiteGrid, place_m: Place) -> tuple[int, int]:

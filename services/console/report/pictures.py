@@ -327,7 +327,7 @@ def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
             axis.annotate(last, end, xytext=(-2, away), textcoords="offset points", **look)
             least, most = min(*rmse, *claimed), max(*rmse, *claimed)
             axis.set_ylim(0 if least < 0.4 * most else 0.8 * least, most * 1.08)
-            axis.set_xlim(0, samples[-1] * 1.02)
+            axis.set_xlim(0, max(samples[-1], 1) * 1.02)
         axis.set(xlabel="samples", ylabel="helium-3 [ppb]")
         axis.grid(color="#d8dde2", lw=0.6)
         axis.set_axisbelow(True)

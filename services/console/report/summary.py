@@ -69,7 +69,7 @@ def _closed(report: MissionReport) -> list[tuple[str, str]]:
         return []
     reasons = {
         "too steep": ground.too_steep,
-        "rough": ground.rough,
+        "rough or closed in the region": ground.rough,
         "without a reference": ground.unknown,
         "keep-outs": ground.keep_outs,
         "beside closed ground": ground.margin,

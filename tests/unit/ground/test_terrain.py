@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from he3.errors import InvalidInput, OutsideRegion
 from he3.frames import SiteGrid
+from services.ground.closed_ground import enclosure
 from services.ground.planners.traversability import MOST_MARGIN
-from services.ground.terrain import GroundTerrain, cells_inside, cells_touched, enclosure, interest_weights
+from services.ground.terrain import GroundTerrain, cells_inside, cells_touched, interest_weights
 
 GRID = SiteGrid(40, 50)
 ALL_OPEN = np.ones(GRID.shape, dtype=np.bool_)
@@ -236,6 +237,20 @@ def test_interest_is_one_everywhere_but_in_its_regions_and_the_last_of_them_coun
     weights = interest_weights(GRID, [(box, 3.0), (TRIANGLE, 0.5)])
     assert weights is not None
     assert (weights[2, 2], weights[12, 18], weights[35, 35]) == (3.0, 0.5, 1.0)
+
+
+def test_a_start_on_ground_that_the_region_closes_is_named_with_the_nearest_open_place() -> None:
+    hollow = ALL_OPEN.copy()
+    hollow[10:20, 10:20] = False
+    terrain = GroundTerrain(GRID, hollow, 0.0)
+    x, y = 12.5 * GRID.resolution_m, 14.5 * GRID.resolution_m
+    said = enclosure(terrain, (x, y))
+    assert said == (
+        f"the start ({x:g}, {y:g}) m is on closed ground, which the rover may be unable to leave; the nearest open "
+        f"ground is at ({9.5 * GRID.resolution_m:g}, {y:g}) m"
+    )
+    terrain.set_keep_out("a", [[(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0)]])
+    assert enclosure(terrain, (2.0, 2.0)) == ""
 
 
 def test_a_start_from_which_little_can_be_reached_is_named_with_a_better_one() -> None:

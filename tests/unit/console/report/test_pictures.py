@@ -114,6 +114,11 @@ def test_the_error_axis_begins_near_curves_that_stay_far_from_zero() -> None:
     assert rmse_figure("title", "note", scores).axes[0].get_ylim() == pytest.approx((0.64, 0.972))
 
 
+def test_a_mission_that_took_no_sample_has_a_diagram_too() -> None:
+    scores = [score.model_copy(update={"samples": 0}) for score in history(1)]
+    assert rmse_figure("title", "note", scores).axes[0].get_xlim() == pytest.approx((0.0, 1.02))
+
+
 def test_no_rounds_make_an_empty_diagram() -> None:
     assert rmse_figure("title", "note", []).axes[0].get_xlabel() == "samples"
 
