@@ -250,6 +250,8 @@ def table(rows: Sequence[Row]) -> list[str]:
 def _cell(found: Sequence[float]) -> str:
     if not found:
         return "-"
+    if len(found) == 1:
+        return f"{found[0]:.3f}"  # of one seed there is no spread
     low, high = interval(found)
     return f"{np.mean(found):.3f} ({low:.2f}-{high:.2f})"
 

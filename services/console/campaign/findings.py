@@ -196,7 +196,7 @@ def _figure(
     there = {group: rows[~np.isnan(values[rows])] for group, rows in members.items()}
     comparisons = []
     for names, (one, other) in partners.items():
-        if not np.isnan(values[one] - values[other]).all():
+        if np.count_nonzero(~np.isnan(values[one] - values[other])) > 1:  # one pair shows no difference beyond chance
             comparisons.append(paired(values[one], values[other], names))
     varied = [label for label in table.varied() if label not in (compare, SEED)]
     shares = {group: _shares(table, varied, rows, values) for group, rows in members.items()}

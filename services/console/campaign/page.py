@@ -10,7 +10,7 @@ import numpy as np
 from he3.frames import FloatArray
 from services.console.campaign.drawing import Axis, Bar, Diagram, axis_of, bars, number, steps
 from services.console.campaign.findings import ALL, Case, FigureFindings, Findings, Trend
-from services.console.campaign.statistics import LEVEL, QUANTILES, RESAMPLES, Paired, Share
+from services.console.campaign.statistics import FEW, LEVEL, QUANTILES, RESAMPLES, Paired, Share
 
 _POINTS = 240
 """Points of a distribution function at most."""
@@ -233,7 +233,8 @@ def _label(value: object) -> str:
 def _notes(findings: Findings) -> str:
     notes = [
         "A pair is two missions that differ in the compared value alone: same seed, same draw. Intervals are "
-        f"percentiles of a bootstrap over pairs, {RESAMPLES:,} resamples.",
+        f"percentiles of a bootstrap over pairs, {RESAMPLES:,} resamples; of fewer than {FEW} pairs they follow from "
+        "Student's t.",
         "The share of the variance is of first order: bins of the parameter by rank, without what so many bins explain "
         "by chance. What all shares together leave is the seed and what parameters do together.",
     ]

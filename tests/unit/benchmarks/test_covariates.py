@@ -114,6 +114,12 @@ def test_what_a_file_has_is_printed_and_not_computed_again(rows, tmp_path):
     assert any(line.startswith("relation, upside down") for line in said)
 
 
+def test_the_table_has_an_interval_where_there_are_seeds_and_none_for_one_seed(rows):
+    alone, both = table(rows), table([*rows, *(row | {"seed": 4, "ratio": row["ratio"] + 0.1} for row in rows)])
+    assert not any("(" in line for line in alone[:-1])
+    assert sum("(" in line for line in both[:-1]) == len(rows)
+
+
 def test_the_interval_of_a_mean_holds_it_and_widens_with_the_spread():
     low, high = interval([0.8, 0.9, 1.0, 0.9])
     assert 0.8 < low < 0.9 < high < 1.0

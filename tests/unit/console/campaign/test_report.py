@@ -99,6 +99,22 @@ def test_a_bootstrap_interval_is_that_of_the_normal_distribution_for_many_pairs(
     assert paired(first, second, ("a", "b")) == one, "the same rows have the same interval"
 
 
+@pytest.mark.parametrize("count", [2, 3, 5, 12])
+def test_few_pairs_that_differ_by_chance_alone_seldom_have_an_interval_without_zero(count: int) -> None:
+    rng = np.random.default_rng(11)
+    found = []
+    for _ in range(400):
+        second = rng.normal(100, 20, count)
+        found.append(paired(second + rng.normal(0, 5, count), second, ("a", "b")))
+    assert np.mean([one.low <= 0 <= one.high for one in found]) == pytest.approx(0.95, abs=0.03)
+    assert np.mean([one.ratio_low <= 1 <= one.ratio_high for one in found]) == pytest.approx(0.95, abs=0.03)
+
+
+def test_of_one_pair_there_is_no_interval() -> None:
+    with pytest.raises(ValueError, match="two pairs at least, got 1"):
+        paired(np.array([1.0, np.nan]), np.array([2.0, 3.0]), ("a", "b"))
+
+
 def test_pairs_that_are_equal_count_as_lower_for_neither() -> None:
     one = paired(np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 2.0, 3.0, 3.0]), ("a", "b"))
     assert (one.first_lower, one.equal) == (0.25, 0.5)
