@@ -148,7 +148,9 @@ def _serve(file: Path, at: str | None, rate: float) -> None:
         if at is not None:
             mission.jump(parse_moment(at, mission.begin_ns))
         where = free_endpoints()
-        running = RunningMission(mission.mission, str(file), where.moon, where.earth, os.getpid(), {})
+        running = RunningMission(
+            mission.mission, str(file), where.moon, where.earth, os.getpid(), {}, recording=str(file.resolve())
+        )
         with serving(mission, where.earth), announced(running):
             mission.set_pace(rate)
             typer.echo(

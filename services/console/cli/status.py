@@ -36,6 +36,7 @@ def status(
     if state.knows_nothing:
         raise PeerUnreachable(f"mission '{client.mission}' at {client.earth}: no process answers")
     document = _document(client.mission, client.earth, alive, state)
+    document["recording"] = client.recording or None
     open_to_all = ", ".join(state.insecure)
     document["insecure"] = client.warning or (
         f"INSECURE: {open_to_all} without TLS off loopback" if open_to_all else None
@@ -64,6 +65,8 @@ def _lines(document: dict[str, Any], state: MissionState) -> list[str]:
     if clock is not None:
         pace = "lockstep" if clock.mode.value == "lockstep" else speed(clock.rate)
     rows = [] if document["insecure"] is None else [("INSECURE", document["insecure"].removeprefix("INSECURE: "))]
+    if document["recording"] is not None:
+        rows.append(("RECORDING", f"{document['recording']}; nothing of it is live"))
     if state.defects:
         rows.append(("DEFECT", state.defect_report))
     rows += [

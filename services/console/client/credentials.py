@@ -25,6 +25,8 @@ class Credentials:
     """The identity for TLS; None for a mission without TLS."""
     warning: str | None
     """One line of warning if every client that reaches the mission may command it; else None."""
+    recording: str = ""
+    """The recording that is served in place of a running mission, by its announcement here; empty for one that runs."""
 
 
 def credentials_for(earth: str, mission: str, identity: Path | None = None, *, insecure: bool = False) -> Credentials:
@@ -43,8 +45,9 @@ def credentials_for(earth: str, mission: str, identity: Path | None = None, *, i
     warning = check_endpoint(earth, identified=folder is not None, insecure=allowed)
     if warning is None and running is not None and running.insecure:
         warning = check_endpoint(running.moon, identified=bool(running.viewer), insecure=True)
+    recording = "" if running is None else running.recording
     if folder is None:
-        return Credentials(None, warning)
+        return Credentials(None, warning, recording)
     from services.runtime.trust.identity import load_identity
 
-    return Credentials(load_identity(folder), warning)
+    return Credentials(load_identity(folder), warning, recording)

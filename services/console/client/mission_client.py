@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Self
 
 from he3.errors import PeerUnreachable
 from schemas.topics import GROUND_STATUS, Side, Topic
+from schemas.wire import printable
 from services.console.client.areas import Areas
 from services.console.client.credentials import credentials_for
 from services.console.client.feed import MapFeed
@@ -78,6 +79,10 @@ class MissionClient(MapFiles, Areas, PlanReviewing, Previewing, Operations, Fork
         self.identity, self.warning = credentials.identity, credentials.warning
         if self.warning is not None:
             _report(self.warning)
+        self.recording = credentials.recording
+        """The recording that is served in place of a running mission; empty for one that runs."""
+        if self.recording_note is not None:
+            _report(self.recording_note)
         waiting = while_waiting or SilenceReport(Side.EARTH, self.earth, _report)
         self._session = Client(self.earth, self.mission, name, while_waiting=waiting, identity=self.identity)
 
@@ -124,6 +129,14 @@ class MissionClient(MapFiles, Areas, PlanReviewing, Previewing, Operations, Fork
 
     def close(self) -> None:
         self._session.close()
+
+    @property
+    def recording_note(self) -> str | None:
+        """One line that says that this is no running mission; None for one that runs."""
+        served = (
+            f"RECORDING: mission '{self.mission}' is served from {printable(self.recording)}; nothing of it is live"
+        )
+        return served if self.recording else None
 
     def status(self, timeout_s: float = 10.0) -> GroundStatus:
         """The mission as the ground sees it."""

@@ -36,6 +36,8 @@ class RunningMission:
     """Folder of an identity that may read, with which this user's commands join; empty for a mission without TLS."""
     insecure: bool = False
     """Whether its user has allowed endpoints off loopback without TLS."""
+    recording: str = ""
+    """The recording that is served in place of a running mission; empty for one that runs."""
 
 
 def folder() -> Path:
@@ -143,7 +145,9 @@ def find(mission: str | None = None, earth: str | None = None) -> tuple[str, str
 
 
 def _ambiguous(running: list[RunningMission]) -> InvalidInput:
-    listed = ", ".join(sorted(f"'{each.mission}' at {each.earth}" for each in running))
+    listed = ", ".join(
+        sorted(f"'{each.mission}' at {each.earth}{', a recording' if each.recording else ''}" for each in running)
+    )
     if len({each.mission for each in running}) == len(running):
         flag = "--mission"
     elif len({each.earth for each in running}) == len(running):

@@ -39,6 +39,7 @@ class RecordedMission(MissionClient):
         self.earth = str(path)
         self.mission = self.tape.mission
         self.identity = self.warning = self.as_name = None
+        self.recording = ""  # a page over it says so itself
         self._maps = RecordedMaps(self.tape, region)
         start_ns = min(self.tape.start_ns, self.tape.times[0])
         self._played = RecordedSession(self.tape, self._maps, PlayedTime(start_ns, self.tape.end_ns))

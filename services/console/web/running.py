@@ -85,7 +85,7 @@ def serve(
             hub = Hub(mission, recording, rehearse)
             hub.begin()
             config = uvicorn.Config(
-                page(hub, sorted(hosts), access, warning or mission.warning),
+                page(hub, sorted(hosts), access, warning or mission.warning or mission.recording_note),
                 http=protocol_of(listener),
                 loop="asyncio",  # another loop would accept connections by itself
                 log_level="error",

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from he3.errors import He3Error, InvalidInput, PeerUnreachable
-from services.console.client.run_file import RunningMission, announced, find, folder, running_missions
+from services.console.client.run_file import RunningMission, announced, announced_as, find, folder, running_missions
 
 
 @pytest.fixture(autouse=True)
@@ -43,6 +43,14 @@ def test_with_several_missions_one_must_be_named() -> None:
         ):
             find()
         assert find("b") == ("tcp/127.0.0.1:3", "b")
+
+
+def test_of_a_mission_and_a_recording_of_one_name_the_recording_is_told_apart() -> None:
+    recording = RunningMission("m", "m.mcap", "", "tcp/127.0.0.1:3", os.getppid(), {}, recording="/runs/m.mcap")
+    with announced(mission()), announced(recording):
+        with pytest.raises(InvalidInput, match=r"\('m' at tcp/127.0.0.1:1, 'm' at tcp/127.0.0.1:3, a recording\)"):
+            find()
+        assert announced_as("tcp/127.0.0.1:3", "m") == recording
 
 
 def test_of_two_missions_of_one_name_the_endpoint_must_be_named() -> None:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from benchmarks.faults import small_region
 from he3.errors import He3Error
 from schemas.topics import GROUND_STATUS, STATE
+from services.console.__main__ import main
 from services.console.client.mission_client import MissionClient
+from services.console.client.run_file import RunningMission, announced
 from services.console.launch.endpoints import free_endpoints
 from services.console.replay.mission import RecordedMission
 from services.console.replay.serving import serving
@@ -55,6 +60,25 @@ def test_its_messages_come_at_the_pace_that_its_clock_is_set_to(
     until(lambda: state.rover == recorded.session.latest(STATE)[1], "the last report before time stood still")
     until(lambda: state.process_silent_s("ground") is not None, "a heartbeat")
     assert abs(state.time.now() - recorded.now_ns) < 2000.0 * SECOND, "a second of wall time at that pace"
+
+
+def test_every_command_and_the_page_say_that_nothing_of_it_is_live(
+    client: MissionClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert client.recording_note is None, "it is not announced"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    served = RunningMission("faults", "", "", client.earth, os.getpid(), {}, recording="/runs/mission.mcap")
+    said = "RECORDING: mission 'faults' is served from /runs/mission.mcap; nothing of it is live"
+    with announced(served):
+        with MissionClient() as found:
+            assert found.recording_note == said
+        assert capsys.readouterr().err == f"he3: {said}\n"
+        assert main(["status"]) == 0
+        printed = capsys.readouterr()
+        assert printed.out.splitlines()[0] == "RECORDING  /runs/mission.mcap; nothing of it is live"
+        assert printed.err == f"he3: {said}\n"
+        assert main(["status", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["recording"] == "/runs/mission.mcap"
 
 
 def test_it_is_not_commanded(client: MissionClient) -> None:
