@@ -25,6 +25,7 @@ from he3.hyperparameters import DEFAULT_NOISE_STD_PPB
 from he3.nodata import cells_where, filled_with_nearest, undeclared
 from he3.reference import Region, orbital_view
 from services.mission.embedded_regions import EMBEDDED
+from services.mission.region_build.sources import hidden_by_mask
 from services.mission.regions import load_region
 
 MOST_CELLS = 400
@@ -224,6 +225,7 @@ def _geotiff(path: Path, part: str) -> tuple[FloatArray, float]:
                 raise InvalidInput(f"{path}: expected a band {part}, got {', '.join(map(str, raster.descriptions))}")
             band = 1 + raster.descriptions.index(part) if part else 1
             masked = raster.read(band, masked=True)
+            masked[hidden_by_mask(raster, band)] = np.ma.masked
             _expect_no_marks(path, masked.data, ~np.ma.getmaskarray(masked))
             values = masked.astype(np.float64).filled(np.nan)
             # Pixels are taken as squares; in degrees their height counts.

@@ -53,6 +53,7 @@ def draw(rows: Sequence[dict[str, Any]], fields: Sequence[str], path: Path) -> P
             axis.set_visible(False)
         for line in axes:
             line[0].set_yticks(at, methods)
+            line[0].set_ylim(-0.5, len(methods) - 0.5)  # room for whole marks, also of a few methods
         marks = [plt.Line2D([], [], color=colour, marker="o", ls="", ms=4.5, label=label) for colour, label in LABELS]
         figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from he3.nodata import cells_where, undeclared
 from he3.reference import Region
 from he3.trend import GAIN_STD, UNSURE_GAIN_STD, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
 from services.mission.scenario import Scenario
-from services.mission.tiff import NotPlain, no_data_of, read_tiff
+from services.mission.tiff import NotPlain, missing_of, read_tiff
 
 REGION_LAYERS: Final = ("orbital_ppb", "elevation_m", "slope_deg")
 """Layers that every region has, which a scenario may name; the reference field is none of them."""
@@ -68,7 +68,7 @@ def _raster(name: str) -> NDArray[Any]:
     if path.suffix.lower() != ".npy":
         try:
             values = read_tiff(path)[::-1]
-            _expect_no_holes(name, values, no_data_of(path))
+            _expect_no_holes(name, values, *missing_of(path))
             return values
         except NotPlain as error:
             raise InvalidInput(f"covariate {name}: expected a plain GeoTIFF, got {error}") from None
@@ -79,8 +79,12 @@ def _raster(name: str) -> NDArray[Any]:
     return values
 
 
-def _expect_no_holes(name: str, values: NDArray[Any], no_data: float | None) -> None:
-    """Raises InvalidInput if cells (rows, columns) have the file's no-data value."""
+def _expect_no_holes(name: str, values: NDArray[Any], no_data: float | None, masked: bool) -> None:
+    """Raises InvalidInput if cells (rows, columns) have the file's no-data value, or if a mask may hide some."""
+    if masked:
+        raise InvalidInput(
+            f"covariate {name}: expected a value on every cell, got a raster with a mask of such without"
+        )
     if no_data is None:
         return
     # As the raster's own type rounds it: -3.4028226550889045e38 is no float32.

@@ -26,6 +26,8 @@ _WIDTH, _LENGTH, _BITS, _COMPRESSION, _SAMPLES, _PREDICTOR, _FORMAT = 256, 257, 
 _STRIPS, _ROWS_PER_STRIP, _STRIP_BYTES = 273, 278, 279
 _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES = 322, 323, 324, 325
 _NO_DATA: Final = 42113  # text, GDAL's
+_SUBFILE, _IS_MASK = 254, 4
+_MAX_DIRECTORIES: Final = 64  # of overviews and masks
 _KINDS: Final = {1: "B", 2: "B", 3: "H", 4: "I", 5: "Q", 7: "B", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}
 _DTYPES: Final = {
     (1, 8): "u1",
@@ -102,8 +104,9 @@ def read_tiff(path: Path) -> NDArray[Any]:
         raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
 
 
-def no_data_of(path: Path) -> float | None:
-    """The number that marks missing values in a TIFF file, by GDAL's tag; None if the file names none.
+def missing_of(path: Path) -> tuple[float | None, bool]:
+    """The number that marks missing values in a TIFF file, by GDAL's tag, None if it names none; and whether a mask, in
+    the file or beside it, hides pixels.
 
     Raises InvalidInput for a file that is no TIFF.
     """
@@ -114,15 +117,17 @@ def no_data_of(path: Path) -> float | None:
                 stream.seek(offset)
                 return stream.read(length)
 
-            tags, _ = _tags(read_at)
+            directories = list(_directories(read_at))
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
     except (struct.error, IndexError, KeyError, ValueError):
         raise InvalidInput(f"{path}: expected a TIFF file, got other or damaged bytes") from None
+    masked = any(int(tags.get(_SUBFILE, (0,))[0]) & _IS_MASK for tags, _ in directories)
     try:
-        return float(bytes(tags[_NO_DATA]).split(b"\0")[0])
+        number = float(bytes(directories[0][0][_NO_DATA]).split(b"\0")[0])
     except (KeyError, ValueError):
-        return None
+        number = None
+    return number, masked or path.with_name(f"{path.name}.msk").exists()
 
 
 def tiff_layout(read_at: ReadAt, name: str) -> TiffLayout:
@@ -160,6 +165,11 @@ def tiff_layout(read_at: ReadAt, name: str) -> TiffLayout:
 
 def _tags(read_at: ReadAt) -> tuple[dict[int, Any], bool]:
     """Tag -> values of the first directory, and whether numbers are little-endian."""
+    return next(_directories(read_at))
+
+
+def _directories(read_at: ReadAt) -> Iterator[tuple[dict[int, Any], bool]]:
+    """Tag -> values of each directory, in the order of the file, and whether numbers are little-endian."""
     head = read_at(0, 16)
     order = {b"II": "<", b"MM": ">"}[head[:2]]
     (magic,) = struct.unpack(order + "H", head[2:4])
@@ -172,30 +182,34 @@ def _tags(read_at: ReadAt) -> tuple[dict[int, Any], bool]:
     else:
         raise ValueError(magic)
     size = struct.calcsize(order + count_kind)
-    (count,) = struct.unpack(order + count_kind, read_at(start, size))
-    if count > 4096:
-        raise ValueError(count)
-    directory = read_at(start + size, count * entry)
-    tags: dict[int, Any] = {}
-    for index in range(count):
-        field = directory[index * entry : (index + 1) * entry]
-        tag, kind = struct.unpack(order + "HH", field[:4])
-        (values,) = struct.unpack(order + ("I" if inline == 4 else "Q"), field[4 : entry - inline])
-        if kind not in _KINDS:
-            continue
-        if values > _MAX_VALUES:
-            raise ValueError(values)
-        dtype = np.dtype(order + _KINDS[kind].replace("B", "u1").replace("H", "u2").replace("I", "u4")
-                         .replace("Q", "u8").replace("q", "i8").replace("f", "f4").replace("d", "f8"))  # fmt: skip
-        length = int(values) * dtype.itemsize
-        data = field[entry - inline :]
-        if length > inline:
-            (offset,) = struct.unpack(order + ("I" if inline == 4 else "Q"), data)
-            data = read_at(offset, length)
-        if len(data) < length:
-            raise ValueError(length)
-        tags[tag] = np.frombuffer(data[:length], dtype=dtype)
-    return tags, order == "<"
+    for _ in range(_MAX_DIRECTORIES):
+        (count,) = struct.unpack(order + count_kind, read_at(start, size))
+        if count > 4096:
+            raise ValueError(count)
+        directory = read_at(start + size, count * entry)
+        tags: dict[int, Any] = {}
+        for index in range(count):
+            field = directory[index * entry : (index + 1) * entry]
+            tag, kind = struct.unpack(order + "HH", field[:4])
+            (values,) = struct.unpack(order + ("I" if inline == 4 else "Q"), field[4 : entry - inline])
+            if kind not in _KINDS:
+                continue
+            if values > _MAX_VALUES:
+                raise ValueError(values)
+            dtype = np.dtype(order + _KINDS[kind].replace("B", "u1").replace("H", "u2").replace("I", "u4")
+                             .replace("Q", "u8").replace("q", "i8").replace("f", "f4").replace("d", "f8"))  # fmt: skip
+            length = int(values) * dtype.itemsize
+            data = field[entry - inline :]
+            if length > inline:
+                (offset,) = struct.unpack(order + ("I" if inline == 4 else "Q"), data)
+                data = read_at(offset, length)
+            if len(data) < length:
+                raise ValueError(length)
+            tags[tag] = np.frombuffer(data[:length], dtype=dtype)
+        yield tags, order == "<"
+        (start,) = struct.unpack(order + ("I" if inline == 4 else "Q"), read_at(start + size + count * entry, inline))
+        if start == 0:
+            return
 
 
 def _read_blocks(layout: TiffLayout, read_at: ReadAt, name: str) -> NDArray[Any]:

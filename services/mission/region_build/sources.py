@@ -20,7 +20,7 @@ import numpy as np
 
 from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput
-from he3.frames import FloatArray
+from he3.frames import BoolArray, FloatArray
 from services.mission.region_build.geo import pyproj, rasterio
 from services.mission.region_build.plausible import expect_no_marks, expect_plausible
 from services.mission.region_build.recipe import GridTable, SourceTable
@@ -102,10 +102,12 @@ def opened(layer: str, table: SourceTable, folder: Path) -> Iterator[Source]:
         raise InvalidInput(f"{table.file}: expected a table [layers.{layer}.grid] with the place of the array")
     library = rasterio()
     name = _gdal_name(table.file, folder)
+    # Beside a local file there may be its mask, its no-data value or its place; an address is not asked for them.
+    beside = "EMPTY_DIR" if name.startswith("/vsi") else "FALSE"
     try:
         with (
             warnings.catch_warnings(),
-            library.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_HTTP_TIMEOUT="60", GDAL_CACHEMAX=64),
+            library.Env(GDAL_DISABLE_READDIR_ON_OPEN=beside, GDAL_HTTP_TIMEOUT="60", GDAL_CACHEMAX=64),
         ):
             warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
             with library.open(name) as dataset:
@@ -144,8 +146,11 @@ def _gdal_source(layer: str, table: SourceTable, dataset: Any, name: str) -> Sou
     no_data = [*table.no_data, *([] if dataset.nodatavals[band - 1] is None else [dataset.nodatavals[band - 1]])]
 
     def read(row: int, column: int, rows: int, columns: int) -> FloatArray:
-        raw = dataset.read(band, window=((row, row + rows), (column, column + columns)))
-        return _values(path.name, raw, layer, table, no_data, scale, offset, factor)
+        window = (row, row + rows), (column, column + columns)
+        raw = dataset.read(band, window=window)
+        return _values(
+            path.name, raw, hidden_by_mask(dataset, band, window), layer, table, no_data, scale, offset, factor
+        )
 
     data = [path] if path.is_file() else []
     if data and path.suffix.lower() in (".lbl", ".xml"):
@@ -160,6 +165,21 @@ def _gdal_source(layer: str, table: SourceTable, dataset: Any, name: str) -> Sou
     _expect_the_moon(source, crs)
     _expect_label_agrees(source, label)
     return source
+
+
+def hidden_by_mask(dataset: Any, band: int, window: Any = None) -> BoolArray:
+    """Pixels (rows, columns) that the mask or the alpha band of an open raster hides, in a window or everywhere."""
+    flags = {flag.name for flag in dataset.mask_flag_enums[band - 1]}
+    alpha = next((number for number, of in enumerate(dataset.colorinterp, start=1) if of.name == "alpha"), band)
+    if alpha != band:  # GDAL itself takes an alpha band of integers alone for a mask
+        shown = dataset.read(alpha, window=window)
+    elif "per_dataset" in flags:
+        shown = dataset.read_masks(band, window=window)
+    else:
+        (first, last), (left, right) = window or ((0, dataset.height), (0, dataset.width))
+        return np.zeros((last - first, right - left), dtype=np.bool_)
+    hidden: BoolArray = shown == 0
+    return hidden
 
 
 def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable) -> Source:
@@ -178,7 +198,8 @@ def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable)
 
     def read(row: int, column: int, height: int, width: int) -> FloatArray:
         raw = np.asarray(values[row : row + height, column : column + width])
-        return _values(path.name, raw, layer, table, list(table.no_data), scale, offset, factor)
+        hidden = np.zeros(raw.shape, dtype=np.bool_)
+        return _values(path.name, raw, hidden, layer, table, list(table.no_data), scale, offset, factor)
 
     cell = grid.resolution_m
     crs = (
@@ -219,11 +240,19 @@ def _factor(layer: str, unit: str | None) -> float:
 
 
 def _values(
-    name: str, raw: Any, layer: str, table: SourceTable, no_data: list[float], scale: float, offset: float,
+    name: str,
+    raw: Any,
+    hidden: BoolArray,
+    layer: str,
+    table: SourceTable,
+    no_data: list[float],
+    scale: float,
+    offset: float,
     factor: float,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
+    """The values of the numbers ``raw`` of a window, NaN where they are missing. hidden: by a mask or an alpha band."""
     values = raw.astype(np.float64)
-    missing = ~np.isfinite(values) | (values < _MISSING_BELOW)
+    missing = hidden | ~np.isfinite(values) | (values < _MISSING_BELOW)
     for number in no_data:
         # As the raster's own type rounds it: -3.4028226550889045e38 is no float32.
         missing |= raw == np.asarray(number).astype(raw.dtype) if raw.dtype.kind == "f" else values == number

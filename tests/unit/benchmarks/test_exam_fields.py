@@ -33,6 +33,19 @@ def test_cells_without_a_value_are_closed_and_do_not_count(tmp_path):
     assert np.isfinite(field.region.he3_ppb).all()
 
 
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_pixels_that_an_alpha_band_hides_have_no_value(dtype, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    shown = np.ones((20, 30))
+    shown[:3, :4] = 0
+    place = {"height": 20, "width": 30, "transform": rasterio.Affine(2.0, 0.0, 0.0, 0.0, -2.0, 40.0)}
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", count=2, dtype=dtype, alpha="yes", **place) as target:
+        target.write(np.stack([SLOPE, shown]).astype(dtype))
+    field = load_field("a.tif", tmp_path)
+    assert (~field.known).sum() == 12
+    assert field.region.grid.resolution_m == 2.0
+
+
 def test_a_large_raster_is_averaged_over_blocks_and_keeps_its_size_in_metres():
     values = np.add.outer(np.arange(2.0 * MOST_CELLS + 1), np.zeros(10))
     values[0, 0] = np.nan

@@ -87,6 +87,27 @@ def test_a_raster_with_cells_of_its_own_no_data_value_is_no_covariate(number, re
         covariates([str(path)], region)
 
 
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_raster_whose_mask_hides_cells_is_no_covariate(inside, region, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    path = tmp_path / "hills.tif"
+    place = {"height": 125, "width": 125, "transform": rasterio.Affine(4.0, 0.0, 0.0, 0.0, -4.0, 500.0)}
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=inside),
+        rasterio.open(path, "w", driver="GTiff", count=1, dtype="float32", **place) as target,
+    ):
+        target.write(HILLS.astype("float32"), 1)
+        target.build_overviews([2, 4])
+        target.write_mask(HILLS > 3)
+    with pytest.raises(InvalidInput, match="a value on every cell, got a raster with a mask"):
+        covariates([str(path)], region)
+    with rasterio.open(path, "w", driver="GTiff", count=1, dtype="float32", **place) as target:
+        target.write(HILLS.astype("float32"), 1)
+        target.build_overviews([2, 4])
+    path.with_name("hills.tif.msk").unlink(missing_ok=True)
+    assert covariates([str(path)], region)[0] == pytest.approx(HILLS[::-1])
+
+
 def test_a_mask_of_0_and_255_is_a_covariate(region, tmp_path):
     mask = np.where(HILLS > 40, 255, 0).astype(np.uint8)
     np.save(tmp_path / "mask.npy", mask)

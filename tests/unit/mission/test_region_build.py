@@ -484,6 +484,35 @@ def measured_with(layers: dict[str, Any], layer: str) -> dict[str, Any]:
     return {name: dict(table) for name, table in layers.items() if name in chosen}
 
 
+@pytest.mark.parametrize("how", ["inside", "beside", "alpha"])
+def test_pixels_that_a_mask_or_an_alpha_band_hides_are_missing(tmp_path: Path, how: str) -> None:
+    document = chemistry_of_levels(tmp_path)
+    document["layers"] = measured_with(document["layers"], "he3_ppb")
+    shown = np.full((96, 96), 255, dtype=np.uint8)
+    shown[46:49, 47:50] = 0
+    with rasterio.open(tmp_path / "he3_ppb.tif") as whole:
+        values, profile = whole.read(1), whole.profile
+    values[shown == 0] = 0.0
+    if how == "alpha":
+        profile |= {"count": 2, "alpha": "yes"}
+        document["layers"]["he3_ppb"]["band"] = 1
+    (tmp_path / "he3_ppb.tif").unlink()
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=how == "inside"),
+        rasterio.open(tmp_path / "he3_ppb.tif", "w", **profile) as target,
+    ):
+        target.write(values, 1)
+        if how == "alpha":
+            target.write(shown.astype("float32"), 2)
+        else:
+            target.write_mask(shown)
+    assert (tmp_path / "he3_ppb.tif.msk").exists() == (how == "beside")
+    with pytest.raises(InvalidInput, match=r"layer he3_ppb: expected values everywhere in the site, got missing ones"):
+        build(document, tmp_path)
+    document["layers"]["he3_ppb"]["fill_holes"] = True
+    assert build(document, tmp_path).he3_ppb.min() > 4.9
+
+
 @pytest.mark.parametrize("offset", [(60, 0), (0, 60), (-60, 0), (0, -60)])
 def test_ground_beyond_the_edge_of_a_raster_is_not_invented(tmp_path: Path, offset: tuple[int, int]) -> None:
     plain(tmp_path)
