@@ -182,7 +182,7 @@ NAMES: Final = {
 
 def described(change: LinkChange) -> str:
     """The change in words, such as ``up: loss 0.1, contact off``."""
-    parts = ["all conditions replaced"] if change.conditions is not None else []
+    parts = [] if change.conditions is None else [f"all conditions replaced ({_in_words(change.conditions)})"]
     parts += [text.format(value) for name, text in NAMES.items() if (value := getattr(change, name)) is not None]
     if change.unlimited_rate:
         parts.append("data rate unlimited")
@@ -194,6 +194,28 @@ def described(change: LinkChange) -> str:
         parts.append(f"messages without contact: {change.at_edge.value}")
     way = "" if change.direction is None else f"{change.direction.value}: "
     return way + (", ".join(parts) or "nothing changed")
+
+
+def _in_words(conditions: LinkConditions) -> str:
+    """The conditions in words: the light time, and what is not as on a perfect link with contact always."""
+    up, down = (", ".join(_figures(each)) for each in (conditions.up, conditions.down))
+    words = [up] if up == down else [f"up: {up}", f"down: {down}"]
+    if conditions.windows:
+        words.append(f"contact in {len(conditions.windows)} windows")
+    if (cycle := conditions.duty_cycle) is not None:
+        words.append(f"contact {cycle.contact_s:,.15g} s of every {cycle.period_s:,.15g} s")
+    if conditions.at_edge is not AtEdge.HOLD:
+        words.append(f"messages without contact: {conditions.at_edge.value}")
+    return "; ".join(words)
+
+
+def _figures(conditions: DirectionConditions) -> list[str]:
+    always = "one_way_light_time_s"
+    return [
+        text.format(value)
+        for name, text in NAMES.items()
+        if (value := getattr(conditions, name)) is not None and (value or name == always)
+    ]
 
 
 def apply_change(conditions: LinkConditions, change: LinkChange) -> LinkConditions:
