@@ -50,6 +50,8 @@ SEVERITIES = {
 }
 """Severity of each kind; without contact that no schedule foresees, `NO_CONTACT` is a warning."""
 
+NO_CONTACT_TEXT = "no contact with the Moon"
+
 _ABOUT = {
     EventKind.BLOCKED: AlarmKind.BLOCKED,
     EventKind.ROUND_STARTED: AlarmKind.BLOCKED,
@@ -158,12 +160,24 @@ class Alarms:
         rate and state_period_s: see `stale_after_s`. defects: one line on processes that have failed upon messages;
         empty if there are none.
         """
+        if not self._looked and link is not None and not (status is not None and status.is_over):
+            self._past_contact(link)
         found = self._conditions(status, link, now, stale_after_s(state_period_s, link, rate))
         found[AlarmKind.DEFECT] = (defects or None), now
         changes = [self._set(kind, text, at, _severity(kind, link)) for kind, (text, at) in found.items()]
         self._looked = True
         changes += [self._unshelve(kind) for kind, (until, _) in list(self._shelved.items()) if until <= now]
         return any(changes)
+
+    def _past_contact(self, link: LinkStatus) -> None:
+        """Raise and end the alarms of the changes of contact that the link remembers, before this display joined."""
+        contact = True
+        for event in link.events:
+            if event.contact is not contact:
+                severity = Severity.WARNING if event.by else Severity.ADVISORY
+                text = None if event.contact else NO_CONTACT_TEXT
+                self._set(AlarmKind.NO_CONTACT, text, event.at, severity, dated=True)
+            contact = event.contact
 
     def happened(self, event: RoverEvent) -> bool:
         """Handle an event of the rover; returns whether an alarm has changed."""
@@ -237,7 +251,7 @@ class Alarms:
                 found[AlarmKind.SAFE_MODE] = ("the rover is in safe mode" if safe else None), made_at
         if link is not None:
             none = not link.contact and not over
-            found[AlarmKind.NO_CONTACT] = ("no contact with the Moon" if none else None), _since(link, now)
+            found[AlarmKind.NO_CONTACT] = (NO_CONTACT_TEXT if none else None), _since(link, now)
         if status is not None:
             failed = status.phase is MissionPhase.FAILED
             found[AlarmKind.MISSION_FAILED] = (f"the mission failed: {status.detail}" if failed else None), now
@@ -250,7 +264,19 @@ class Alarms:
         self._known_at[kind] = made_at
         return True
 
-    def _set(self, kind: AlarmKind, text: str | None, at: MissionTime, severity: Severity | None = None) -> bool:
+    def _set(
+        self,
+        kind: AlarmKind,
+        text: str | None,
+        at: MissionTime,
+        severity: Severity | None = None,
+        *,
+        dated: bool = False,
+    ) -> bool:
+        """Raise, renew or end the alarm of that kind; returns whether it has changed.
+
+        dated: `at` is when it began, also before this display joined; else it may have begun earlier.
+        """
         before = self._alarms.get(kind)
         if before is not None and before.active:
             if text is not None:
@@ -265,7 +291,7 @@ class Alarms:
             times = before.times + 1
         seen = self._seen.get(kind)
         # What held already when this display joined may have begun, and been acknowledged, before.
-        known = seen is not None and (at <= seen[0] or not self._looked)
+        known = seen is not None and (at <= seen[0] or not (self._looked or dated))
         until, by = self._shelved.get(kind, (None, ""))
         self._alarms[kind] = Alarm(
             kind,

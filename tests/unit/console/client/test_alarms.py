@@ -33,7 +33,7 @@ def link(contact: bool = True, light_s: float = 1.282, forced: bool | None = Non
     return LinkStatus(
         conditions=LinkConditions(up=each, down=each), contact=contact, contact_changes_at=None,
         up=DirectionCounts(), down=DirectionCounts(), in_flight=(), incarnation=1, contact_forced=forced,
-        events=(LinkEvent(at=since - SECOND, contact=not contact), LinkEvent(at=since, contact=contact)),
+        events=(LinkEvent(at=since - SECOND, contact=True), LinkEvent(at=since, contact=contact)),
     )  # fmt: skip
 
 
@@ -181,6 +181,31 @@ def test_contact_that_no_schedule_ends_is_a_warning_and_counts_from_when_it_ende
     alarms.look(None, link(contact=False, forced=False, since=START + 5 * SECOND), START + 60 * SECOND)
     (alarm,) = alarms.current
     assert (alarm.severity, alarm.raised_at) == (Severity.WARNING, START + 5 * SECOND)
+
+
+def test_a_display_that_joins_late_shows_losses_of_contact_that_nobody_has_acknowledged() -> None:
+    def at(second: int, contact: bool, by: str = "") -> LinkEvent:
+        return LinkEvent(at=START + second * SECOND, contact=contact, by=by)
+
+    events = (at(0, True), at(10, False), at(20, True), at(30, True, by="cora"), at(40, False, by="cora"), at(50, True))
+    later = link().model_copy(update={"events": events})
+    alarms = Alarms()
+    alarms.look(None, later, START + 60 * SECOND)
+    (alarm,) = alarms.current
+    assert (alarm.active, alarm.times, alarm.severity) == (False, 2, Severity.WARNING)
+    assert (alarm.raised_at, alarm.ended_at) == (START + 40 * SECOND, START + 50 * SECOND)
+    assert [each.severity for each in alarms.history] == [Severity.ADVISORY]
+
+    acknowledged = Alarms()
+    acknowledged.logged(marked(AlarmAction.ACKNOWLEDGE, AlarmKind.NO_CONTACT, at=START + 25 * SECOND))
+    acknowledged.look(None, later, START + 60 * SECOND)
+    assert [each.raised_at for each in acknowledged.current] == [START + 40 * SECOND]
+    assert [each.acknowledged_by for each in acknowledged.history] == ["anna"]
+
+    both = Alarms()
+    both.logged(marked(AlarmAction.ACKNOWLEDGE, AlarmKind.NO_CONTACT, at=START + 55 * SECOND))
+    both.look(None, later, START + 60 * SECOND)
+    assert both.current == ()
 
 
 def test_a_shelved_alarm_wants_no_attention_until_its_time_is_over() -> None:
