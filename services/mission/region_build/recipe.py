@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from he3 import constants
+from schemas.maps import MAX_CELLS
+from schemas.wire import MAX_POSITION_M
 from services.mission.region_folder import Latitude, Longitude, Name, Table, Words, checked, load_toml
 
 Layer = Literal["elevation_m", "iron_wt", "maturity", "titanium_wt", "he3_ppb", "rock_abundance"]
@@ -93,8 +95,13 @@ class Recipe(Table):
     layers: Annotated[dict[Layer, SourceTable], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _has_terrain_and_chemistry(self) -> Recipe:
+    def _can_be_flown_and_has_terrain_and_chemistry(self) -> Recipe:
         layers, chemistry = self.layers, self.chemistry
+        if self.rows * self.columns > MAX_CELLS:
+            raise ValueError(f"expected at most {MAX_CELLS} cells, got {self.rows} x {self.columns}")
+        if max(self.rows, self.columns) * self.resolution_m > MAX_POSITION_M:
+            raise ValueError(f"expected a site of at most {MAX_POSITION_M / 1000:g} km on a side, got "
+                             f"{max(self.rows, self.columns) * self.resolution_m / 1000:g} km")  # fmt: skip
         if "elevation_m" not in layers:
             raise ValueError("expected a layer elevation_m, got none")
         if layers["elevation_m"].mask_holes:

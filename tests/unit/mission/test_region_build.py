@@ -609,6 +609,8 @@ def source(**changes: Any) -> dict[str, Any]:
         ({"version": 2}, "version"),
         ({"colour": "red"}, "colour"),
         ({"centre_lat_deg": 91.0}, "centre_lat_deg"),
+        ({"rows": 2001, "columns": 2000}, "expected at most 4000000 cells, got 2001 x 2000"),
+        ({"resolution_m": 1000.0, "rows": 101}, "expected a site of at most 100 km on a side, got 101 km"),
         ({"layers": {"iron_wt": {"file": "a", "source": "b"}}}, "expected a layer elevation_m"),
         ({"chemistry": {}}, "chemistry.lay_over"),
         (source(file="none.tif"), "none.tif: expected a raster, got no such file"),
