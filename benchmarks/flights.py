@@ -171,6 +171,16 @@ def mean_and_std(rows: Sequence[Row], key: str) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
 
 
+OVER_SEEDS = "±: standard deviation over the seeds"
+
+
+def mean_over_seeds(rows: Sequence[Row], key: str, digits: int, std_width: int) -> str:
+    """Mean of one figure over rows, 8 wide, and its sample standard deviation, so wide; of a single row none."""
+    mean, std = mean_and_std(rows, key)
+    spread = f" ± {std:{std_width}.{digits}f}" if len(rows) > 1 else ""
+    return f"{mean:8.{digits}f}{spread:<{std_width + 3}}"
+
+
 def written(
     rows: Sequence[Row], json: Path | None, say: Callable[[str], None], pool: Tasks | None = None, **more: Any
 ) -> None:

@@ -9,7 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.flights import Flight, conditions, expect_none, expect_open, flown, mean_and_std, region_named, written
+from benchmarks.flights import (
+    OVER_SEEDS,
+    Flight,
+    conditions,
+    expect_none,
+    expect_open,
+    flown,
+    mean_and_std,
+    mean_over_seeds,
+    region_named,
+    written,
+)
 from benchmarks.missions import Mission, Row
 from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
@@ -118,15 +129,14 @@ def table(rows: Sequence[Row], region: str) -> list[str]:
     head = f"{'planner':<10} {'budget m':>9} {'metres':>14} {'RMSE ppb':>17} {'own GP':>8} {'plan s':>8}"
     lines = [region, head, "-" * len(head)]
     for (planner, budget), group in _groups(rows, region).items():
-        rmse, rmse_std = mean_and_std(group, "rmse_ppb")
-        metres, metres_std = mean_and_std(group, "path_length_m")
         own = [row for row in group if "rmse_own_gp_ppb" in row]
         shown = f"{mean_and_std(own, 'rmse_own_gp_ppb')[0]:8.4f}" if own else f"{'':>8}"
         lines.append(
-            f"{planner:<10} {budget:9.0f} {metres:8.0f} ± {metres_std:3.0f} {rmse:8.4f} ± {rmse_std:.4f} {shown} "
+            f"{planner:<10} {budget:9.0f} {mean_over_seeds(group, 'path_length_m', 0, 3)} "
+            f"{mean_over_seeds(group, 'rmse_ppb', 4, 6)} {shown} "
             f"{mean_and_std(group, 'plan_time_s')[0]:8.1f}"
         )
-    return lines
+    return [*lines, OVER_SEEDS]
 
 
 def _curves(rows: Sequence[Row], region: str) -> dict[str, list[tuple[float, float, float]]]:

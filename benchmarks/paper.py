@@ -27,6 +27,7 @@ from typing import Any
 
 from benchmarks.calibration import MARKS, MISMATCHED
 from benchmarks.flights import (
+    OVER_SEEDS,
     Conditions,
     Flight,
     conditions,
@@ -34,6 +35,7 @@ from benchmarks.flights import (
     expect_open,
     flown,
     mean_and_std,
+    mean_over_seeds,
     region_named,
     written,
 )
@@ -194,14 +196,14 @@ def table(
         rows = _rows(missions, region, planner)
         if not rows:
             continue
-        rmse, rmse_std = mean_and_std(rows, "rmse_ppb")
-        metres, metres_std = mean_and_std(rows, "path_length_m")
+        rmse, metres = (mean_and_std(rows, key)[0] for key in ("rmse_ppb", "path_length_m"))
         ratio = _ratios(rmse, metres, *yardsticks)
         published: Any = PUBLISHED.get((region, planner))
         beside = f"{published[0]:.4f} {published[1]:9.1f} m" if published else ""
         kernel = rows[0]["kernel"] + (MISMATCHED.get(rows[0]["kernel"], "") if region in EMBEDDED else "")
         lines.append(
-            f"{planner:<22} {kernel:<13} {rmse:8.4f} ± {rmse_std:.4f} {metres:8.0f} ± {metres_std:4.0f} {ratio} "
+            f"{planner:<22} {kernel:<13} {mean_over_seeds(rows, 'rmse_ppb', 4, 6)} "
+            f"{mean_over_seeds(rows, 'path_length_m', 0, 4)} {ratio} "
             f"{mean_and_std(rows, 'coverage_68')[0]:6.1%} {mean_and_std(rows, 'coverage_95')[0]:6.1%}  {beside}"
         )
     for lowest in floors:
@@ -221,7 +223,7 @@ def table(
             metres = mean_and_std(tours, "path_length_m")[0] / lowest.length_m - 1
             lines.append(f"{name} compared with its floor: RMSE {error:+.1%}, metres {metres:+.1%}")
     lines.append(
-        f"ratios are to {YARDSTICK}, '/ m52' to the RMSE of {HARDER}; "
+        f"{OVER_SEEDS}; ratios are to {YARDSTICK}, '/ m52' to the RMSE of {HARDER}; "
         "coverage: share of the cells in the intervals of 68.3 and 95.4 %"
     )
     shown = {MISMATCHED.get(mission.row["kernel"]) for mission in missions.values()} if region in EMBEDDED else set()

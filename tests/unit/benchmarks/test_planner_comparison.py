@@ -159,3 +159,13 @@ def test_a_comparison_of_planners_that_are_not_known_is_refused(quarter_of_t1):
         paper.run(seeds=1, region=quarter_of_t1, planners=("teleport",))
     with pytest.raises(InvalidInput, match="expected one seed"):
         calibration.run(seeds=0, region=quarter_of_t1)
+
+
+def test_the_table_has_a_deviation_over_seeds_and_none_of_one_seed():
+    row = {"region": "t1", "planner": "tour", "budget_m": 500.0, "plan_time_s": 1.0, "path_length_m": 400.0}
+    rows = [row | {"rmse_ppb": rmse} for rmse in (0.5, 0.7)]
+    alone, both = (frontier.table(some, "t1") for some in (rows[:1], rows))
+    assert alone[3].split() == ["tour", "500", "400", "0.5000", "1.0"]
+    assert both[3].split() == ["tour", "500", "400", "±", "0", "0.6000", "±", "0.1414", "1.0"]
+    assert len(alone[3]) == len(both[3])
+    assert both[-1] == "±: standard deviation over the seeds"
