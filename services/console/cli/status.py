@@ -117,8 +117,11 @@ def queued(rounds: int) -> str:
 
 
 def _counts(counts: Any) -> str:
+    """The counts of one direction in words, complete: what was sent and doubled is the sum of the others."""
+    doubled = f" and {counts.duplicated} doubled" if counts.duplicated else ""
+    replaced = f", {counts.superseded} replaced by newer ones" if counts.superseded else ""
     gone = counts.lost + counts.dropped_out_of_contact + counts.dropped_queue_full
     return (
-        f"{counts.offered} sent, {counts.delivered} delivered, {counts.in_flight} in flight, "
-        f"{counts.waiting} waiting, {gone} lost"
+        f"{counts.offered} sent{doubled}, {counts.delivered} delivered, {counts.in_flight} in flight, "
+        f"{counts.waiting} waiting{replaced}, {gone} lost"
     )

@@ -15,8 +15,9 @@ export function showLink() {
   picture.take(status);
   showContact();
   rewrite($("link-summary"), describe(status));
-  const head = ["messages", "sent", "delivered", "in flight", "waiting", "lost"];
-  const row = (name, c) => [name, c.offered, c.delivered, c.in_flight, c.waiting, c.lost + c.dropped_out_of_contact + c.dropped_queue_full];
+  // Those that were sent, and those that the link doubled ("29+2"), are the sum of the others.
+  const head = ["", "sent", "delivered", "in flight", "waiting", "replaced", "lost"];
+  const row = (name, c) => [name, c.duplicated ? `${c.offered}+${c.duplicated}` : c.offered, c.delivered, c.in_flight, c.waiting, c.superseded, c.lost + c.dropped_out_of_contact + c.dropped_queue_full];
   const lines = [head, row("up", status.up), row("down", status.down)];
   if (!$("counts").rows.length) {
     const line = (cells, tag) => element("tr", {}, ...cells.map((_, index) => element(index ? tag : "th", {})));
