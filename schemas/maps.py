@@ -257,6 +257,8 @@ class MapRegion(Wire):
     """Of the south-west corner in that projection [m]."""
     origin_y_m: float | None
     layers: tuple[RegionLayer, ...]
+    file_sha256: Annotated[str, Field(max_length=64)] = ""
+    """SHA-256 of a region that is one file; empty for a folder, whose layers have theirs."""
 
 
 class MapHistory(Wire):

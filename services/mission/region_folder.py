@@ -156,11 +156,32 @@ def read_document(folder: Path) -> RegionDocument:
 
 
 def provenance_of(name_or_path: str | Path) -> dict[str, str]:
-    """Layer -> its origin in one line, for a recording; only the region's name if there are no origins."""
+    """Layer -> its origin in one line, for a recording; of a region in one file, which has no origins, its name and
+    checksum.
+    """
     if not is_region_folder(name_or_path):
-        return {"region": str(name_or_path)}
+        checksum = file_sha256(name_or_path)
+        return {"region": str(name_or_path), **({"file_sha256": checksum} if checksum else {})}
     document = read_document(folder_of(name_or_path))
     return {"region": document.provenance, **{origin.layer: origin.line() for origin in document.origins}}
+
+
+def file_sha256(name_or_path: str | Path) -> str:
+    """SHA-256 of a region in one file; empty without one, and for a folder, whose document has that of each layer."""
+    path = Path(name_or_path)
+    if is_region_folder(name_or_path) or not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def is_recorded(name_or_path: str | Path, recorded: dict[str, str] | None) -> bool:
+    """Whether a region is the one whose ``provenance_of`` was recorded; True where no more than a name was recorded."""
+    if recorded is None or len(recorded) < 2:
+        return True
+    if "file_sha256" in recorded:
+        return file_sha256(name_or_path) == recorded["file_sha256"]
+    return provenance_of(name_or_path) == recorded
 
 
 def load_toml(path: Path) -> dict[str, Any]:

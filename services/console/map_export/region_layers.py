@@ -13,6 +13,7 @@ from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
 from schemas.maps import RegionLayer
 from services.console.map_export.contents import SIMULATION_ONLY, RasterLayer
+from services.mission.region_folder import file_sha256
 from services.mission.regions import load_region
 
 if TYPE_CHECKING:
@@ -29,7 +30,8 @@ def loaded_region(account: MapRegion, location: str | None = None) -> Region | s
     place = account.location if location is None else location
     try:
         region = load_region(place, account.field_seed)
-        if not is_region(region, account):
+        changed = account.file_sha256 != "" and file_sha256(place) != account.file_sha256
+        if changed or not is_region(region, account):
             raise InvalidInput(f"{place}: expected the mission's region '{account.name}', got another region")
     except He3Error as error:
         if location is not None:

@@ -29,7 +29,9 @@ from services.ground.map.service import answer
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.node import terrain_of
 from services.ground.terrain import GroundTerrain
+from services.mission.region_folder import is_recorded
 from services.mission.regions import load_region
+from services.recorder.about import REGION_RECORD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -196,6 +198,8 @@ def _region_of(tape: Tape) -> Region | None:
     try:
         region = load_region(scenario.region, scenario.field.field_seed)
     except He3Error:
+        return None
+    if not is_recorded(scenario.region, tape.evidence.about.get(REGION_RECORD)):
         return None
     return region if region.grid == SiteGrid(first.rows, first.columns, first.resolution_m) else None
 

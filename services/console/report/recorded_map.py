@@ -29,7 +29,7 @@ from services.ground.map.region_account import region_account
 from services.ground.map.snapshot import MapSnapshot
 from services.ground.node import terrain_of
 from services.ground.obstacles import MetObstacles
-from services.mission.region_folder import provenance_of
+from services.mission.region_folder import is_recorded
 from services.mission.regions import load_region
 from services.recorder.about import REGION_RECORD
 from services.recorder.foxglove.path import DrivenPath
@@ -161,9 +161,9 @@ def _check(overview: MapOverview, values: MapValues, rebuilt: RebuiltBelief) -> 
 def _region(scenario: Scenario, recorded: dict[str, str] | None, overview: MapOverview) -> Region:
     """The region of that scenario; raises InvalidInput unless it has the map's grid and layers of the same origin."""
     found = load_region(scenario.region, scenario.field.field_seed)
-    # Of a region that is no folder only the name was recorded.
-    another = recorded is not None and len(recorded) > 1 and provenance_of(scenario.region) != recorded
-    if another or found.grid != SiteGrid(overview.rows, overview.columns, overview.resolution_m):
+    if not is_recorded(scenario.region, recorded) or found.grid != SiteGrid(
+        overview.rows, overview.columns, overview.resolution_m
+    ):
         raise InvalidInput(f"{scenario.region}: expected the mission's region, got another region")
     return found
 

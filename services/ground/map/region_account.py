@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from schemas.maps import MapRegion, RegionLayer
 from services.mission.embedded_regions import EMBEDDED
+from services.mission.region_folder import file_sha256
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -32,4 +33,5 @@ def region_account(scenario: Scenario, region: Region) -> MapRegion:
         origin_x_m=region.origin_x_m,
         origin_y_m=region.origin_y_m,
         layers=tuple(RegionLayer(**asdict(origin)) for origin in region.layers),
+        file_sha256=file_sha256(name),
     )

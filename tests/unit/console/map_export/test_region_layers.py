@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from he3.errors import InvalidInput
 from services.console.map_export.region_layers import is_region, loaded_region
 from services.ground.map.region_account import region_account
+from services.mission.region_folder import is_recorded, provenance_of
 from services.mission.regions import load_region
 from services.mission.scenario import Scenario
 
@@ -28,3 +33,24 @@ def test_a_region_that_is_on_another_machine_is_left_out_with_a_line() -> None:
     assert line.startswith("elevation, slope, orbital map and reference are left out: ")
     with pytest.raises(InvalidInput):
         loaded_region(account, "/not/there.npz")
+
+
+def test_a_region_in_one_file_that_has_changed_since_is_another_one(tmp_path: Path) -> None:
+    path, copy = tmp_path / "place.npz", tmp_path / "copy" / "place.npz"
+    field = np.linspace(4.0, 8.0, 400).reshape(20, 20)
+    arrays = {"he3_ppb": field, "resolution_m": 5.0, "traversable": np.ones((20, 20), dtype=np.bool_)}
+    np.savez(path, **arrays)
+    copy.parent.mkdir()
+    shutil.copy(path, copy)
+    account = region_account(Scenario(name="m", region=str(path)), load_region(str(path)))
+    recorded = provenance_of(path)
+    assert not isinstance(loaded_region(account), str)
+    assert not isinstance(loaded_region(account, str(copy)), str)
+    assert is_recorded(copy, recorded)
+    np.savez(path, **arrays | {"he3_ppb": field[::-1]})
+    assert loaded_region(account) == (
+        f"elevation, slope, orbital map and reference are left out: {path}: expected the mission's region 'place', got "
+        "another region"
+    )
+    assert not is_recorded(path, recorded)
+    assert is_recorded(path, {"region": str(path)})
