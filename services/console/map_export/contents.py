@@ -22,7 +22,9 @@ SIMULATION_ONLY: Final = "simulation only"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RasterLayer:
-    """One raster over the site. values: float32, or uint8 for classes, (rows, columns), row 0 in the south."""
+    """One raster over the site. values: float32, NaN where there is none, or uint8 for classes; (rows, columns), row 0
+    in the south.
+    """
 
     name: str
     """Name of its file, without suffix."""

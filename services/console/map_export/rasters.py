@@ -49,6 +49,7 @@ def opened(layer: RasterLayer, placement: Placement, grid: SiteGrid, tags: Mappi
     }  # fmt: skip
     if not layer.classes:
         options["nodata"] = NO_DATA
+        data = np.where(np.isnan(data), np.float32(NO_DATA), data)
     try:
         with library.io.MemoryFile() as memory:
             with memory.open(**options) as source:
@@ -68,9 +69,12 @@ def opened(layer: RasterLayer, placement: Placement, grid: SiteGrid, tags: Mappi
 
 
 def statistics(layer: RasterLayer) -> dict[str, float]:
-    """Minimum, maximum, mean and standard deviation of the values, as the file has them."""
-    values = layer.values.astype(np.float64)
+    """Minimum, maximum, mean and standard deviation of the values, as the file has them, and the share of cells with
+    one.
+    """
+    known = ~np.isnan(layer.values)
+    values = layer.values[known].astype(np.float64)
     return {
         "minimum": float(values.min()), "maximum": float(values.max()), "mean": float(values.mean()),
-        "stddev": float(values.std()), "valid_percent": 100.0,
+        "stddev": float(values.std()), "valid_percent": float(100.0 * known.mean()),
     }  # fmt: skip

@@ -63,19 +63,21 @@ def region_layers(region: Region, account: MapRegion, mean_ppb: NDArray[Any], si
     yield _layer("orbital", "helium-3 as an orbiter maps it", "ppb", region.orbital_ppb, *orbital, "viridis")
     if simulated:
         reference = _origin(account, "he3_ppb")
-        span = float(region.he3_ppb.min()), float(region.he3_ppb.max())
+        # Where nothing is known of the field, the region has that of the nearest known cell, which is no reference.
+        truth = region.he3_ppb if region.known is None else np.where(region.known, region.he3_ppb, np.nan)
+        span = float(np.nanmin(truth)), float(np.nanmax(truth))
         yield _layer(
             "simulation_reference",
             "helium-3, reference field",
             "ppb",
-            region.he3_ppb,
+            truth,
             *reference,
             "viridis",
             span,
             True,
         )
-        error = mean_ppb - region.he3_ppb.astype(np.float32)
-        largest = float(np.abs(error).max()) or 1.0
+        error = mean_ppb - truth.astype(np.float32)
+        largest = float(np.nanmax(np.abs(error))) or 1.0
         derived = ("derived", f"posterior mean less reference field; {reference[0]} {reference[1]}")
         yield _layer(
             "simulation_error", "helium-3, error of the mean", "ppb", error, *derived, "difference",

@@ -396,6 +396,36 @@ def test_a_region_without_a_place_is_exported_in_metres_of_the_site(tmp_path: Pa
     assert np.frombuffer(geometry[1], "<f8", offset=5).tolist() == [60.0, 7.5]
 
 
+def test_a_reference_that_is_not_known_is_no_data_and_in_no_statistics(tmp_path: Path) -> None:
+    from he3.reference import Region
+    from services.console.map_export.region_layers import region_layers
+
+    account = region(30, 40, 2.0, origin_lat_deg=ORIGIN[0], origin_lon_deg=ORIGIN[1])
+    grid = SiteGrid(30, 40, 2.0)
+    field, known, flat = (
+        5.0 + np.random.default_rng(3).random(grid.shape),
+        np.ones(grid.shape, bool),
+        np.zeros(grid.shape),
+    )
+    known[:3], field[:3] = False, 99.0
+    truth = Region(
+        name="place", title="A place", provenance=account.provenance, grid=grid, he3_ppb=field, orbital_ppb=field,
+        elevation_m=flat, slope_deg=flat, traversable=known, known=known,
+    )  # fmt: skip
+    layers = tuple(region_layers(truth, account, np.full(grid.shape, 6.0, np.float32), simulated=True))
+    exported(contents(account, layers=layers, simulated=True), tmp_path / "out", pds4=True)
+    item = pystac.Item.from_file(str(tmp_path / "out" / "item.json"))
+    for name, values in (("simulation_reference", field[3:]), ("simulation_error", 6.0 - field[3:])):
+        for path in (tmp_path / "out" / f"{name}.tif", tmp_path / "out" / "pds4" / f"{name}.xml"):
+            with rasterio.open(path) as raster:
+                read = raster.read(1, masked=True)[::-1]
+            assert (np.ma.getmaskarray(read) == ~known).all()
+            assert read.compressed() == pytest.approx(values.ravel(), abs=1e-6)
+        found = item.assets[f"{name}-tif"].extra_fields["bands"][0]["statistics"]
+        assert found["valid_percent"] == 90.0
+        assert found["maximum"] == pytest.approx(values.max())
+
+
 def test_a_layer_of_the_simulation_alone_says_so_everywhere(tmp_path: Path) -> None:
     account = region(30, 40, 2.0, origin_lat_deg=ORIGIN[0], origin_lon_deg=ORIGIN[1])
     grid = SiteGrid(30, 40, 2.0)
