@@ -6,7 +6,8 @@ goes, and where `informative` and `tour` go. Every kernel is fitted to the same 
 hyperparameters counted (`bayes`, as missions do unless told otherwise), and with those of maximum likelihood (`ml`).
 The two differ most where samples are few, as with --rounds 2,4,6. The reference fields are a smooth trend with a rough
 perturbation of exponential covariance, so `smooth+rough` matches them. The other kernels are marked as mismatched: too
-smooth for the perturbation, or without the trend. "auto" is whichever the fit chooses.
+smooth for the perturbation, or without the trend. "auto" mixes all of them; with `ml` it is the one that the fit
+chooses.
 """
 
 from __future__ import annotations
