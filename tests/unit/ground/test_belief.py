@@ -327,8 +327,8 @@ def test_alternatives_are_inferred_after_every_round_of_few_samples_and_from_all
     assert due(33, 30, 33)
 
 
-def test_before_the_first_sample_auto_mixes_all_kernels_and_plans_with_the_most_cautious() -> None:
+def test_before_the_first_sample_auto_mixes_kernels_and_plans_with_the_most_cautious() -> None:
     known = Belief(GRID, AUTO, NOISE).hyperparameters
     assert known.kernel == Belief(GRID, "smooth+rough", NOISE).hyperparameters.kernel
-    assert len({kernel.name for _, kernel in known.alternatives}) > 1
+    assert len(known.alternatives) > 1
     assert Belief(GRID, AUTO, NOISE, likeliest=True).hyperparameters.kernel.name == "matern52"

@@ -106,12 +106,24 @@ def test_a_family_that_predicts_better_counts_more_and_none_is_left_out_for_a_li
     assert better[-1] / better[0] == pytest.approx(np.exp(5.0 * POWER) * alike[-1] / alike[0])
 
 
+def test_what_even_samples_say_for_a_smooth_kernel_does_not_leave_out_the_rough_ones() -> None:
+    """150 samples of Walker Lake, 21 m apart, spoke for these kernels so; `se` held 65 of 95 % of the other cells."""
+    said = {"smooth+rough": -231.6, "matern12": -275.7, "matern32": -259.0, "matern52": -250.1, "se": -226.2}
+    weights = dict(zip(said, np.exp(log_family_weights(list(said), list(said.values()))), strict=True))
+    assert weights["smooth+rough"] + weights["matern12"] > 0.8
+
+
+def test_the_smoother_a_kernel_the_more_must_speak_for_it() -> None:
+    ordered = [PRIOR_WEIGHTS[name] for name in ("matern12", "matern32", "matern52", "se")]
+    assert ordered == sorted(ordered, reverse=True)
+
+
 def test_a_predictive_density_without_samples_is_that_of_nothing() -> None:
     assert log_predictive(np.zeros(1), np.ones((1, 2, 0))) == 0.0
 
 
 def test_auto_mixes_several_families_of_kernels_and_is_the_same_each_time() -> None:
-    for count in (1, 20):
+    for count in (1, 12):
         found, again = (infer_hyperparameters(*samples(count), AUTO, PRIOR, noise_std_ppb=NOISE_PPB) for _ in range(2))
         assert found == again
         assert 1 < len(found.alternatives) <= COMPONENTS
