@@ -16,7 +16,7 @@ from he3.nodata import cells_where, undeclared
 from he3.reference import Region
 from he3.trend import GAIN_STD, UNSURE_GAIN_STD, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
 from services.mission.scenario import Scenario
-from services.mission.tiff import NotPlain, missing_of, read_tiff
+from services.mission.tiff import NotPlain, facts_of, read_tiff
 
 REGION_LAYERS: Final = ("orbital_ppb", "elevation_m", "slope_deg")
 """Layers that every region has, which a scenario may name; the reference field is none of them."""
@@ -36,11 +36,12 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
 
     A name is one of ``REGION_LAYERS``, or a raster of the region's cells: .npy with row 0 south, or .tif with row 0
     north. Raises InvalidInput, in one line, for a name that is neither, and for a raster of another shape or with cells
-    without a value: not finite, the file's no-data value, or a number that marks missing values in any unit.
+    without a value: not finite, the file's no-data value, or a number that marks missing values in any unit. A .tif
+    that says where it lies has to lie on these cells, if the region has a projection.
     """
     layers = np.empty((len(names), *region.grid.shape))
     for number, name in enumerate(names):
-        values = getattr(region, name) if name in REGION_LAYERS else _raster(name)
+        values = getattr(region, name) if name in REGION_LAYERS else _raster(name, region)
         if values.shape != region.grid.shape or values.dtype.kind not in "iuf":
             raise InvalidInput(
                 f"covariate {name}: expected numbers of shape {region.grid.shape}, as the region, got {values.dtype} "
@@ -58,7 +59,7 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
     return layers
 
 
-def _raster(name: str) -> NDArray[Any]:
+def _raster(name: str, region: Region) -> NDArray[Any]:
     path = Path(name)
     if path.suffix.lower() not in (".npy", ".tif", ".tiff"):
         raise InvalidInput(f"covariate {name}: expected {', '.join(REGION_LAYERS)}, or a file .npy or .tif")
@@ -68,7 +69,10 @@ def _raster(name: str) -> NDArray[Any]:
     if path.suffix.lower() != ".npy":
         try:
             values = read_tiff(path)[::-1]
-            _expect_no_holes(name, values, *missing_of(path))
+            facts = facts_of(path)
+            _expect_no_holes(name, values, facts.no_data, facts.masked)
+            if facts.place is not None:
+                _expect_here(name, facts.place, region)
             return values
         except NotPlain as error:
             raise InvalidInput(f"covariate {name}: expected a plain GeoTIFF, got {error}") from None
@@ -94,4 +98,19 @@ def _expect_no_holes(name: str, values: NDArray[Any], no_data: float | None, mas
         raise InvalidInput(
             f"covariate {name}: expected a value on every cell, got none (the raster's no-data value, {no_data:g}) in "
             f"{cells_where(holes)}"
+        )
+
+
+def _expect_here(name: str, place: tuple[float, float, float, float], region: Region) -> None:
+    """Raises InvalidInput for a raster that is not north up, or, if the region has a projection, not of its cells."""
+    x, y, width, height = place
+    if not height > 0.0:
+        raise InvalidInput(f"covariate {name}: expected a raster with row 0 in the north, got another one")
+    if region.origin_x_m is None or region.origin_y_m is None:
+        return
+    cell, west, north = region.grid.resolution_m, region.origin_x_m, region.origin_y_m + region.grid.height_m
+    if max(abs(x - west), abs(y - north)) > cell / 2 or max(abs(width - cell), abs(height - cell)) > 0.01 * cell:
+        raise InvalidInput(
+            f"covariate {name}: expected the region's own cells, of {cell:g} m from ({west:.10g}, {north:.10g}) m on "
+            f"in its projection, got cells of {width:.6g} x {height:.6g} from ({x:.10g}, {y:.10g}) on"
         )

@@ -7,6 +7,7 @@ Source of the format: TIFF 6.0 (Adobe, 1992), BigTIFF (the libtiff specification
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -27,6 +28,7 @@ _STRIPS, _ROWS_PER_STRIP, _STRIP_BYTES = 273, 278, 279
 _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES = 322, 323, 324, 325
 _NO_DATA: Final = 42113  # text, GDAL's
 _SUBFILE, _IS_MASK = 254, 4
+_PIXEL_SCALE, _TIE_POINT, _MATRIX, _GEO_KEYS, _RASTER_TYPE, _IS_POINT = 33550, 33922, 34264, 34735, 1025, 2
 _MAX_DIRECTORIES: Final = 64  # of overviews and masks
 _KINDS: Final = {1: "B", 2: "B", 3: "H", 4: "I", 5: "Q", 7: "B", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}
 _DTYPES: Final = {
@@ -104,12 +106,20 @@ def read_tiff(path: Path) -> NDArray[Any]:
         raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
 
 
-def missing_of(path: Path) -> tuple[float | None, bool]:
-    """The number that marks missing values in a TIFF file, by GDAL's tag, None if it names none; and whether a mask, in
-    the file or beside it, hides pixels.
+@dataclass(frozen=True, slots=True)
+class TiffFacts:
+    """What a TIFF file says of its raster beside the values."""
 
-    Raises InvalidInput for a file that is no TIFF.
-    """
+    no_data: float | None
+    """The number that marks missing values, by GDAL's tag."""
+    masked: bool
+    """Whether a mask, in the file or beside it, hides pixels."""
+    place: tuple[float, float, float, float] | None
+    """(x, y) of the outer north-west corner, width and height of a pixel, in the raster's projection; None without."""
+
+
+def facts_of(path: Path) -> TiffFacts:
+    """What that TIFF file says of its raster; raises InvalidInput for a file that is no TIFF."""
     try:
         with path.open("rb") as stream:
 
@@ -117,17 +127,36 @@ def missing_of(path: Path) -> tuple[float | None, bool]:
                 stream.seek(offset)
                 return stream.read(length)
 
-            directories = list(_directories(read_at))
+            directories = [tags for tags, _ in _directories(read_at)]
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
     except (struct.error, IndexError, KeyError, ValueError):
         raise InvalidInput(f"{path}: expected a TIFF file, got other or damaged bytes") from None
-    masked = any(int(tags.get(_SUBFILE, (0,))[0]) & _IS_MASK for tags, _ in directories)
+    masked = any(int(tags.get(_SUBFILE, (0,))[0]) & _IS_MASK for tags in directories)
     try:
-        number = float(bytes(directories[0][0][_NO_DATA]).split(b"\0")[0])
+        no_data = float(bytes(directories[0][_NO_DATA]).split(b"\0")[0])
     except (KeyError, ValueError):
-        number = None
-    return number, masked or path.with_name(f"{path.name}.msk").exists()
+        no_data = None
+    return TiffFacts(no_data, masked or path.with_name(f"{path.name}.msk").exists(), _place(directories[0]))
+
+
+def _place(tags: dict[int, Any]) -> tuple[float, float, float, float] | None:
+    """The place of a raster with a scale and one tie point, or a matrix (GeoTIFF 1.1, OGC 19-008r4, section 7.3).
+
+    Where row 0 is in the south, the height of a pixel is negative; NaN where the raster is rotated.
+    """
+    if len(tags.get(_MATRIX, ())) == 16:
+        a, b, _, west, d, e, _, north = (float(each) for each in tags[_MATRIX][:8])
+        return (west, north, a, -e) if b == d == 0.0 else (west, north, math.nan, math.nan)
+    if len(tags.get(_PIXEL_SCALE, ())) < 2 or len(tags.get(_TIE_POINT, ())) != 6:
+        return None
+    width, height = (float(each) for each in tags[_PIXEL_SCALE][:2])
+    column, row, _, x, y, _ = (float(each) for each in tags[_TIE_POINT])
+    keys = np.asarray(tags.get(_GEO_KEYS, ()), dtype=np.int64)
+    keys = keys[: len(keys) // 4 * 4].reshape(-1, 4)[1:]
+    if any(key[0] == _RASTER_TYPE and key[3] == _IS_POINT for key in keys):  # the tie point is a pixel's centre
+        column, row = column + 0.5, row + 0.5
+    return x - column * width, y + row * height, width, height
 
 
 def tiff_layout(read_at: ReadAt, name: str) -> TiffLayout:

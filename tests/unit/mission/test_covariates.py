@@ -1,5 +1,7 @@
 """The covariates of a scenario: layers of its region, and rasters of its cells."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,3 +114,51 @@ def test_a_mask_of_0_and_255_is_a_covariate(region, tmp_path):
     mask = np.where(HILLS > 40, 255, 0).astype(np.uint8)
     np.save(tmp_path / "mask.npy", mask)
     assert (covariates([str(tmp_path / "mask.npy")], region)[0] == mask).all()
+
+
+@pytest.mark.parametrize("point", [False, True])
+def test_a_raster_that_lies_elsewhere_is_no_covariate_of_a_region_with_a_projection(point, region, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    cell, north = region.grid.resolution_m, 600_000.0 + region.grid.height_m
+    placed = replace(region, crs="+proj=eqc +R=1737400", origin_x_m=-50.0, origin_y_m=600_000.0)
+
+    def raster(name, cell_m, west_m, north_m):
+        path = tmp_path / name
+        transform = rasterio.Affine(cell_m, 0.0, west_m, 0.0, -cell_m, north_m)
+        with rasterio.open(
+            path,
+            "w",
+            driver="GTiff",
+            height=125,
+            width=125,
+            count=1,
+            dtype="float32",
+            crs=placed.crs,
+            transform=transform,
+        ) as target:
+            target.update_tags(AREA_OR_POINT="Point" if point else "Area")
+            target.write(HILLS.astype("float32"), 1)
+        return str(path)
+
+    for number, (cell_m, west_m, north_m) in enumerate(
+        [(cell, -50.0 + cell, north), (cell, -50.0, north - 100.0), (2.0 * cell, -50.0, north)]
+    ):
+        with pytest.raises(InvalidInput, match=r"expected the region's own cells, of .* got "):
+            covariates([raster(f"{number}.tif", cell_m, west_m, north_m)], placed)
+    here = raster("here.tif", cell, -50.0, north)
+    assert covariates([here], placed)[0] == pytest.approx(HILLS[::-1])
+    assert covariates([raster("far.tif", cell, 0.0, 0.0)], region)[0] == pytest.approx(HILLS[::-1])
+    for transform in (rasterio.Affine(4.0, 0.0, 0.0, 0.0, 4.0, 0.0), rasterio.Affine.rotation(30.0)):
+        with rasterio.open(
+            tmp_path / "up.tif",
+            "w",
+            driver="GTiff",
+            height=125,
+            width=125,
+            count=1,
+            dtype="float32",
+            transform=transform,
+        ) as target:
+            target.write(HILLS.astype("float32"), 1)
+        with pytest.raises(InvalidInput, match="expected a raster with row 0 in the north"):
+            covariates([str(tmp_path / "up.tif")], region)
