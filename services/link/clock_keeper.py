@@ -1,12 +1,14 @@
 """The mission's clock on the wall clock. The link keeps it, because only the link is on both networks.
 
 Mission time starts when all processes named by `--wait-for` have joined. It runs at the rate that an operator sets.
-After a restart of the link it continues as if it had never stopped.
+After a restart of the link it continues as if it had never stopped: from the saved clock, or, without one, from the
+latest mission time at which another process has acted.
 """
 
 from __future__ import annotations
 
 import time
+from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,17 +19,21 @@ from schemas.wire import Header
 from services.link.changes import read_change
 from services.link.kept_clock import KeptClock, keep, kept_clock
 from services.link.role_holders import judge_claims
-from services.runtime.clock import at_rate, started
+from services.mission.mission_time import SECOND
+from services.runtime.clock import anchored, at_rate, started
 from services.runtime.machine_time import this_machine
 from services.runtime.process_clock import CLOCKS
 from services.runtime.refusals import refusal_of
 
 if TYPE_CHECKING:
     from schemas.link import ClockState
+    from services.mission.mission_time import MissionTime
     from services.runtime.context import ProcessContext
     from services.runtime.transport.session import IncomingQuery
 
 CLOCK_FILE = "clock.json"
+CATCHES_UP_FROM_S = 1.0
+"""Wall time by which a process must be ahead of a clock that began anew; clocks of two machines differ by less."""
 ANNOUNCE_EVERY_S = 5.0
 """Wall time between two announcements of the time while it is not changed."""
 
@@ -45,19 +51,22 @@ class ClockKeeper:
         self._file = None if folder is None else folder / CLOCK_FILE
         self._machine = this_machine()
         self._kept = True
+        self._anew = False
+        """Whether this start of the link has begun mission time, because no earlier one had kept it."""
 
     def begin(self) -> bool:
         """Start the clock, or continue the one that an earlier start of this process kept."""
         context, scenario = self._context, self._context.options.scenario
         kept = self._remembered()
         if kept is None:
+            self._anew = True
             state = started(scenario.start_ns, 0.0 if self._missing else scenario.rate, time.time_ns())
         else:
             state = kept.state
             if not kept.waits:
                 self._missing.clear()
         self._clock.follow(state)
-        judge_claims(context)
+        judge_claims(context, self._reached)
         inbox = context.inbox
         for side, session in context.sessions.items():
             session.serve(CLOCKS[side], lambda query: query.reply(encode(*self._message())))
@@ -75,6 +84,25 @@ class ClockKeeper:
         """Announce the time periodically, for processes whose machine was suspended, and keep it for a restart."""
         if monotonic_s - self._announced_at_s >= ANNOUNCE_EVERY_S:
             self._announce()
+
+    def _reached(self, name: str, at: MissionTime) -> None:
+        """Continue at the latest mission time at which a process has acted, if mission time has begun behind it.
+
+        Mission time does not run backwards in any process: each would stand, until the clock has caught up with it.
+        In a mission with keys time is changed by people only, so it stands, and the log says why.
+        """
+        state = self._clock.anchored_now()
+        if not self._anew or at - state.anchor_mission_ns <= (1.0 + state.rate) * CATCHES_UP_FROM_S * SECOND:
+            return
+        began = f"mission time began anew with this start of the link, which had no saved clock (--journal); {name} has"
+        if self._context.options.identity is not None:
+            self._anew = False  # said once
+            self._context.log.warning(f"{began} reached {_shown(at)}, and all processes stand until then")
+            return
+        ahead = state.model_copy(update={"revision": state.revision + 1})
+        self._clock.follow(anchored(ahead, at, state.anchor_wall_ns, state.boot_id, state.anchor_monotonic_ns))
+        self._announce()
+        self._context.log.warning(f"{began} reached {_shown(at)}, where it continues")
 
     def _process_seen(self, name: str, alive: bool) -> None:
         if alive and name in self._missing:
@@ -143,3 +171,7 @@ class ClockKeeper:
             if self._kept:  # reported once: it is tried again with each announcement
                 self._context.log.warning(f"{self._file}: cannot keep the clock for a restart: {error.strerror}")
             self._kept = False
+
+
+def _shown(at: MissionTime) -> str:
+    return f"{datetime.fromtimestamp(at // SECOND, UTC):%Y-%m-%dT%H:%M:%SZ}"

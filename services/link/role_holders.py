@@ -11,13 +11,14 @@ its own role alone.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from he3.errors import InvalidInput
 from schemas.claims import RoleClaim, RoleHolder
-from schemas.codec import encode
+from schemas.codec import decode, encode
 from schemas.topics import HOLDERS, Side
 from schemas.wire import Header
 from services.runtime.refusals import refusal_of
@@ -72,23 +73,28 @@ class RoleHolders:
         return RoleHolder(process=holder.process, renewals=holder.renewals)
 
 
-def judge_claims(context: ProcessContext) -> None:
+Reached = Callable[[str, int], None]
+"""Called with the role of a process that holds it, and the latest mission time [ns] at which the process has acted."""
+
+
+def judge_claims(context: ProcessContext, reached: Reached = lambda name, at: None) -> None:
     """Answer the claims of both sides from now on, in the main loop."""
     holders = RoleHolders()
     for side in context.sessions:
-        _judge_side(context, holders, side)
+        _judge_side(context, holders, side, reached)
 
 
-def _judge_side(context: ProcessContext, holders: RoleHolders, side: Side) -> None:
+def _judge_side(context: ProcessContext, holders: RoleHolders, side: Side, reached: Reached) -> None:
     inbox, session = context.inbox, context.sessions[side]
     session.watch_alive(side, lambda name, alive: inbox.put(partial(holders.seen, side, name, alive)), HOLDERS)
-    session.serve(CLAIMS[side], lambda query: inbox.put(partial(_judge, context, holders, side, query)))
+    session.serve(CLAIMS[side], lambda query: inbox.put(partial(_judge, context, holders, side, reached, query)))
 
 
-def _judge(context: ProcessContext, holders: RoleHolders, side: Side, query: IncomingQuery) -> None:
+def _judge(context: ProcessContext, holders: RoleHolders, side: Side, reached: Reached, query: IncomingQuery) -> None:
     topic = CLAIMS[side]
     try:
-        answer = holders.claim(side, read_request(topic, query, context.mission), time.monotonic())
+        claim, payload = read_request(topic, query, context.mission), query.payload  # the reply drops the query
+        answer = holders.claim(side, claim, time.monotonic())
     except InvalidInput as error:
         query.refuse(refusal_of(error))
         context.refused(f"{topic.name}: {error}")
@@ -101,3 +107,5 @@ def _judge(context: ProcessContext, holders: RoleHolders, side: Side, query: Inc
         made_at=context.clock.latest,
     )
     query.reply(encode(header, answer))
+    if payload is not None and answer.process == claim.process:
+        reached(claim.name, decode(topic, payload, context.mission)[0].made_at)

@@ -72,7 +72,9 @@ def connect_side(context: ProcessContext, side: Side, endpoint: str) -> Session 
     if session is None:
         return None
     context.sessions[side] = session
-    context.role = ClaimedRole(context.name, context.mission, side, session, context.inbox)
+    context.role = ClaimedRole(
+        context.name, context.mission, side, session, context.inbox, lambda: context.clock.latest
+    )
     return session if context.role.take(context.log.warning) else None
 
 

@@ -26,6 +26,7 @@ from services.runtime.transport.session import NotReplied, Outcome, Session
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from services.mission.mission_time import MissionTime
     from services.runtime.inbox import Inbox
 
 CLAIMS: Final = {Side.MOON: MOON_CLAIM, Side.EARTH: EARTH_CLAIM}
@@ -47,7 +48,10 @@ class RoleRefused(InvalidInput):
 class ClaimedRole:
     """The claim of this process, on its side."""
 
-    def __init__(self, name: str, mission: str, side: Side, session: Session, inbox: Inbox) -> None:
+    def __init__(
+        self, name: str, mission: str, side: Side, session: Session, inbox: Inbox, latest: Callable[[], MissionTime]
+    ) -> None:
+        """latest: the latest mission time at which this process has acted, 0 before any."""
         machine = re.sub(r"[^A-Za-z0-9-]", "-", platform.node())[:24]
         self.process = f"{name}.{os.getpid()}.{secrets.token_hex(4)}.{machine or 'machine'}"
         """Identifies this start of the process."""
@@ -56,6 +60,7 @@ class ClaimedRole:
         self._side = side
         self._session = session
         self._inbox = inbox
+        self._latest = latest
         self._claimed_s = 0.0
         self._held = False
         self._other: RoleHolder | None = None
@@ -89,7 +94,7 @@ class ClaimedRole:
 
     def _claim(self) -> None:
         self._claimed_s = time.monotonic()
-        header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=0)
+        header = Header(mission=self._mission, source=self._name, incarnation=0, sequence=0, made_at=self._latest())
         payload = encode(header, RoleClaim(name=self._name, process=self.process))
         self._session.query(
             self._topic, payload, ANSWERS_WITHIN_S, lambda outcome: self._inbox.put(partial(self._answered, outcome))

@@ -10,7 +10,7 @@ import time
 import pytest
 from mcap.reader import make_reader
 
-from schemas.topics import GROUND_STATUS
+from schemas.topics import EARTH_CLOCK, GROUND_STATUS
 from services.recorder.reader import Recording
 from services.recorder.repair import repair
 from tests.waiting import PATIENCE_S, until
@@ -152,3 +152,19 @@ def test_mission_time_begins_if_the_link_waited_when_it_was_killed_and_is_told_t
     mission["link"].kill()
     mission.start("link")
     mission["link"].line("mission time runs")
+
+
+def test_a_link_without_a_saved_clock_continues_where_the_other_processes_are(missions, listen):
+    mission = missions("short", "--rate", "500")
+    mission.start(*(name for name in ALL if name != "recorder"))
+    mission.ready()
+    heard = listen(mission.client(), GROUND_STATUS).wait(lambda _, status: status.samples > 0)
+    mission["link"].kill()
+    mission.start("link")
+    mission["link"].line("had no saved clock (--journal); ")
+    header, clock = mission.client(name="late").latest(EARTH_CLOCK)
+    assert clock.anchor_mission_ns >= heard.header.made_at
+    assert header.made_at >= heard.header.made_at
+    later = listen(mission.client(name="last"), GROUND_STATUS)
+    later.wait(lambda _, status: status.samples > heard.body.samples)
+    mission.stop()

@@ -1,0 +1,76 @@
+"""The link's clock where no earlier start of the link had saved it: it continues where the other processes are."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from schemas.topics import Side
+from services.link.clock_keeper import ClockKeeper
+from services.mission.mission_time import SECOND
+from services.runtime.process_clock import ProcessClock
+
+START = 1_893_456_000 * SECOND
+HOUR = 3600 * SECOND
+
+
+class Link:
+    """A link's process whose sessions reach nobody."""
+
+    def __init__(self, *, keys: bool = False, rate: float = 1.0, wait_for: tuple[str, ...] = ()) -> None:
+        self.warnings: list[str] = []
+        session = SimpleNamespace(
+            serve=lambda *_: None, publish=lambda *_: None, watch_alive=lambda *_: None,
+        )  # fmt: skip
+        self.clock = ProcessClock()
+        context: Any = SimpleNamespace(
+            clock=self.clock, inbox=None, mission="m", name="link", sessions=dict.fromkeys(Side, session),
+            options=SimpleNamespace(
+                wait_for=wait_for, journal=None, identity="link.main" if keys else None,
+                scenario=SimpleNamespace(start_ns=START, rate=rate),
+            ),
+            log=SimpleNamespace(warning=self.warnings.append, info=lambda *_, **__: None),
+        )  # fmt: skip
+        self.keeper = ClockKeeper(context)
+        self.keeper.begin()
+
+    def hours(self) -> int:
+        """Whole hours of mission time."""
+        return (self.clock.now() - START) // HOUR
+
+
+@pytest.mark.parametrize("wait_for", [(), ("rover",)])
+def test_it_continues_at_the_latest_time_that_a_process_has_reached(wait_for: tuple[str, ...]) -> None:
+    link = Link(wait_for=wait_for)
+    before = link.clock.followed.state
+    for name, hours in (("field", 0), ("rover", 5), ("ground", 7), ("recorder", 6)):
+        link.keeper._reached(name, START + hours * HOUR)
+    assert link.hours() == 7
+    after = link.clock.followed.state
+    assert before is not None
+    assert after is not None
+    assert (after.epoch, after.rate) == (before.epoch, before.rate)
+    assert after.revision > before.revision, "every process follows it"
+    assert [line[line.index("; ") :] for line in link.warnings] == [
+        "; rover has reached 2030-01-01T05:00:00Z, where it continues",
+        "; ground has reached 2030-01-01T07:00:00Z, where it continues",
+    ]
+
+
+def test_processes_that_have_not_begun_or_are_ahead_by_their_clock_s_error_change_nothing() -> None:
+    link = Link(rate=100.0)
+    link.keeper._reached("rover", 0)
+    link.keeper._reached("rover", START + 90 * SECOND)  # 0.9 s of wall time
+    assert link.hours() == 0
+    assert link.warnings == []
+
+
+def test_in_a_mission_with_keys_no_process_moves_time_and_the_log_says_once_why_it_stands() -> None:
+    link = Link(keys=True)
+    for _ in range(3):
+        link.keeper._reached("rover", START + 5 * HOUR)
+    assert link.hours() == 0
+    (line,) = link.warnings
+    assert line.endswith("rover has reached 2030-01-01T05:00:00Z, and all processes stand until then")
