@@ -61,8 +61,11 @@ _MAY_PASS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.E
 _Parsed = TypeVar("_Parsed")
 
 
-class JournalDamaged(He3Error):
-    """A journal is damaged: more is wrong than the unfinished last record of a process that ended."""
+class JournalDamaged(InvalidInput):
+    """A journal is damaged: more is wrong than the unfinished last record of a process that ended.
+
+    It is bad input: no restart mends it.
+    """
 
 
 @dataclass(frozen=True, slots=True)

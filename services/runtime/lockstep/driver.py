@@ -6,7 +6,7 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING
 
-from he3.errors import He3Error, PeerUnreachable
+from he3.errors import PeerUnreachable
 from schemas.codec import Refused, decode, decode_reply, encode
 from schemas.lockstep import Poke, StepBusy, StepDone
 from schemas.topics import MEMBERS
@@ -15,6 +15,7 @@ from services.runtime.lockstep.participant_io import ParticipantIO
 from services.runtime.lockstep.topics import BUSY, DONE, JOIN, POKE, grant_to
 from services.runtime.node import NoReply
 from services.runtime.process_clock import CLOCKS
+from services.runtime.role_claim import RoleRefused
 from services.runtime.transport.session import NotReplied, Outcome
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ class LockstepDriver:
     def _take_joined(self, outcome: Outcome) -> None:
         if isinstance(outcome, NotReplied):
             if outcome.why is NoReply.REFUSED:
-                raise He3Error(outcome.detail)
+                raise RoleRefused(outcome.detail)
             return  # no time manager yet, or a step is under way: it asks again
         try:
             _, joined = decode_reply(JOIN[self._side], outcome.payload, self._context.mission)
@@ -133,7 +134,7 @@ class LockstepDriver:
             self._context.refused(str(refusal))
             return
         if grant.process != self._io.process_id and grant.at >= participant.now:
-            raise He3Error(f"another process has taken part as {name} since: {grant.process}")
+            raise RoleRefused(f"another process has taken part as {name} since: {grant.process}")
         self._io.granted_at_s = time.monotonic()
         participant.grant(grant)
 

@@ -149,13 +149,14 @@ def test_the_next_start_writes_a_file_of_its_own_after_a_torn_one(tmp_path: Path
     assert history.torn_bytes > 0
 
 
-def test_a_damaged_record_in_the_middle_is_reported(tmp_path: Path) -> None:
+def test_a_damaged_record_in_the_middle_is_reported_as_bad_input_that_no_restart_mends(tmp_path: Path) -> None:
     path = folder_with(tmp_path, inputs(20))
     content = bytearray(path.read_bytes())
     content[content.index(b'"a": "b"')] ^= 1
     path.write_bytes(content)
-    with pytest.raises(JournalDamaged, match="rover-0001"):
+    with pytest.raises(JournalDamaged, match="rover-0001") as damaged:
         JournalFolder(tmp_path, "rover", WHO, CODEC).history()
+    assert isinstance(damaged.value, InvalidInput)
 
 
 @example(place=320, change=1)
