@@ -17,7 +17,7 @@ HOUR = 3600 * SECOND
 
 
 class Link:
-    """A link's process whose sessions reach nobody."""
+    """A link's process whose sessions have no peer."""
 
     def __init__(self, *, keys: bool = False, rate: float = 1.0, wait_for: tuple[str, ...] = ()) -> None:
         self.warnings: list[str] = []

@@ -122,23 +122,15 @@ def test_a_raster_that_lies_elsewhere_is_no_covariate_of_a_region_with_a_project
     cell, north = region.grid.resolution_m, 600_000.0 + region.grid.height_m
     placed = replace(region, crs="+proj=eqc +R=1737400", origin_x_m=-50.0, origin_y_m=600_000.0)
 
-    def raster(name, cell_m, west_m, north_m):
-        path = tmp_path / name
-        transform = rasterio.Affine(cell_m, 0.0, west_m, 0.0, -cell_m, north_m)
-        with rasterio.open(
-            path,
-            "w",
-            driver="GTiff",
-            height=125,
-            width=125,
-            count=1,
-            dtype="float32",
-            crs=placed.crs,
-            transform=transform,
-        ) as target:
+    def written(name, transform, crs=None):
+        shape = {"height": 125, "width": 125, "count": 1, "dtype": "float32"}
+        with rasterio.open(tmp_path / name, "w", driver="GTiff", crs=crs, transform=transform, **shape) as target:
             target.update_tags(AREA_OR_POINT="Point" if point else "Area")
             target.write(HILLS.astype("float32"), 1)
-        return str(path)
+        return str(tmp_path / name)
+
+    def raster(name, cell_m, west_m, north_m):
+        return written(name, rasterio.Affine(cell_m, 0.0, west_m, 0.0, -cell_m, north_m), placed.crs)
 
     for number, (cell_m, west_m, north_m) in enumerate(
         [(cell, -50.0 + cell, north), (cell, -50.0, north - 100.0), (2.0 * cell, -50.0, north)]
@@ -149,16 +141,5 @@ def test_a_raster_that_lies_elsewhere_is_no_covariate_of_a_region_with_a_project
     assert covariates([here], placed)[0] == pytest.approx(HILLS[::-1])
     assert covariates([raster("far.tif", cell, 0.0, 0.0)], region)[0] == pytest.approx(HILLS[::-1])
     for transform in (rasterio.Affine(4.0, 0.0, 0.0, 0.0, 4.0, 0.0), rasterio.Affine.rotation(30.0)):
-        with rasterio.open(
-            tmp_path / "up.tif",
-            "w",
-            driver="GTiff",
-            height=125,
-            width=125,
-            count=1,
-            dtype="float32",
-            transform=transform,
-        ) as target:
-            target.write(HILLS.astype("float32"), 1)
         with pytest.raises(InvalidInput, match="expected a raster with row 0 in the north"):
-            covariates([str(tmp_path / "up.tif")], region)
+            covariates([written("up.tif", transform)], region)
