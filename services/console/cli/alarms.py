@@ -114,7 +114,7 @@ def alarms_of(client: MissionClient, state: MissionState) -> Alarms:
         state.changed.wait(0.1)
         state.changed.clear()
     clock = state.time
-    found.look(state.status, state.link, clock.now(), clock.rate, state.defect_report, state.report_period_s)
+    found.look(state.status, state.link, clock.now(), clock.recent_rate, state.defect_report, state.report_period_s)
     return found
 
 

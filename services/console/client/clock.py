@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
@@ -18,11 +20,18 @@ from services.runtime.clock import FollowedClock, mission_time
 from services.runtime.machine_time import this_machine
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from schemas.wire import Header
     from services.runtime.transport.client import Client
 
 MAX_CLOCK_RATE = 100_000.0
 """Mission seconds per wall second that a mission on the wall clock accepts."""
+
+
+_LATELY_S = 1.0
+"""Wall time over which the pace of a mission in lockstep is measured, at least."""
+_NOTED_EVERY_S = 0.1
 
 
 def time_shown(header: Header, clock: ClockState) -> MissionTime:
@@ -35,11 +44,16 @@ def time_shown(header: Header, clock: ClockState) -> MissionTime:
 class MissionClock:
     """Mission time from the newest clock state and the messages since; never runs backwards."""
 
-    def __init__(self, start_ns: MissionTime | None = None) -> None:
-        """start_ns: beginning of the mission, where it is known before a clock state arrives."""
+    def __init__(self, start_ns: MissionTime | None = None, monotonic_s: Callable[[], float] | None = None) -> None:
+        """start_ns: beginning of the mission, where it is known before a clock state arrives. monotonic_s: wall time;
+        the machine's if None.
+        """
         self._clock = FollowedClock(this_machine())
         self._start_ns = start_ns
         self._heard: MissionTime = 0
+        self._monotonic_s = monotonic_s or (lambda: time.monotonic())
+        self._moved_s = -math.inf
+        self._noted: deque[tuple[float, MissionTime]] = deque(maxlen=round(10 * _LATELY_S / _NOTED_EVERY_S))
 
     @property
     def state(self) -> ClockState | None:
@@ -66,12 +80,33 @@ class MissionClock:
         """Mission seconds per wall second at which `now` goes on; that of a recording differs from its rate."""
         return 0.0 if self.state is None else self.rate
 
+    @property
+    def recent_rate(self) -> float:
+        """Mission seconds per wall second of late: the rate; in lockstep, what was seen within about a second.
+
+        What a busy computer delays by a part of a second is so much older in mission time.
+        """
+        if self.state is None or self.state.mode is not ClockMode.LOCKSTEP:
+            return self.rate
+        now_s = self._monotonic_s()
+        while len(self._noted) > 1 and self._noted[1][0] <= now_s - _LATELY_S:
+            self._noted.popleft()
+        if now_s - self._moved_s >= _LATELY_S:
+            return 0.0
+        noted_s, noted = self._noted[0]
+        return (self._heard - noted) / SECOND / max(now_s - noted_s, _NOTED_EVERY_S)
+
     def hear(self, at: MissionTime) -> None:
         """Note a message that was made on Earth at that mission time; one that lies far ahead is not believed."""
         on_wall_clock = self.state is not None and self.state.mode is ClockMode.WALL
         if on_wall_clock and at > self._clock.now() + MAX_AHEAD:
             return
-        self._heard = max(self._heard, at)
+        if at <= self._heard:
+            return
+        self._heard = at
+        now_s = self._moved_s = self._monotonic_s()
+        if not self._noted or now_s - self._noted[-1][0] >= _NOTED_EVERY_S:
+            self._noted.append((now_s, self._heard))
 
     def now(self) -> MissionTime:
         """Mission time [ns]; 0 while it is not known."""

@@ -61,7 +61,7 @@ def liveness(state: MissionState) -> Liveness:
         ahead_s = max(0.0, (until - state.time.now()) / SECOND)
         return Liveness(Condition.OUT_OF_CONTACT, f"out of contact for another {duration(ahead_s)}")
     age_s = state.rover_age_s
-    if age_s is not None and age_s > stale_after_s(state.report_period_s, link, state.time.rate):
+    if age_s is not None and age_s > stale_after_s(state.report_period_s, link, state.time.recent_rate):
         return Liveness(Condition.ROVER_OVERDUE, f"no report of the rover for {duration(age_s)}")
     light_s = 0.0 if link is None else link.conditions.down.one_way_light_time_s
     return Liveness(Condition.LIVE, f"live, {light_s:.3g} s of light time" if light_s else "live")

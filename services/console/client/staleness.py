@@ -27,7 +27,7 @@ COMPUTING_S = 1.0
 def stale_after_s(state_period_s: float, link: LinkStatus | None, rate: float) -> float:
     """Age [s of mission time] from which the rover's last known state is stale.
 
-    rate: mission seconds per wall second; at a high rate, processing delays are long in mission time.
+    rate: mission seconds per wall second, of late; at a high rate, processing delays are long in mission time.
     """
     down = None if link is None else link.conditions.down
     light_s, loss = (0.0, 0.0) if down is None else (down.one_way_light_time_s, down.loss)

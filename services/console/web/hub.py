@@ -319,7 +319,7 @@ class Hub:
         with self._lock:
             clock, state = self._state.time, self._state
             defects, period_s = state.defect_report, state.report_period_s
-            if self._alarms.look(state.status, state.link, clock.now(), clock.rate, defects, period_s):
+            if self._alarms.look(state.status, state.link, clock.now(), clock.recent_rate, defects, period_s):
                 self._dirty.add("alarms")
 
     def _look(self) -> None:
