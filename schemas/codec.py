@@ -10,7 +10,7 @@ import json
 import re
 import zlib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -31,9 +31,32 @@ Sign = Callable[[Header, bytes], Header]
 class Refused(ValueError):
     """A payload that its topic does not admit; the text is one line."""
 
+    kind: ClassVar[str] = "malformed"
+    """What is wrong, in one or two words: refusals of one kind are counted together."""
+
 
 class Damaged(Refused):
     """A payload whose checksum is wrong: it was changed on the way."""
+
+    kind = "damaged"
+
+
+class Oversized(Refused):
+    """A payload that is longer than its topic allows."""
+
+    kind = "oversized"
+
+
+class Foreign(Refused):
+    """A message of another schema version, mission or sender than its topic is for."""
+
+    kind = "foreign"
+
+
+class NotPermitted(Refused):
+    """A message that its sender may not send, or that does not prove who sent it, or when."""
+
+    kind = "not permitted"
 
 
 class Passed(bytes):
@@ -126,16 +149,16 @@ def decode(topic: Topic, payload: bytes, mission: str) -> tuple[Header, Any]:
     return _decode(topic, topic.payload, payload, mission, topic.max_bytes, topic.sources)
 
 
-def raw_objection(topic: Topic, payload: bytes) -> str | None:
-    """One line on why the topic does not admit a message, judged by its length and its source; None if it may."""
+def raw_objection(topic: Topic, payload: bytes) -> Refused | None:
+    """Why the topic does not admit a message, judged by its length and its source; None if it may."""
     where = topic.name
     if len(payload) > topic.max_bytes:
-        return f"{where}: expected at most {topic.max_bytes} bytes, got {len(payload)}"
+        return Oversized(f"{where}: expected at most {topic.max_bytes} bytes, got {len(payload)}")
     source = header_of(payload).get("source")
     if topic.sources is None or (isinstance(source, str) and source in topic.sources):
         return None
     shown = printable(source)[:64] if isinstance(source, str) else "none"
-    return f"{where}: expected a message of {' or '.join(sorted(topic.sources))}, got one of '{shown}'"
+    return Foreign(f"{where}: expected a message of {' or '.join(sorted(topic.sources))}, got one of '{shown}'")
 
 
 def header_of(payload: bytes) -> dict[str, Any]:
@@ -171,11 +194,11 @@ def _decode(
 ) -> tuple[Header, Any]:
     """Header and body; what: of the topic's key the message is."""
 
-    def expected(text: str) -> Refused:
-        return Refused(f"{topic.key(mission)}{what}: expected {text}")
+    def expected(text: str, kind: type[Refused] = Foreign) -> Refused:
+        return kind(f"{topic.key(mission)}{what}: expected {text}")
 
     if len(payload) > limit:
-        raise expected(f"at most {limit} bytes, got {len(payload)}")
+        raise expected(f"at most {limit} bytes, got {len(payload)}", Oversized)
     if isinstance(payload, Passed) and type(payload.body) is body_type:
         header, body = payload.header, payload.body
     else:
@@ -218,4 +241,4 @@ def _refuse_other_version(payload: bytes, where: str) -> None:
     except (ValueError, TypeError, KeyError, RecursionError):
         return
     if version != SCHEMA_VERSION:
-        raise Refused(f"{where}: expected schema version {SCHEMA_VERSION}, got {str(version)[:40]}")
+        raise Foreign(f"{where}: expected schema version {SCHEMA_VERSION}, got {str(version)[:40]}")

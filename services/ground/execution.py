@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState, SampleReport
+from schemas.topics import EVENT, SAMPLE
 from services.ground.obstacles import MetObstacles
 from services.ground.rover_position import RoverPosition
 from services.ground.samples import Refused, Repeated, SampleIntake, Taken, Unplanned
-from services.runtime.node import Level, LogRecord
+from services.runtime.node import Cause, Level, LogRecord
 
 if TYPE_CHECKING:
     from he3.frames import Place
+    from schemas.topics import Topic
     from services.ground.round_log import RoundLog
     from services.ground.round_record import RoundRecord
     from services.ground.terrain import GroundTerrain
@@ -88,7 +90,7 @@ class ExecutionMonitor:
             case Repeated():
                 return Outcome()
             case Unplanned(why):
-                return Outcome(notes=(_warning(why),))
+                return Outcome(notes=(_ignored(SAMPLE, why),))
             case Refused(record, why):
                 outdated, notes = self._begun(record)
                 return Outcome(True, (_warning(why), *notes), outdated)
@@ -103,7 +105,7 @@ class ExecutionMonitor:
         if self._grid.has((event.x_m, event.y_m)):
             return None
         where = f"({event.x_m:g}, {event.y_m:g})"
-        return _warning(f"event {event.kind.value}: expected a place in the region, got {where}")
+        return _ignored(EVENT, f"event {event.kind.value}: expected a place in the region, got {where}")
 
     def event(self, event: RoverEvent, revision: int) -> Outcome:
         """The outcome of a rover's event that is not about a plan; revision: of the plan sent last."""
@@ -137,9 +139,8 @@ class ExecutionMonitor:
         if event.sample_id is not None and (known := self._round_log.of_sample(event.sample_id)) is not None:
             record = known[0]
         if record is None:
-            return Outcome(
-                notes=(_warning(f"event {event.kind.value}: expected a round that was planned, got {event.round}"),)
-            )
+            text = f"event {event.kind.value}: expected a round that was planned, got {event.round}"
+            return Outcome(notes=(_ignored(EVENT, text),))
         outdated, notes = self._begun(record)
         if event.kind is EventKind.ROUND_STARTED:
             record.start(event.at)
@@ -206,3 +207,8 @@ class ExecutionMonitor:
 
 def _warning(text: str) -> LogRecord:
     return LogRecord(Level.WARNING, text)
+
+
+def _ignored(topic: Topic, text: str) -> LogRecord:
+    """The warning of a message whose content counts for nothing."""
+    return LogRecord(Level.WARNING, text, cause=Cause(f"{topic.name}: ignored", "rover"))

@@ -76,6 +76,7 @@ from services.mission.covariates import trend_of
 from services.mission.mission_time import MissionTime, seconds
 from services.mission.regions import load_region
 from services.runtime.node import (
+    Cause,
     Computed,
     Effect,
     Event,
@@ -304,9 +305,8 @@ class GroundNode:
 
     def _locate(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> Iterable[Effect]:
         if not self._terrain.grid.has((state.x_m, state.y_m)):
-            return [
-                LogRecord(Level.WARNING, f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})")
-            ]
+            text = f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})"
+            return [LogRecord(Level.WARNING, text, cause=Cause(f"{STATE.name}: outside the region", "rover"))]
         self._status.heard(state, made_at)
         self._operations.reported(state, made_at, now)
         self._stall.state(state, self._telecommands.holds_rover, now)

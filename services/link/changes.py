@@ -20,7 +20,7 @@ def read_change(context: ProcessContext, topic: Topic, query: IncomingQuery) -> 
     try:
         given = query_input(topic, query, 0)
     except InvalidInput as error:
-        context.refused(str(error))
+        context.refused(topic, error)
         raise
     kept, actions = context.scheduler.host.admit(given, context.clock.latest)
     for action in actions:
@@ -30,5 +30,5 @@ def read_change(context: ProcessContext, topic: Topic, query: IncomingQuery) -> 
     try:
         return read_request(topic, query, context.mission)
     except InvalidInput as error:
-        context.refused(str(error))
+        context.refused(topic, error)
         raise

@@ -203,7 +203,7 @@ class TimeManagerDriver:
             obeys = self._manager.join(joining)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
-            self._context.refused(str(error))
+            self._context.refused(JOIN[side], error)
             return
         if obeys:
             self._join_queries[joining.name] = (side, query)
@@ -255,7 +255,7 @@ class TimeManagerDriver:
         try:
             header, body = decode(topic, payload, self._context.mission)
         except Refused as refusal:
-            self._context.refused(str(refusal))
+            self._context.refused(topic, refusal)
             return
         self._signs.heard(header.source)
         match body:
@@ -291,7 +291,7 @@ class TimeManagerDriver:
             read_request(TIME_SHOW, query, self._context.mission)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
-            self._context.refused(str(error))
+            self._context.refused(TIME_SHOW, error)
             return
         query.reply(encode_reply(query, self._io.header(), self._status()))
 

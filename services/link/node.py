@@ -15,6 +15,7 @@ from services.link.counts import DropReason
 from services.link.relay import Relay
 from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.node import (
+    Cause,
     Effect,
     Event,
     Forward,
@@ -151,7 +152,8 @@ def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
     if drop.reason is DropReason.SUPERSEDED:
         return
     packet = drop.packet
-    level = Level.DEBUG if drop.reason is DropReason.LOST else Level.WARNING
+    lost = drop.reason is DropReason.LOST
+    cause = None if lost else Cause(f"{packet.topic.name}: {drop.reason.value}", packet.source)
     fields = {
         "why": drop.reason.value,
         "direction": direction.value,
@@ -160,7 +162,7 @@ def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
         "sequence": packet.sequence,
         "at": drop.at,
     }
-    yield LogRecord(level, "packet dropped", fields)
+    yield LogRecord(Level.DEBUG if lost else Level.WARNING, "packet dropped", fields, cause)
 
 
 def build_node(scenario: Scenario, *, reports: bool = True) -> LinkNode:

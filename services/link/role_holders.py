@@ -97,7 +97,7 @@ def _judge(context: ProcessContext, holders: RoleHolders, side: Side, reached: R
         answer = holders.claim(side, claim, time.monotonic())
     except InvalidInput as error:
         query.refuse(refusal_of(error))
-        context.refused(f"{topic.name}: {error}")
+        context.refused(topic, InvalidInput(f"{topic.name}: {error}"))
         return
     header = Header(
         mission=context.mission,

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 from he3.track import return_path
 from schemas.commands import CommandKind, CommandStage, Telecommand
+from schemas.topics import COMMAND
 from services.mission.mission_time import MissionTime
 from services.rover.activities import Activity, Leg
 from services.rover.admission import outside
 from services.rover.command_registry import MAX_WAITING, CommandRegistry, is_past
 from services.rover.states import Hold
-from services.runtime.node import Effect, Level, LogRecord
+from services.runtime.node import Cause, Effect, Level, LogRecord
 
 if TYPE_CHECKING:
     from he3.frames import Place, SiteGrid
@@ -67,7 +68,9 @@ class CommandHandlers:
         if last_report is not None:
             if registry.differs(command):
                 fields = {"command_id": command.command_id}
-                self._effects.append(LogRecord(Level.WARNING, "another command under a known id is ignored", fields))
+                cause = Cause(f"{COMMAND.name}: known id", header.source)
+                text = "another command under a known id is ignored"
+                self._effects.append(LogRecord(Level.WARNING, text, fields, cause))
             else:
                 self._reporter.report_command(last_report)
             return

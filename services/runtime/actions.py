@@ -64,6 +64,8 @@ class SetAside:
     traceback: tuple[str, ...]
     number: int
     """Counts the inputs that were set aside since the start."""
+    place: str = ""
+    """File and line where the exception was raised; empty if that is not known."""
 
 
 Action = Publish | PutQuery | Reply | ReplyError | SetAside | SetTimer | Compute | PublishSnapshot | LogRecord | Finish

@@ -27,14 +27,16 @@ OTHERS: Final = "others"
 class RefusalCounter:
     """Counts refusals by sender, and says which to report: the first, the tenth, the hundredth, and so on."""
 
-    def __init__(self) -> None:
+    def __init__(self, each_until: int = 1) -> None:
+        """each_until: of each sender, so many are reported one by one."""
+        self._each_until = each_until
         self._counts: dict[str, int] = {}
 
     def count(self, sender: str) -> tuple[int, bool]:
         """How many there were of that sender with this one, and whether to report it."""
         known = sender if sender in self._counts or len(self._counts) < MAX_SENDERS else OTHERS
         number = self._counts[known] = self._counts.get(known, 0) + 1
-        return number, number == 10 ** (len(str(number)) - 1)
+        return number, number <= self._each_until or number == 10 ** (len(str(number)) - 1)
 
 
 class AuditTrail:

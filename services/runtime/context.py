@@ -6,16 +6,22 @@ in common is here.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 from schemas.codec import body_of
 from services.runtime.actions import SetAside
-from services.runtime.node import Finish, LogRecord, PublishSnapshot
+from services.runtime.log_limit import LogLimit
+from services.runtime.node import Cause, Finish, Level, LogRecord, PublishSnapshot
 from services.runtime.service_manager import ServiceManager
 from services.runtime.set_aside import SetAsideFile
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from he3.errors import InvalidInput
+    from schemas.codec import Refused
     from schemas.refusal import Refusal
     from schemas.topics import Side, Topic
     from schemas.wire import Header, Wire
@@ -110,6 +116,8 @@ class ProcessContext:
     set_aside: SetAsideFile = field(default_factory=lambda: SetAsideFile(None))
     manager: ServiceManager = field(default_factory=ServiceManager)
     """The service manager that started this process, if one did."""
+    log_limit: LogLimit = field(default_factory=LogLimit)
+    """Bounds the log lines that others cause."""
     role: ClaimedRole | None = None
     """The claim of this process; None for the link, which judges the claims."""
 
@@ -127,6 +135,7 @@ class ProcessContext:
         if self.role is not None:
             self.role.keep(monotonic_s)
         self.heartbeat.beat(monotonic_s, self.clock.latest)
+        self._write(self.log_limit.due(monotonic_s))
 
     def perform(self, action: Action) -> None:
         """Carry out an action that concerns no other process of the mission: snapshot, log line, end."""
@@ -137,25 +146,35 @@ class ProcessContext:
                     if awaited:
                         self.query_process.settle()
             case LogRecord():
-                self.log.write(action, self.clock.latest)
+                self._write(self.log_limit.admit(action, time.monotonic()))
             case SetAside():
                 self._report_defect(action)
             case Finish(ok, why):
                 self.log.info(f"finished: {why}", ok=ok)
 
     def _report_defect(self, action: SetAside) -> None:
-        kept = self.set_aside.keep(action, self.clock.latest)
         fields = {"defects": action.number, "traceback": " | ".join(action.traceback)}
-        if kept:
+        text = f"set aside, a defect: {action.what}: {action.error}"
+        record = LogRecord(Level.ERROR, text, fields, Cause("set aside", action.place))
+        lines = self.log_limit.admit(record, time.monotonic())
+        if record in lines and self.set_aside.keep(action, self.clock.latest):
             fields["kept_in"] = str(self.set_aside.path)
-        self.log.error(f"set aside, a defect: {action.what}: {action.error}", **fields)
+        self._write(lines)
 
     def encode_reply(self, topic: Topic, query: IncomingQuery, header: Header, reply: Wire) -> bytes:
         """The reply to a query that the driver answers itself: a message for a message, else the plain body."""
         payload = self.scheduler.host.encode_reply(topic, header, reply)
         return body_of(payload) if query.payload is None else payload
 
-    def refused(self, why: str) -> None:
-        """Count and log something from outside that never reached the node."""
-        for record in self.scheduler.host.refuse(why):
+    def refused(self, topic: Topic, why: Refused | InvalidInput, source: str = "") -> None:
+        """Count and log something from outside that never reached the node. source: the sender that it names."""
+        for record in self.scheduler.host.refuse(topic, why, source):
             self.perform(record)
+
+    def close_log(self) -> None:
+        """Write the count of the lines that the log has not shown yet."""
+        self._write(self.log_limit.rest())
+
+    def _write(self, lines: Iterable[LogRecord]) -> None:
+        for line in lines:
+            self.log.write(line, self.clock.latest)

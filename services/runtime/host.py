@@ -10,10 +10,10 @@ import traceback
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import InvalidInput
-from schemas.codec import Refused, decode, decode_reply, encode, header_of, passed, raw_objection
+from schemas.codec import NotPermitted, Refused, decode, decode_reply, encode, header_of, passed, raw_objection
 from schemas.refusal import RefusalCode
 from schemas.signing import Part
 from schemas.topics import COMMAND, Crosses, Query, Side, Topic, under_custody
@@ -35,6 +35,7 @@ from services.runtime.inputs import (
     TimerElapsed,
 )
 from services.runtime.node import (
+    Cause,
     Compute,
     Computed,
     DurableNode,
@@ -100,9 +101,13 @@ def _sender(given: Input) -> str:
     """The sender that a message names, which is not proven; empty if it names none."""
     match given:
         case MessageArrived(_, payload) | QueryArrived(_, payload, _) | ReplyArrived(_, payload):
-            header = header_of(payload)
-            return printable(str(header.get("signer") or header.get("source") or ""))[:80]
+            return _named(payload)
     return ""
+
+
+def _named(payload: bytes) -> str:
+    header = header_of(payload)
+    return printable(str(header.get("signer") or header.get("source") or ""))[:80]
 
 
 EventSink = Callable[[MissionTime, str, str], None]
@@ -111,10 +116,10 @@ EventSink = Callable[[MissionTime, str, str], None]
 FROM_OUTSIDE: Final = (Received, ReceivedRaw, QueryReceived, ReplyReceived)
 """Events that follow from what others send. An exception upon any other event ends the process."""
 
-DEFECT: Final = "a defect in the program: the input is set aside, see the log"
+SHOWN_OF_KNOWN: Final = 20
+"""Refused requests of a proven sender of which each has a line in the audit log, before only every tenfold has."""
 
-SHOWN_REFUSALS: Final = 20
-"""Refusals of which each has a line in the log; of those that follow, every one whose number is a power of two."""
+DEFECT: Final = "a defect in the program: the input is set aside, see the log"
 
 STATE_TYPES: Final[tuple[type, ...]] = (Compute, Finish, PublishSnapshot, PutQuery, Side, *CUSTODY_STATE_TYPES)
 """The types in the state of a host and its scheduler, beside plain values and the node's own types."""
@@ -155,6 +160,7 @@ class Host:
         self._queries: dict[str, PutQuery] = {}
         self._refused = 0
         self._refusals = RefusalCounter()
+        self._refusals_of_known = RefusalCounter(SHOWN_OF_KNOWN)
         self._asking: dict[int, str] = {}
         self._gate = gate
         self._audit = audit
@@ -203,7 +209,7 @@ class Host:
 
     @property
     def admits_all(self) -> bool:
-        """Whether `admit` has nothing to check, and `answered` nothing to write down."""
+        """Whether `admit` checks no more than `handle` does, and `answered` has nothing to write down."""
         return self._gate is None and self._audit is None
 
     def receives(self, topic: Topic, side: Side) -> bool:
@@ -298,12 +304,14 @@ class Host:
     def admit(self, given: Input, now: MissionTime) -> tuple[Input | None, list[Action]]:
         """The input as it is to be kept and handled, and the actions that follow if it is refused (then it is None).
 
-        It is asked once about each input, before a journal keeps it, as its answer depends on wall time and on the
-        present roster. What it refuses changes nothing.
+        It is asked once about each input, before a journal keeps it: its answer depends on wall time and on the
+        present roster, and what nobody can read must not fill the disk. What it refuses changes nothing.
         """
-        if self.admits_all:
-            return given, []
         try:
+            if self._gate is None:
+                self._require_form(given, now)
+            if self.admits_all:
+                return given, []
             match given:
                 case MessageArrived(topic, payload) if topic.signed and topic not in self._interface.receives_raw:
                     return self._admit_message(given, topic, payload, now), []
@@ -311,7 +319,7 @@ class Host:
                     self._admit_query(given, topic, payload, now)
                 case CheckedQueryArrived(topic, request) if topic.signed:
                     if self._gate is not None:
-                        raise Refused(f"{topic.name}: expected a signed message, got selector parameters")
+                        raise NotPermitted(f"{topic.name}: expected a signed message, got selector parameters")
                     self._write_down(topic, None, request, now)
                 case ReplyArrived(query, payload) if query in self._queries:
                     topic = self._queries[query].topic
@@ -319,12 +327,31 @@ class Host:
                         header, _ = decode_reply(topic, payload, self._mission)
                         self._gate.admit(Part.REPLY, topic, header, payload, now)
         except Refused as refusal:
-            return self._not_admitted(given, str(refusal), now)
+            return self._not_admitted(given, refusal, now)
         except Exception as error:
             if not self._contains_defects:
                 raise
             return self._defect_at_the_gate(given, error)
         return given, []
+
+    def _require_form(self, given: Input, now: MissionTime) -> None:
+        """Raise Refused for an input that its topic does not admit, whoever sent it."""
+        match given:
+            case MessageArrived(topic, payload) if topic not in self._interface.receives_raw:
+                self._decoded(topic, payload, now)
+            case QueryArrived(topic, payload):
+                decode(topic, payload, self._mission)
+            case ReplyArrived(query, payload) if query in self._queries:
+                decode_reply(self._queries[query].topic, payload, self._mission)
+
+    def _decoded(self, topic: Topic, payload: bytes, now: MissionTime) -> tuple[Header, Any]:
+        """Header and body of a message; raises Refused, also for one that was made in the future."""
+        header, body = decode(topic, payload, self._mission)
+        if header.made_at > now + MAX_AHEAD:
+            raise NotPermitted(
+                f"{topic.name}: expected a message of {header.source} made by {now} ns, got one of {header.made_at} ns"
+            )
+        return header, body
 
     def _admit_message(self, given: MessageArrived, topic: Topic, payload: bytes, now: MissionTime) -> Input:
         if self._gate is None and topic is not COMMAND:
@@ -341,8 +368,7 @@ class Host:
             self._gate.admit_command(topic, header, body, now)
         except Refused as refusal:
             self._refused += 1
-            if self._audit is not None:
-                self._audit.refused(topic, named_in(header, body), str(refusal), 1, now)
+            self._audit_refusal(topic, named_in(header, body), str(refusal), now)
             return replace(given, objection=str(refusal))
         self._write_down(topic, header, body, now)
         return given
@@ -364,29 +390,32 @@ class Host:
                 self._asking.pop(token, None)
             case ReplyError(token, topic, why):
                 who = self._asking.pop(token, None)
-                if who is not None and self._audit is not None and topic.signed:
-                    self._audit.refused(topic, who, why, 1, now, verified=self._gate is not None)
+                if who is not None and topic.signed:
+                    self._audit_refusal(topic, who, why, now, verified=self._gate is not None)
 
     def _write_down(self, topic: Topic, header: Header | None, body: Wire, now: MissionTime) -> None:
         if self._audit is not None and (isinstance(topic.service, Query) or topic is COMMAND):
             self._audit.changed(topic, header, body, self._gate is not None, now)
 
-    def _not_admitted(self, given: Input, why: str, now: MissionTime) -> tuple[Input | None, list[Action]]:
+    def _not_admitted(self, given: Input, refusal: Refused, now: MissionTime) -> tuple[Input | None, list[Action]]:
         """What becomes of an input that is refused: nothing, apart from an answer to who asks, and a log line."""
-        sender, topic = _sender(given), self._topic_of(given)
-        number, report = self._refusals.count(sender)
-        self._refused += 1
-        actions: list[Action] = []
-        if report:
-            actions.append(self._refusal(f"{why} ({number} of '{sender}' so far)" if number > 1 else why))
-            if self._audit is not None and topic is not None:
-                self._audit.refused(topic, sender, why, number, now)
+        sender, topic, why = _sender(given), self._topic_of(given), str(refusal)
+        actions = self.refuse(topic, refusal, sender)
+        self._audit_refusal(topic, sender, why, now)
         match given:
             case QueryArrived(asked, _, token) | CheckedQueryArrived(asked, _, token):
                 actions.append(ReplyError(token, asked, why))
             case ReplyArrived(query):
                 return QueryUnanswered(query, NoReply.REFUSED, why), actions
         return None, actions
+
+    def _audit_refusal(self, topic: Topic, who: str, why: str, now: MissionTime, *, verified: bool = False) -> None:
+        """Write down a refusal, unless there were many of that sender: each is counted, few have a line."""
+        if self._audit is None:
+            return
+        number, report = (self._refusals_of_known if verified else self._refusals).count(who)
+        if report:
+            self._audit.refused(topic, who, why, number, now, verified=verified)
 
     def _defect_at_the_gate(self, given: Input, error: Exception) -> tuple[Input | None, list[Action]]:
         """Set aside an input whose check has failed: it does not count as admitted."""
@@ -400,13 +429,13 @@ class Host:
                 return QueryUnanswered(query, NoReply.REFUSED, DEFECT), actions
         return None, actions
 
-    def _topic_of(self, given: Input) -> Topic | None:
+    def _topic_of(self, given: Input) -> Topic:
         match given:
             case MessageArrived(topic) | QueryArrived(topic) | CheckedQueryArrived(topic):
                 return topic
             case ReplyArrived(query):
                 return self._queries[query].topic
-        return None
+        raise AssertionError(f"{type(given).__name__} does not come from outside")
 
     def handle(self, given: Input, now: MissionTime) -> list[Action]:
         """Actions that follow from the input, in order. `ProcessStarted` is the first input of each start."""
@@ -462,18 +491,14 @@ class Host:
         logs = self._event_sink is not None
         what = f"received {topic.name} {len(payload)} {zlib.crc32(payload):08x}" if logs else None
         if topic in self._interface.receives_raw:
-            why = raw_objection(topic, payload)
-            if why is not None:
-                return self.refuse(why)
+            objection_to_raw = raw_objection(topic, payload)
+            if objection_to_raw is not None:
+                return self.refuse(topic, objection_to_raw, _named(payload))
             return self._handle(ReceivedRaw(topic, payload), now, what)
         try:
-            header, body = decode(topic, payload, self._mission)
+            header, body = self._decoded(topic, payload, now)
         except Refused as refusal:
-            return self.refuse(str(refusal))
-        if header.made_at > now + MAX_AHEAD:
-            return self.refuse(
-                f"{topic.name}: expected a message of {header.source} made by {now} ns, got one of {header.made_at} ns"
-            )
+            return self.refuse(topic, refusal, _named(payload))
         if topic is COMMAND and body.objection != objection:
             body = body.model_copy(update={"objection": objection})  # what a sender writes there does not count
         endpoint = self._custody
@@ -481,7 +506,7 @@ class Host:
             return self._handle(Received(topic, header, body), now, what)
         why = endpoint.objection(topic, header, body)
         if why is not None:
-            return self.refuse(why)
+            return self.refuse(topic, NotPermitted(why), header.source)
         if topic is endpoint.ack_topic:
             return endpoint.acknowledged(body, header, now)
         deliveries, actions = endpoint.received(topic, header, body, len(payload), now)
@@ -494,7 +519,7 @@ class Host:
         try:
             _, body = decode(topic, payload, self._mission)
         except Refused as refusal:
-            return [*self.refuse(str(refusal)), ReplyError(token, topic, str(refusal))]
+            return [*self.refuse(topic, refusal, _named(payload)), ReplyError(token, topic, str(refusal))]
         return self._checked_query(topic, body, token, now)
 
     def _checked_query(self, topic: Topic, request: Wire, token: int, now: MissionTime) -> list[Action]:
@@ -512,7 +537,8 @@ class Host:
             _, reply = decode_reply(topic, payload, self._mission)
         except Refused as refusal:
             unanswered = QueryFailed(topic, query, NoReply.REFUSED, str(refusal))
-            return [*self.refuse(str(refusal)), *self._handle(unanswered, now, f"unanswered {topic.name}")]
+            follows = self._handle(unanswered, now, f"unanswered {topic.name}")
+            return [*self.refuse(topic, refusal, _named(payload)), *follows]
         logs = self._event_sink is not None
         what = f"answered {topic.name} {zlib.crc32(payload):08x} {query}" if logs else None
         return self._handle(ReplyReceived(topic, query, reply), now, what)
@@ -552,14 +578,13 @@ class Host:
     def _set_aside(self, error: Exception) -> list[Action]:
         """Set the present input aside. What the node did up to the exception stands."""
         self._defects += 1
-        if self._defects > SHOWN_REFUSALS and self._defects & (self._defects - 1):
-            return []
         what, payload = _described(self._given)
         frames = traceback.extract_tb(error.__traceback__)
-        place = f" ({frames[-1].filename}:{frames[-1].lineno})" if frames else ""
+        place = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else ""
         text = printable(f"{type(error).__name__}: {error}")[:MAX_TEXT]
         lines = tuple(line.rstrip() for line in traceback.format_exception(error))
-        return [SetAside(what, payload, f"{text}{place}", lines, self._defects)]
+        shown = f"{text} ({place})" if place else text
+        return [SetAside(what, payload, shown, lines, self._defects, place)]
 
     def _report_queue_depth(self, depth: int, now: MissionTime) -> list[Action]:
         """Report a changed queue depth, at most once per input. A replay repeats it, so it is not journalled."""
@@ -635,12 +660,15 @@ class Host:
         self._sequences[topic.name] = sequence + 1
         return sequence
 
-    def refuse(self, why: str) -> list[Action]:
-        """The log record of something from outside that was refused, and is counted; of a flood few have one."""
+    def refuse(self, topic: Topic, why: Refused | InvalidInput, source: str = "") -> list[Action]:
+        """Count something from outside that is refused; returns its log record. source: the sender that it names."""
         self._refused += 1
-        if self._refused > SHOWN_REFUSALS and self._refused & (self._refused - 1):
-            return []
-        return [self._refusal(why)]
-
-    def _refusal(self, why: str) -> LogRecord:
-        return LogRecord(Level.WARNING, f"refused: {why}", {"refused": self._refused})
+        kind = why.kind if isinstance(why, Refused) else Refused.kind
+        return [
+            LogRecord(
+                Level.WARNING,
+                f"refused: {why}",
+                {"refused": self._refused},
+                Cause(f"{topic.name}: {kind}", source),
+            )
+        ]

@@ -218,12 +218,24 @@ class Level(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Cause:
+    """What others sent that led to a log line, which they can repeat at will: the log limits the lines of one cause."""
+
+    kind: str
+    """One of few texts of the program's own, such as the topic and what was wrong."""
+    source: str
+    """The sender that the message names, which is not proven."""
+
+
+@dataclass(frozen=True, slots=True)
 class LogRecord:
     """A line for the structured log."""
 
     level: Level
     text: str
     fields: dict[str, Any] = field(default_factory=dict)
+    cause: Cause | None = None
+    """None: the line does not follow from what others send, and is always written."""
 
 
 @dataclass(frozen=True, slots=True)

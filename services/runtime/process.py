@@ -157,6 +157,7 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
 
     heartbeat = Heartbeat(host, publish, bool(options.insecure))
     context = ProcessContext(options, inbox, sessions, clock, log, scheduler, heartbeat, events, query_process)
+    stack.callback(context.close_log)
     if options.journal is not None:
         context.set_aside = SetAsideFile(options.journal / f"{service.name}.set-aside.jsonl")
     if history is not None:

@@ -161,7 +161,7 @@ class NodeScheduler:
         self._inbox = []
         outward: list[Action] = []
         audited = not self.host.admits_all
-        if audited:
+        if audited or self._journal is not None:
             batch = self._admitted(batch, now, outward)
         if self._journal is not None and batch:
             self._journal.append(now, batch)

@@ -18,7 +18,7 @@ from services.runtime.custody.protocol import CustodyConfig, CustodyQueueFull, M
 from services.runtime.custody.receiver import Arrival, CustodyReceiver, Delivery, Skip
 from services.runtime.custody.sender import CustodySender, Transmit
 from services.runtime.custody.stream import Transmission, made
-from services.runtime.node import Interface, Level, LogRecord, SetTimer
+from services.runtime.node import Cause, Interface, Level, LogRecord, SetTimer
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
@@ -99,7 +99,7 @@ class CustodyEndpoint:
         try:
             return self._publish(self._sender.offer(topic, header, self._encode(topic, header, body), now))
         except CustodyQueueFull as error:
-            return [LogRecord(Level.ERROR, str(error))]
+            return [LogRecord(Level.ERROR, str(error), cause=Cause(f"{topic.name}: custody is full", self._name))]
 
     def objection(self, topic: Topic, header: Header, body: Any) -> str | None:
         """One line on a message that its source cannot have sent; None if there is nothing to object."""

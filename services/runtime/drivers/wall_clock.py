@@ -74,7 +74,7 @@ class ClockFollower:
         try:
             _, state = decode(self._topic, payload, self._context.mission)
         except Refused as refusal:
-            self._context.refused(str(refusal))
+            self._context.refused(self._topic, refusal)
             return
         self._context.clock.follow(state)
 
@@ -129,7 +129,7 @@ class WallClockDriver:
             given = query_input(topic, query, token)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
-            self._context.refused(str(error))
+            self._context.refused(topic, error)
             return
         self._context.open_queries.add(token, query)
         self._put(Kind.QUERY, given)

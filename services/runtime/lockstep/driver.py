@@ -118,9 +118,9 @@ class LockstepDriver:
         try:
             _, state = decode(CLOCKS[self._side], payload, self._context.mission)
         except Refused as refusal:
-            self._context.refused(str(refusal))
-        else:
-            self._context.clock.follow(state)
+            self._context.refused(CLOCKS[self._side], refusal)
+            return
+        self._context.clock.follow(state)
         self._clock_at_s = time.monotonic()
         if self._reported_silent:
             self._reported_silent = False
@@ -131,7 +131,7 @@ class LockstepDriver:
         try:
             _, grant = decode(grant_to(name, self._side), payload, self._context.mission)
         except Refused as refusal:
-            self._context.refused(str(refusal))
+            self._context.refused(grant_to(name, self._side), refusal)
             return
         if grant.process != self._io.process_id and grant.at >= participant.now:
             raise RoleRefused(f"another process has taken part as {name} since: {grant.process}")

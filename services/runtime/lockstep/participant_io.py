@@ -161,6 +161,7 @@ class ParticipantIO:
             given = query_input(topic, query, token)
         except InvalidInput as error:
             query.refuse(refusal_of(error))
+            self._context.refused(topic, error)
             return
         self._context.open_queries.add(token, query)
         self._poke_if(self.participant.take_query(given, token, stamp))

@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from he3.errors import He3Error
-from schemas.codec import Refused, body_of, encode
+from schemas.codec import NotPermitted, body_of, encode
 from schemas.commands import Telecommand
 from schemas.people import NAMING
 from schemas.signing import Part
@@ -80,7 +80,9 @@ class Gate:
     def admit_person(self, topic: Topic, header: Header, body: Any) -> None:
         """Raise Refused for a body that names another person than the signer of the message."""
         if isinstance(body, NAMING) and body.by not in (None, header.signer):
-            raise Refused(f"{topic.name} of {header.signer}: expected its signer's own name, got '{str(body.by)[:80]}'")
+            raise NotPermitted(
+                f"{topic.name} of {header.signer}: expected its signer's own name, got '{str(body.by)[:80]}'"
+            )
 
     def admit_command(self, topic: Topic, header: Header, body: Any, now: int) -> None:
         """Raise Refused unless a person has consented to the command in that message, if it is one."""
@@ -88,7 +90,7 @@ class Gate:
             return
         who = self.verifier.verify_command(body, now)
         if topic is ISSUE_COMMAND and who.common_name != header.signer:
-            raise Refused(f"command {body.command_id} of {who.common_name}: brought by {header.signer}")
+            raise NotPermitted(f"command {body.command_id} of {who.common_name}: brought by {header.signer}")
 
     def _require_first(self, topic: Topic, header: Header) -> None:
         """Raise Refused for a request that has come before, to this start of the process or to an earlier one.
@@ -99,13 +101,13 @@ class Gate:
         assert header.signer is not None, "it was verified"
         assert header.signature is not None, "it was verified"
         if header.expires_at is None:
-            raise Refused(f"{what}: expected a request with an expiry, got one without")
+            raise NotPermitted(f"{what}: expected a request with an expiry, got one without")
         if topic.sources is None and header.start != self.start:
-            raise Refused(
+            raise NotPermitted(
                 f"{what}: expected a request to this start of the process, got one to another: replayed, or late"
             )
         if not self._requests.setdefault(header.signer, Requests()).is_new(header.signature, header.made_at):
-            raise Refused(f"{what}: this very request has come before: replayed")
+            raise NotPermitted(f"{what}: this very request has come before: replayed")
 
 
 class RosterFile:

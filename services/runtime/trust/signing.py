@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from cryptography.exceptions import InvalidSignature
 
 from he3.errors import InvalidInput
-from schemas.codec import Refused
+from schemas.codec import NotPermitted
 from schemas.commands import Authorization, Telecommand
 from schemas.signing import Part, signed_bytes
 from schemas.topics import COMMAND, ISSUE_COMMAND
@@ -86,14 +86,14 @@ class Verifier:
         """
         what = f"{topic} of {header.source}"
         if header.signer is None or header.signature is None:
-            raise Refused(f"{what}: expected a signature of role {' or '.join(roles)}, got none")
+            raise NotPermitted(f"{what}: expected a signature of role {' or '.join(roles)}, got none")
         text = signed_bytes(part, topic, header, body)
         who = self._signed_by(header.signer, header.signature, text, topic)
         what = f"{topic} of {_shown(who)}"
         self._require_this_run(what, header.mission, header.instance)
         _require_role(what, who, roles)
         if header.source not in (who.role.value, who.common_name):
-            raise Refused(f"{what}: expected source '{who.role.value}', got '{header.source}'")
+            raise NotPermitted(f"{what}: expected source '{who.role.value}', got '{header.source}'")
         _require_in_time(what, header.made_at, header.expires_at, now)
         return who
 
@@ -103,7 +103,7 @@ class Verifier:
         consent = command.authorization
         roles = ISSUE_COMMAND.access.query
         if consent is None:
-            raise Refused(f"{what}: expected the signature of role {' or '.join(roles)}, got none")
+            raise NotPermitted(f"{what}: expected the signature of role {' or '.join(roles)}, got none")
         header = _authorization_header(
             self.mission, consent.instance, consent.signer, consent.made_at, consent.expires_at
         )
@@ -113,7 +113,7 @@ class Verifier:
         self._require_this_run(what, self.mission, consent.instance)
         _require_role(what, who, roles)
         if command.issued_by is not None:
-            raise Refused(f"{what}: expected no other name beside the signature, got one")
+            raise NotPermitted(f"{what}: expected no other name beside the signature, got one")
         _require_in_time(what, consent.made_at, consent.expires_at, now)
         return who
 
@@ -123,16 +123,16 @@ class Verifier:
             entry = self.roster().trusted(signer, self.wall_time())
             entry.public_key.verify(bytes.fromhex(signature), text)
         except InvalidInput as error:
-            raise Refused(f"{what}: {error}") from None
+            raise NotPermitted(f"{what}: {error}") from None
         except (InvalidSignature, ValueError):
-            raise Refused(
+            raise NotPermitted(
                 f"{what}: expected the signature of {signer} over this very message, got another: altered, or forged"
             ) from None
         return parse_common_name(signer)
 
     def _require_this_run(self, what: str, mission: str, instance: str | None) -> None:
         if (mission, instance) != (self.mission, self.instance):
-            raise Refused(
+            raise NotPermitted(
                 f"{what}: expected mission '{self.mission}', run {self.instance}, "
                 f"got mission '{mission}', run {instance}"
             )
@@ -153,14 +153,14 @@ def _authorization_header(mission: str, instance: str, signer: str, made_at: int
 
 def _require_role(what: str, who: Subject, roles: tuple[Role, ...]) -> None:
     if who.role not in roles:
-        raise Refused(f"{what}: expected role {' or '.join(roles)}")
+        raise NotPermitted(f"{what}: expected role {' or '.join(roles)}")
 
 
 def _require_in_time(what: str, made_at: int, expires_at: int | None, now: int) -> None:
     if made_at > now + MAX_AHEAD:
-        raise Refused(f"{what}: expected one made by now, got one {(made_at - now) / SECOND:g} s ahead")
+        raise NotPermitted(f"{what}: expected one made by now, got one {(made_at - now) / SECOND:g} s ahead")
     if expires_at is not None and now > expires_at:
-        raise Refused(f"{what}: expired {(now - expires_at) / SECOND:g} s ago: late, or replayed")
+        raise NotPermitted(f"{what}: expired {(now - expires_at) / SECOND:g} s ago: late, or replayed")
 
 
 def _shown(who: Subject) -> str:

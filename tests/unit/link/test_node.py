@@ -21,6 +21,7 @@ from services.link.relay import Relay, apply_change
 from services.mission.link_presets import PRESETS, PROVENANCE, preset
 from services.mission.scenario import Scenario
 from services.runtime.node import (
+    Cause,
     Effect,
     Event,
     Forward,
@@ -201,6 +202,17 @@ def test_a_dropped_packet_is_reported_with_its_reason() -> None:
     status = endpoint.ask()
     assert status.down.lost == 1
     assert [(drop.topic, drop.why) for drop in status.dropped] == [("tm/sample", "lost on the way")]
+
+
+def test_packets_dropped_for_want_of_room_name_their_flow_so_that_the_log_limits_their_lines() -> None:
+    endpoint = Endpoint(LinkConditions(down=DirectionConditions(rate_bit_s=1.0)))
+    for number in range(20_000):
+        endpoint.give(
+            ReceivedRaw(SAMPLE, b'{"header":{"source":"rover","incarnation":%d,"sequence":4},"body":{}}' % number)
+        )
+    notes = [note for _, note in endpoint.of(LogRecord) if note.text == "packet dropped"]
+    assert len(notes) > 1_000
+    assert {note.cause for note in notes} == {Cause("tm/sample: queue full", "rover")}
 
 
 def test_status_is_published_rarely_when_idle_and_at_most_once_a_second_when_busy() -> None:

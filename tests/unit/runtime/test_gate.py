@@ -30,7 +30,7 @@ from services.runtime.inputs import (
     ReplyArrived,
     TimerElapsed,
 )
-from services.runtime.node import Interface, LogRecord, NoReply, Received, Send, SendQuery, SendReply
+from services.runtime.node import Cause, Interface, LogRecord, NoReply, Received, Send, SendQuery, SendReply
 from services.runtime.scheduler import InlineExecutor, NodeScheduler
 from services.runtime.scheduler import Kind as Order
 from services.runtime.trust.audit import AuditLog, file_lines, rows, verify
@@ -264,13 +264,12 @@ def test_the_acknowledgements_of_the_other_side_are_signed_and_count(authority, 
     assert ACK_UP.signed
 
 
-def test_refusals_of_one_sender_are_logged_the_first_and_the_tenth_time(ground):
+def test_refusals_of_one_sender_are_in_the_audit_log_the_first_and_the_tenth_time(ground):
     header = Header(mission="short", source="mallory", incarnation=1, sequence=0, made_at=NOW)
     forged = MessageArrived(EVENT, encode(header, RoverEvent(kind=EventKind.PARKED, at=0, x_m=0, y_m=0, round=1)))
-    texts = [text for _ in range(25) for text in text_of(ground.run(forged))]
-    assert len(texts) == 2
-    assert texts[1].endswith("(10 of 'mallory' so far)")
-    assert ground.host.refused == 25
+    records = [action for _ in range(25) for action in ground.run(forged) if isinstance(action, LogRecord)]
+    assert {record.cause for record in records} == {Cause("tm/event: foreign", "mallory")}
+    assert ground.host.refused == len(records) == 25
     assert [line["number_of_sender"] for line in ground.written] == [1, 10]
 
 

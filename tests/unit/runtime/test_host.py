@@ -41,6 +41,7 @@ from services.runtime.inputs import (
     TimerElapsed,
 )
 from services.runtime.node import (
+    Cause,
     Event,
     Interface,
     Level,
@@ -90,8 +91,8 @@ def hosted(**interface: object) -> tuple[Scripted, Host]:
     return node, host
 
 
-def message(topic, body, mission="short", sequence=0, source="ground") -> bytes:
-    return encode(Header(mission=mission, source=source, incarnation=1, sequence=sequence, made_at=4), body)
+def message(topic, body, mission="short", sequence=0, source="ground", made_at=4) -> bytes:
+    return encode(Header(mission=mission, source=source, incarnation=1, sequence=sequence, made_at=made_at), body)
 
 
 PAUSE = Telecommand(command_id="c1", kind=CommandKind.PAUSE)
@@ -181,12 +182,24 @@ def test_a_message_from_the_future_is_refused():
     assert len(node.seen) == 1
 
 
-def test_a_flood_of_refusals_is_counted_and_has_few_lines():
+@pytest.mark.parametrize(
+    ("payload", "cause"),
+    [
+        (b"x", Cause("tc/command: malformed", "")),
+        (message(COMMAND, PAUSE)[:-2] + b" }", Cause("tc/command: damaged", "ground")),
+        (message(COMMAND, PAUSE) + b" " * 16_384, Cause("tc/command: oversized", "ground")),
+        (message(COMMAND, PAUSE, source="mallory"), Cause("tc/command: foreign", "mallory")),
+        (message(COMMAND, PAUSE, mission="other"), Cause("tc/command: foreign", "ground")),
+        (message(COMMAND, PAUSE, made_at=2**62), Cause("tc/command: not permitted", "ground")),
+    ],
+)
+@pytest.mark.parametrize("way", ["admit", "handle"])
+def test_a_refusal_says_of_what_kind_and_source_it_is_so_that_the_log_limits_its_lines(payload, cause, way):
     _, host = hosted(subscribes=(COMMAND,))
-    lines = [record for _ in range(1_000) for record in host.handle(MessageArrived(COMMAND, b"x"), 20)]
-    assert host.refused == 1_000
-    assert len(lines) == 25
-    assert lines[-1].fields == {"refused": 512}
+    given = MessageArrived(COMMAND, payload)
+    lines = [host.admit(given, 20)[1] if way == "admit" else host.handle(given, 20) for _ in range(100)]
+    assert host.refused == 100
+    assert {record.cause for (record,) in lines} == {cause}
 
 
 def test_a_query_of_the_node_is_sent_and_its_reply_is_checked_and_delivered_once():

@@ -110,6 +110,19 @@ class Durable(Scripted):
         assert state == {}
 
 
+def test_what_nobody_can_read_is_refused_and_counted_and_takes_no_room_in_the_journal() -> None:
+    node = Scripted()
+    journal = RecordingJournal(node)
+    host = Host(node, "m")
+    scheduler = NodeScheduler(host, InlineExecutor(), journal)
+    junk: list[Input] = [MessageArrived(MOON_PRESENCE, b"junk"), MessageArrived(MOON_PRESENCE, b"x" * 20_000_000)]
+    for number, given in enumerate([*junk, message(0)]):
+        scheduler.put((Kind.MESSAGE, "", number), given)
+    records = scheduler.run(5)
+    assert [inputs for _, inputs, _ in journal.appended] == [[message(0)]]
+    assert host.refused == len(records) == 2
+
+
 def test_inputs_are_in_the_journal_before_the_node_sees_them() -> None:
     node = Durable()
     journal = RecordingJournal(node)

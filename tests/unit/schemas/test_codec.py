@@ -80,4 +80,4 @@ def test_a_text_of_a_message_is_shown_escaped_wherever_it_came_from(text: str) -
 def test_the_link_passes_on_no_message_of_a_source_that_does_not_make_it(source: str) -> None:
     why = raw_objection(PLAN, f'{{"header":{{"source":{source}}},"body":{{}}}}'.encode())
     assert why is not None
-    assert why.startswith("tc/plan: expected a message of ground, got one of")
+    assert str(why).startswith("tc/plan: expected a message of ground, got one of")
