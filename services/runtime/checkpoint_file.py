@@ -2,7 +2,8 @@
 
 The file holds a CRC-32 of what follows (4 bytes, little endian), the length of the head (8 bytes), the head (JSON) and
 the state as the state codec wrote it. It replaces its predecessor in one step. A checkpoint only saves time. It is
-ignored if it is damaged, of another mission, of another version of the program, or ahead of the journal.
+ignored if it is damaged, of another mission, or of another version of the program. One that is ahead of the journal
+shows that the journal has lost what it held: that is damage.
 """
 
 from __future__ import annotations
@@ -17,9 +18,19 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from he3.errors import InvalidInput
 from services.runtime.files.output import replace_output
 
 CRC_BYTES: Final = 4
+
+
+class JournalDamaged(InvalidInput):
+    """A journal is damaged: more is wrong than the unfinished last record of a process that ended.
+
+    It is bad input: no restart mends it.
+    """
+
+
 _LENGTH_BYTES: Final = 8
 
 
@@ -62,7 +73,10 @@ def write_checkpoint(path: Path, identity: Mapping[str, str], checkpoint: Checkp
 
 
 def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapping[str, int]) -> Checkpoint | str:
-    """The checkpoint, or one line on why it cannot be used. journal_sizes: bytes of each journal file, by name."""
+    """The checkpoint, or one line on why it cannot be used. journal_sizes: bytes of each journal file, by name.
+
+    Raises JournalDamaged for a journal that is shorter than it was: the checkpoint was written after the journal.
+    """
     sealed = path.read_bytes()
     content = sealed[CRC_BYTES:]
     if zlib.crc32(content) != int.from_bytes(sealed[:CRC_BYTES], "little"):
@@ -78,10 +92,14 @@ def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapp
         return "it is no checkpoint of this program"
     if whose != dict(identity):
         return "it is of another mission"
+    size = journal_sizes.get(checkpoint.file, 0)
+    if size < mark.offset:
+        raise JournalDamaged(
+            f"{path}: expected at least {mark.offset} bytes in {checkpoint.file}, got {size}: "
+            "inputs that were handled are missing"
+        )
     if program != program_digest():
         return "it was written by another version of the program"
-    if journal_sizes.get(checkpoint.file, -1) < mark.offset:
-        return f"{checkpoint.file} does not reach as far"
     return checkpoint
 
 
