@@ -21,6 +21,7 @@ from services.link.kept_clock import KeptClock, keep, kept_clock
 from services.link.role_holders import judge_claims
 from services.mission.mission_time import SECOND
 from services.runtime.clock import anchored, at_rate, started
+from services.runtime.files.output import failed
 from services.runtime.machine_time import this_machine
 from services.runtime.process_clock import CLOCKS
 from services.runtime.refusals import refusal_of
@@ -32,6 +33,11 @@ if TYPE_CHECKING:
     from services.runtime.transport.session import IncomingQuery
 
 CLOCK_FILE = "clock.json"
+_RECOVERY = {
+    True: "restore it; without it mission time begins anew, and all processes stand until it has caught up",
+    False: "restore it, or remove it: mission time then continues where the other processes are",
+}
+"""What an operator can do about a saved clock that is none, with keys and without."""
 CATCHES_UP_FROM_S = 1.0
 """Wall time by which a process must be ahead of a clock that began anew; clocks of two machines differ by less."""
 ANNOUNCE_EVERY_S = 5.0
@@ -151,21 +157,41 @@ class ClockKeeper:
     # --- what survives a restart --------------------------------------------------------------------------------
 
     def _remembered(self) -> KeptClock | None:
-        if self._file is None or not self._file.exists():
+        """The saved clock; None if no earlier start has saved one.
+
+        Raises He3Error if it cannot be read. A link that began mission time anew then would open contacts and judge
+        expiries by a wrong time, and would write over what is left of the right one.
+        """
+        if self._file is None:
             return None
+        options = self._context.options
         try:
-            return kept_clock(self._file, self._machine)
-        except ValueError:
-            self._context.log.warning(
-                f"{self._file}: expected a saved clock, got other data; starting mission time anew"
-            )
+            kept = kept_clock(self._file, self._machine, self._context.mission, options.scenario.start_ns)
+        except FileNotFoundError:
             return None
+        except InvalidInput as error:
+            raise InvalidInput(f"{error}; {_RECOVERY[options.identity is not None]}") from None
+        except OSError as error:
+            raise failed(f"{self._file}: cannot read the saved clock", error) from None
+        at, away_s = _shown(kept.state.anchor_mission_ns), kept.away_ns / SECOND
+        if kept.away_ns < 0:
+            self._context.log.warning(
+                f"the wall clock is {-away_s:.0f} s earlier than when mission time was saved: how long the link was "
+                f"away is not known, and mission time continues where it was, at {at}"
+            )
+        elif not kept.same_boot:
+            self._context.log.warning(
+                f"mission time continues at {at}, {away_s:.0f} s of wall time after it was saved: after a start of the "
+                "machine the wall clock alone tells that"
+            )
+        return kept
 
     def _remember(self) -> None:
         if self._file is None:
             return
         try:
-            keep(self._file, self._clock.anchored_now(), self._machine, waits=bool(self._missing))
+            mission = self._context.mission
+            keep(self._file, self._clock.anchored_now(), self._machine, mission, waits=bool(self._missing))
             self._kept = True
         except OSError as error:
             if self._kept:  # reported once: it is tried again with each announcement

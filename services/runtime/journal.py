@@ -18,7 +18,6 @@ SQLite in WAL mode is not used, because it does not notice damage. [measured: ex
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import struct
@@ -46,7 +45,7 @@ from services.runtime.checkpoint_file import (
     read_checkpoint,
     write_checkpoint,
 )
-from services.runtime.files.output import open_output
+from services.runtime.files.output import failed, open_output
 from services.runtime.input_codec import decode_input, encode_input
 from services.runtime.inputs import Input, ProcessStarted
 
@@ -66,9 +65,6 @@ _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time and publ
 _LONGEST_BEGINNING: Final = 4096
 """Bytes before the first input, at most: who wrote the journal, and of which mission."""
 _ANEW: Final = "name another folder to begin anew"
-
-_MAY_PASS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
-"""Errors of the system that are no mistake of the operator's, and that may be gone at the next start."""
 
 _Parsed = TypeVar("_Parsed")
 
@@ -165,15 +161,18 @@ class JournalFolder:
 
     def history(self) -> History:
         """The history in this folder. Raises InvalidInput for another mission or another format, JournalDamaged for a
-        damaged file.
+        damaged file, He3Error for one that cannot be read.
         """
-        files = self._files()
-        found = self._usable_checkpoint(files)
-        if isinstance(found, str):
-            return self._read(files, notice=found)
-        checkpoint, state = found
-        later = [path for path in files if path.name >= checkpoint.file]
-        return self._read(later, checkpoint, state)
+        try:
+            files = self._files()
+            found = self._usable_checkpoint(files)
+            if isinstance(found, str):
+                return self._read(files, notice=found)
+            checkpoint, state = found
+            later = [path for path in files if path.name >= checkpoint.file]
+            return self._read(later, checkpoint, state)
+        except OSError as error:
+            raise failed(f"{error.filename or self._folder}: cannot read the journal", error) from None
 
     def begin(self, history: History | None = None) -> JournalWriter:
         """The writer of the next file; `history` is what the earlier ones hold, for one that keeps checkpoints."""
@@ -182,8 +181,7 @@ class JournalFolder:
             path = self._folder / f"{self._node}-{len(self._files()) + 1:04d}.mcap"
             stream = open_output(path, new=True)
         except OSError as error:
-            kind = He3Error if error.errno in _MAY_PASS else InvalidInput
-            raise kind(f"{self._folder}: cannot keep a journal there: {error.strerror}") from None
+            raise failed(f"{self._folder}: cannot keep a journal there", error) from None
         if history is None:
             return JournalWriter(stream, self._identity, self._codec, where=str(path))
         earlier_starts = history.starts

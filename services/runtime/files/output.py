@@ -13,6 +13,11 @@ import stat
 from pathlib import Path
 from typing import IO
 
+from he3.errors import He3Error, InvalidInput
+
+MAY_PASS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
+"""Errors of the system that are no mistake of the operator's, and that may be gone at the next start."""
+
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC
 
 
@@ -50,6 +55,12 @@ def require_own(found: os.stat_result, path: Path) -> None:
     """Raise OSError unless that is a file or folder of this user with one name."""
     if found.st_uid != os.getuid() or (stat.S_ISREG(found.st_mode) and found.st_nlink > 1):
         raise OSError(errno.EPERM, "expected a file of this user with one name", str(path))
+
+
+def failed(what: str, error: OSError) -> He3Error:
+    """The error, in one line, of a process that cannot go on; InvalidInput if the same command meets it again."""
+    kind = He3Error if error.errno in MAY_PASS else InvalidInput
+    return kind(f"{what}: {error.strerror or type(error).__name__}")
 
 
 def _is_system_link(path: Path) -> bool:

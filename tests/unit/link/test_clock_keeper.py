@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from he3.errors import InvalidInput
 from schemas.topics import Side
 from services.link.clock_keeper import ClockKeeper
 from services.mission.mission_time import SECOND
@@ -19,7 +22,9 @@ HOUR = 3600 * SECOND
 class Link:
     """A link's process whose sessions have no peer."""
 
-    def __init__(self, *, keys: bool = False, rate: float = 1.0, wait_for: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, *, keys: bool = False, rate: float = 1.0, wait_for: tuple[str, ...] = (), journal: Path | None = None
+    ) -> None:
         self.warnings: list[str] = []
         session = SimpleNamespace(
             serve=lambda *_: None, publish=lambda *_: None, watch_alive=lambda *_: None,
@@ -28,7 +33,7 @@ class Link:
         context: Any = SimpleNamespace(
             clock=self.clock, inbox=None, mission="m", name="link", sessions=dict.fromkeys(Side, session),
             options=SimpleNamespace(
-                wait_for=wait_for, journal=None, identity="link.main" if keys else None,
+                wait_for=wait_for, journal=journal, identity="link.main" if keys else None,
                 scenario=SimpleNamespace(start_ns=START, rate=rate),
             ),
             log=SimpleNamespace(warning=self.warnings.append, info=lambda *_, **__: None),
@@ -74,3 +79,42 @@ def test_in_a_mission_with_keys_no_process_moves_time_and_the_log_says_once_why_
     assert link.hours() == 0
     (line,) = link.warnings
     assert line.endswith("rover has reached 2030-01-01T05:00:00Z, and all processes stand until then")
+
+
+@pytest.mark.parametrize("keys", [True, False])
+@pytest.mark.parametrize("content", [b"", b"\xff\x00", b"{}", b"folder"])
+def test_a_saved_clock_that_cannot_be_read_ends_the_start_and_is_left_as_it_is(
+    tmp_path: Path, content: bytes, keys: bool
+) -> None:
+    file = tmp_path / "clock.json"
+    if content == b"folder":
+        file.mkdir()
+    else:
+        file.write_bytes(content)
+    with pytest.raises(InvalidInput, match=r"clock\.json: (expected the clock|cannot read)") as refusal:
+        Link(keys=keys, journal=tmp_path)
+    if file.is_file():
+        assert file.read_bytes() == content
+        assert ("remove it" in str(refusal.value)) is not keys, "with keys no process moves mission time"
+
+
+def test_the_clock_of_another_mission_in_the_folder_ends_the_start(tmp_path: Path) -> None:
+    Link(journal=tmp_path)
+    kept = (tmp_path / "clock.json").read_text()
+    (tmp_path / "clock.json").write_text(kept.replace('"mission":"m"', '"mission":"other"'))
+    with pytest.raises(InvalidInput, match="expected the clock of mission m, got that of mission other"):
+        Link(journal=tmp_path)
+
+
+def test_a_link_that_continues_after_a_start_of_the_machine_says_how_long_the_wall_clock_says_it_was_away(
+    tmp_path: Path,
+) -> None:
+    Link(journal=tmp_path)
+    assert Link(journal=tmp_path).warnings == [], "within one boot the monotonic clock tells it"
+    file = tmp_path / "clock.json"
+    kept = json.loads(file.read_text())
+    for moved_s, said in ((-7200, "continues at 2030-01-01T02:00:0"), (7200, "7200 s earlier than when")):
+        moved = {**kept["clock"], "anchor_wall_ns": kept["clock"]["anchor_wall_ns"] + moved_s * SECOND}
+        file.write_text(json.dumps({**kept, "boot_id": "another", "clock": moved}))
+        (line,) = Link(journal=tmp_path).warnings
+        assert said in line

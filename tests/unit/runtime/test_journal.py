@@ -214,6 +214,23 @@ def test_a_tail_that_is_no_beginning_of_a_record_is_damage(tmp_path: Path, tail:
         JournalFolder(tmp_path, "rover", WHO, CODEC).history()
 
 
+@pytest.mark.parametrize("name", ["rover-0001.mcap", "rover.checkpoint"])
+def test_a_journal_that_the_system_does_not_let_read_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    folder = checkpointed(tmp_path, before=7, after=5)
+    open_, read = Path.open, Path.read_bytes
+
+    def refuse(path: Path) -> None:
+        if path.name == name:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(Path, "open", lambda path, *rest, **named: refuse(path) or open_(path, *rest, **named))
+    monkeypatch.setattr(Path, "read_bytes", lambda path: refuse(path) or read(path))
+    with pytest.raises(InvalidInput, match=f"{name}: cannot read the journal: Permission denied"):
+        folder.history()
+
+
 def test_a_journal_that_lacks_a_file_is_damaged(tmp_path: Path) -> None:
     folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
     for start in range(3):
