@@ -37,7 +37,7 @@ class SourceTable(Table):
     scale: float | None = None
     """Value = number * scale + offset; by default those of the file."""
     offset: float | None = None
-    unit: Literal["m", "km", "wt%", "fraction", "1", "ppb"] | None = None
+    unit: Literal["m", "km", "wt%", "fraction", "1", "ppb", "ppm"] | None = None
     """Unit of the values; by default the file's, else the layer's."""
     no_data: Annotated[tuple[float, ...], Field(max_length=16)] = ()
     """Numbers that mark missing values, beside the file's own, NaN, infinity and anything below -1e30."""

@@ -24,15 +24,12 @@ from he3.frames import BoolArray, FloatArray
 from services.mission.region_build.geo import pyproj, rasterio
 from services.mission.region_build.plausible import expect_no_marks, expect_plausible
 from services.mission.region_build.recipe import GridTable, SourceTable
+from services.mission.region_build.units import factor_of
 
 MAX_WINDOW_PIXELS: Final = 64_000_000
 MAX_CHECKSUM_BYTES: Final = 256 * 1024 * 1024  # beyond it, the checksum is that of the window
 _MISSING_BELOW: Final = -1e30  # no quantity is; covers -3.4e38 in each of its spellings
 _PLANET_RADIUS_M: Final = 1_000_000.0  # elevations above it are distances from the Moon's centre
-_UNITS: Final = {
-    "kilometer": 1000.0, "kilometre": 1000.0, "kilometers": 1000.0, "km": 1000.0,
-    "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "m": 1.0,
-}  # fmt: skip
 _POSITIVE: Final = ("iron_wt", "maturity")  # layers in which 0 or less marks a missing value, always
 _EQUATOR_M: Final = 2 * math.pi * MOON_RADIUS_M
 
@@ -140,8 +137,8 @@ def _gdal_source(layer: str, table: SourceTable, dataset: Any, name: str) -> Sou
     label = _label_text(name)
     scale = dataset.scales[band - 1] if table.scale is None else table.scale
     offset = dataset.offsets[band - 1] if table.offset is None else table.offset
-    unit = table.unit or dataset.units[band - 1] or _label_word(label, "UNIT") or ""
-    factor = _factor(layer, unit)
+    own_unit = dataset.units[band - 1] or _label_word(label, "UNIT") or ""
+    factor, unit = factor_of(Path(name).name, layer, table, own_unit)
     path = Path(name)
     no_data = [*table.no_data, *([] if dataset.nodatavals[band - 1] is None else [dataset.nodatavals[band - 1]])]
 
@@ -193,8 +190,9 @@ def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable)
     if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "fiu":
         raise InvalidInput(f"{path}: layer {layer}: expected one array (rows, columns) of real numbers")
     rows, columns = values.shape
-    factor = _factor(layer, table.unit)
-    scale, offset = table.scale or 1.0, table.offset or 0.0
+    factor, unit = factor_of(path.name, layer, table)
+    scale = 1.0 if table.scale is None else table.scale
+    offset = table.offset or 0.0
 
     def read(row: int, column: int, height: int, width: int) -> FloatArray:
         raw = np.asarray(values[row : row + height, column : column + width])
@@ -209,7 +207,7 @@ def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable)
     return Source(
         name=path.name, layer=layer, table=table, rows=rows, columns=columns, sha256=_checksum([path]), reader=read,
         transform=(cell, 0.0, -columns * cell / 2, 0.0, -cell, rows * cell / 2), crs=crs, period=None,
-        product_id=table.product_id, unit=table.unit or "",
+        product_id=table.product_id, unit=unit,
     )  # fmt: skip
 
 
@@ -229,16 +227,6 @@ def _band(table: SourceTable, dataset: Any, name: str) -> int:
     return band
 
 
-def _factor(layer: str, unit: str | None) -> float:
-    """The factor from that unit to the unit of the layer."""
-    word = (unit or "").strip().strip("<>'\"").lower()
-    if layer == "elevation_m":
-        if word and word not in _UNITS:
-            raise InvalidInput(f'layer {layer}: expected a unit of length, got {unit!r}: give unit = "m" or "km"')
-        return _UNITS.get(word, 1.0)
-    return 100.0 if word == "fraction" and layer in ("iron_wt", "titanium_wt") else 1.0
-
-
 def _values(
     name: str,
     raw: Any,
@@ -256,12 +244,14 @@ def _values(
     for number in no_data:
         # As the raster's own type rounds it: -3.4028226550889045e38 is no float32.
         missing |= raw == np.asarray(number).astype(raw.dtype) if raw.dtype.kind == "f" else values == number
-    if table.zero_is_missing:
-        missing |= values == 0
-    if layer in _POSITIVE:
-        missing |= values <= 0
-    expect_no_marks(name, layer, raw, missing)
     values = (values * scale + offset) * factor
+    # The raster's numbers are scaled before they are compared with 0: with an offset, a number of 0 is a value.
+    nothing = 1e-9 * abs(offset * factor)  # a value of 0 after rounding
+    if table.zero_is_missing:
+        missing |= np.abs(values) <= nothing
+    if layer in _POSITIVE:
+        missing |= values <= nothing
+    expect_no_marks(name, layer, raw, missing)
     if layer == "elevation_m" and (~missing).any() and float(np.median(values[~missing])) > _PLANET_RADIUS_M:
         values -= MOON_RADIUS_M  # the label's offset makes radii of heights
     result: FloatArray = np.where(missing, np.nan, values)

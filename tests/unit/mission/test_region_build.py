@@ -616,7 +616,7 @@ def source(**changes: Any) -> dict[str, Any]:
         (source(file="none.tif"), "none.tif: expected a raster, got no such file"),
         (source(band="x"), "expected one band named 'x'"),
         (source(band=2), "expected a band of 1 to 1, got 2"),
-        (source(unit="ppb"), "expected a unit of length, got 'ppb'"),
+        (source(unit="ppb"), 'expected unit "m" or "km", got \'ppb\''),
         ({"projection": "nonsense"}, "expected a projection, got 'nonsense'"),
         ({"projection": "IAU_2015:30110"}, "expected metres of the ground"),
         ({"slope_limit_deg": 0.001}, "got none by the rule: slope of at most 0.001 deg"),
