@@ -553,6 +553,8 @@ ONLOOKERS = "onlooker"
 
 HOLDERS = "holder"
 """Liveliness group of the processes that claim the role of their name; each start has a token of its own."""
+DISPLAYS = "display"
+"""Liveliness group of the displays that follow a mission to its end; a token ends once its display has the last map."""
 
 
 def liveliness_key(mission: str, side: Side, name: str, group: str = ALIVE) -> str:

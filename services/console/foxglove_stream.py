@@ -97,6 +97,7 @@ class _Stream:
         self._derivation = Derivation()
         self._start_ns = state.time.start_ns
         self._plan_revision = -1
+        self._release = client.declare_display()
 
     def run(self) -> None:
         self._begin()
@@ -132,6 +133,8 @@ class _Stream:
         self._server.send_ours(topic, encode(header, body), now)
         if topic is GROUND_STATUS:
             self._send(self._of_status(header, body), now)
+            if body.is_over:
+                self._release()
         self._send(self._derivation.of(topic, header, body), now)
 
     def _of_status(self, header: Header, status: GroundStatus) -> Iterator[Derived]:

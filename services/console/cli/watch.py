@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import queue
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -15,6 +16,9 @@ from services.console.cli.options import AsJson
 from services.console.cli.session import Session
 
 if TYPE_CHECKING:
+    from schemas.topics import Topic
+    from schemas.wire import Header, Wire
+    from services.console.client.live import News
     from services.console.client.mission_client import MissionClient
     from services.console.client.mission_state import Happened, MissionState
 
@@ -40,26 +44,52 @@ def watch(
     """Follow a running mission until it is over, or until Ctrl-C."""
 
     with session.join() as client:
+        client.declare_display()
         if json:
-            _as_json(client)
+            as_json(client)
             return
         state = client.state()
         phase = _on_screen(client, state) if sys.stdout.isatty() else _in_lines(client, state)
     typer.echo(f"mission '{client.mission}' is over: {phase}")
 
 
-def _as_json(client: MissionClient) -> None:
+def as_json(client: MissionClient) -> None:
+    """Print every message as a JSON line, until the status that says that the mission is over.
+
+    Raises PeerUnreachable if the mission falls silent before.
+    """
+    from schemas.topics import GROUND_STATUS
+    from services.console.client.live import NEWS, News
+
+    heard: queue.SimpleQueue[News] = queue.SimpleQueue()
+    printed: Wire | None = None
+
+    def keeper(topic: Topic) -> Callable[[Header, Any], None]:
+        return lambda header, body: heard.put(News(topic.name, header.source, header.made_at, body))
+
+    def print_all() -> None:
+        nonlocal printed
+        while not heard.empty():
+            news = heard.get()
+            printed = news.body if news.topic == GROUND_STATUS.name else printed
+            _print(news)
+
+    for topic in NEWS:
+        client.listen(topic, keeper(topic))
+    state = client.state()
+    for _ in _until_over(client, state, 0.1):
+        print_all()
+    print_all()
+    last = state.fact(GROUND_STATUS)
+    if last is not None and printed != last.body:  # it was queried: the message was sent before, or was lost
+        _print(News(GROUND_STATUS.name, last.header.source, last.made_at, last.body))
+
+
+def _print(news: News) -> None:
     import json as json_format
 
-    from schemas.ground import GroundStatus
-
-    for news in client.live():
-        body = news.body.model_dump(mode="json")
-        typer.echo(
-            json_format.dumps({"topic": news.topic, "source": news.source, "made_at": news.made_at, "body": body})
-        )
-        if isinstance(news.body, GroundStatus) and news.body.is_over:
-            return
+    body = news.body.model_dump(mode="json")
+    typer.echo(json_format.dumps({"topic": news.topic, "source": news.source, "made_at": news.made_at, "body": body}))
 
 
 def _in_lines(client: MissionClient, state: MissionState) -> str:

@@ -30,6 +30,7 @@ from schemas.topics import GROUND_STATUS, Side, Topic
 from schemas.wire import printable
 from services.console.client.areas import Areas
 from services.console.client.credentials import credentials_for
+from services.console.client.displays import Displaying
 from services.console.client.feed import MapFeed
 from services.console.client.forking import Forks
 from services.console.client.live import LiveNews
@@ -50,7 +51,7 @@ REPORT_AFTER_S = 15.0
 """Waiting for the router of a mission that is being started is reported after this time."""
 
 
-class MissionClient(MapFiles, Areas, PlanReviewing, Previewing, Operations, Forks, LiveNews, MapFeed):
+class MissionClient(MapFiles, Areas, PlanReviewing, Previewing, Operations, Forks, LiveNews, MapFeed, Displaying):
     """A session with a running mission. Use it in a `with` statement; its methods may be called from any thread."""
 
     def __init__(

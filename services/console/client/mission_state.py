@@ -34,7 +34,7 @@ from schemas.topics import (
     Topic,
 )
 from services.console.client.clock import MissionClock, time_shown
-from services.console.client.staleness import SILENT_S, STATE_PERIOD_S
+from services.console.client.staleness import PROCESS_SILENT_S, SILENT_S, STATE_PERIOD_S
 from services.mission.mission_time import SECOND, MissionTime, seconds
 
 if TYPE_CHECKING:
@@ -54,8 +54,10 @@ MAX_COMMANDS = 300  # the newest, as the ground lists them
 KEPT: tuple[Topic, ...] = (EARTH_CLOCK, GROUND_STATUS, LINK_STATUS)
 """Topics whose last message can be queried."""
 FOLLOWED: tuple[Topic, ...] = (*KEPT, EARTH_PRESENCE, STATE, EVENT, COMMAND_STATUS, INTERESTS, LOG_ENTRY)
-TIMEKEEPER = "link"
-"""The process that keeps mission time; its process id distinguishes one run of a mission from the next."""
+STATUS_AGAIN_S = 3.0
+"""Wall time without the ground's status after which it is queried, because the last one may have been lost."""
+TIMEKEEPER, GROUND = "link", "ground"
+"""Names of processes. The first keeps mission time; its process id distinguishes one run of a mission from the next."""
 SET_BACK_S = 1.0
 """Wall time by which mission time must lie behind earlier messages to count as another mission's."""
 
@@ -115,7 +117,7 @@ class MissionState:
         self._lock = threading.Lock()
         self.changed = threading.Event()
         """Set with every change; a reader that waits for it clears it."""
-        self._heard_wall = time.monotonic()
+        self._heard_wall = self._status_wall = time.monotonic()
         self._process: tuple[str, int, int] | None = None
         self._other_timekeeper = False
         self._forget()
@@ -162,8 +164,9 @@ class MissionState:
     def refresh(self) -> None:
         """If another process keeps time, check whether the mission was started anew; then drop all facts and query.
 
-        Call it periodically from a thread that may block.
+        A status of the ground that is missing is queried. Call it periodically from a thread that may block.
         """
+        self._ask_for_status()
         if not self._other_timekeeper:
             return
         try:
@@ -174,6 +177,16 @@ class MissionState:
         if time_shown(header, clock) < self.time.now() - seconds(SET_BACK_S * max(1.0, self.time.rate)):
             self._start_afresh()
         self.catch_up()
+
+    def _ask_for_status(self) -> None:
+        """Query the ground's status if none came for long: on a thin line one may be lost; the last is not repeated."""
+        wall, silent_s = time.monotonic(), self.process_silent_s(GROUND)
+        if silent_s is None or silent_s > PROCESS_SILENT_S or wall - self._status_wall < STATUS_AGAIN_S:
+            return
+        if self.status is None or not self.status.is_over:
+            self._status_wall = wall
+            with suppress(He3Error):
+                self._take(GROUND_STATUS, *self._session.latest(GROUND_STATUS, 1.0))
 
     def _start_afresh(self) -> None:
         """Drop all facts, and say so."""
@@ -306,6 +319,8 @@ class MissionState:
         """Keep a new fact; header: None for an entry of the list of commands."""
         with self._lock:
             self._heard_wall = time.monotonic()
+            if topic is GROUND_STATUS:
+                self._status_wall = self._heard_wall
             if (
                 header is not None and topic.crosses is not Crosses.DOWN
             ):  # those were made on the Moon, a light time ago

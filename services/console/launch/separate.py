@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from services.console.launch.scenarios import Chosen
     from services.mission.scenario import Scenario
 
+DISPLAYS_WITHIN_S = 5.0
+"""Longest wall time [s] for which the services outlast the mission so that displays get the last map."""
 LOOK_EVERY_S = 0.1
 """Wall time [s] within which the end of a service or of the mission is noticed."""
 
@@ -78,9 +80,11 @@ def _run_separate(
             progress,
         ):
             try:
+                displays = client.displays()
                 state = client.state(start_ns=scenario.start_ns)
                 status = _watched_to_its_end(state, launcher, progress)
                 outcome = outcome_of(client, state, status, scenario, region, began, lockstep)
+                displays.wait_until_gone(DISPLAYS_WITHIN_S)
             finally:
                 launcher.tell_to_end()  # they end while this session closes, which takes a second without a router
     problem = launcher.failure("recorder")

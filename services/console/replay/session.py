@@ -18,6 +18,7 @@ from schemas.link import ClockMode, ClockState
 from schemas.mission_log import MAX_ENTRIES, MAX_EVENTS, MAX_MODES, HeardEvent, MissionLog, ModeChange, mode_change
 from schemas.plans import PlanReview
 from schemas.topics import (
+    ALIVE,
     COMMAND_STATUS,
     EARTH_CLOCK,
     EVENT,
@@ -230,8 +231,12 @@ class RecordedSession(Client):
         """Raise NotFound: the map's feed is not recorded."""
         raise NotFound(f"{MAP_FEED.name}: expected a running mission, got a recording, which has none")
 
-    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
+    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None], group: str = ALIVE) -> None:
         """No process is alive."""
+
+    def declare_display(self) -> Callable[[], None]:
+        """A recording does not end; there is nothing to declare."""
+        return lambda: None
 
     # --- what was known ---------------------------------------------------------------------------------------------
 

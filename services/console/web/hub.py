@@ -33,6 +33,7 @@ from services.console.client.alarms import Alarms, documents
 from services.console.client.contacts import contacts_ahead
 from services.console.client.liveness import Condition, Liveness, liveness
 from services.console.web.curves import NAMES, Curves
+from services.console.web.last_map import LastMap
 from services.console.web.rehearsals import Rehearsals
 from services.console.web.stacks import PageStacks
 from services.mission.mission_time import SECOND, MissionTime, seconds
@@ -116,6 +117,7 @@ class Hub:
         first = 1 + secrets.randbelow(2**48)  # a page that outlives its server takes no other for what it knows
         self.stacks = PageStacks.of(mission, self._stack_changed, first)
         self.rehearsals = Rehearsals(mission, rehearse, first)
+        self.last_map = LastMap(mission)
         self._lock = threading.RLock()
         self._viewers: set[Viewer] = set()
         self._ended = threading.Event()
@@ -144,6 +146,8 @@ class Hub:
         """Subscribe, and query the mission's past."""
         if self.recording is not None:
             self.recording.on_time(self._time_passes)
+        else:
+            self.last_map.follow()
         self._state.follow()
         if not self._has_past:
             self._catch_up()
@@ -221,6 +225,8 @@ class Hub:
         with self._lock:
             if topic is None:
                 self._start_afresh()
+                self.last_map.forget()
+                self.last_map.follow()
             elif topic is GROUND_STATUS:
                 self._status_changed()
             elif topic is LINK_STATUS:
@@ -310,6 +316,8 @@ class Hub:
     def _keep_looking(self) -> None:
         while not self._ended.wait(LOOK_EVERY_S):
             self._state.refresh()
+            if self.recording is None:
+                self.last_map.look(self._state.status)
             if not self._has_past:
                 self._catch_up()
             with self._lock:

@@ -252,7 +252,7 @@ def _ask(hub: Hub, topic: Topic, asked: Asked) -> Response:
     for name in parameters:
         if not _PARAMETER.fullmatch(name):
             raise InvalidInput(f"expected parameters such as x and as_of, got {name[:40]!r}")
-    payload, about = hub.mission.passed_on(topic, parameters)
+    payload, about = hub.last_map.answer(topic, parameters)
     binary = bool(about) and parameters.get("format", "json") != "json"
     headers = dict(FRESH)
     if about:

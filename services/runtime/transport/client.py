@@ -20,7 +20,7 @@ from schemas.link import ClockMode
 from schemas.refusal import Refusal
 from schemas.roles import Role
 from schemas.signing import Part
-from schemas.topics import EARTH_CLOCK, GROUND_STATUS, LINK_STATUS, Query, Side, Topic
+from schemas.topics import ALIVE, DISPLAYS, EARTH_CLOCK, GROUND_STATUS, LINK_STATUS, Query, Side, Topic
 from schemas.wire import Header, Wire
 from services.mission.mission_time import seconds
 from services.runtime.clock import mission_time
@@ -244,9 +244,14 @@ class Client:
         """
         return self._session.subscribe(topic, lambda payload, _attachment: on_payload(payload))
 
-    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None]) -> None:
+    def watch_alive(self, side: Side, on_change: Callable[[str, bool], None], group: str = ALIVE) -> None:
         """Call `on_change(name, alive)`, in another thread, for each process that is alive, appears, or disappears."""
-        self._session.watch_alive(side, on_change)
+        self._session.watch_alive(side, on_change, group)
+
+    def declare_display(self) -> Callable[[], None]:
+        """Say that a display follows the mission to its end; returns the function that takes it back."""
+        name = f"{self._name}.{secrets.token_hex(4)}"
+        return self._session.declare_alive(name, self._side, DISPLAYS)
 
 
 def selector_text(parameters: Mapping[str, object]) -> str:

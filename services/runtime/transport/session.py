@@ -225,10 +225,20 @@ class Session:
 
     # --- liveliness ---------------------------------------------------------------------------------------------
 
-    def declare_alive(self, name: str, side: Side, group: str = ALIVE) -> None:
-        """Declare a liveliness token under that name and group, for as long as this session lives."""
-        key = liveliness_key(self._mission, side, name, group)
-        self._declared.append(self._session.liveliness().declare_token(key))
+    def declare_alive(self, name: str, side: Side, group: str = ALIVE) -> Callable[[], None]:
+        """Declare a liveliness token under that name and group, for as long as this session lives.
+
+        Returns the function that ends it before.
+        """
+        token: Any = self._session.liveliness().declare_token(liveliness_key(self._mission, side, name, group))
+        self._declared.append(token)
+
+        def end() -> None:
+            if token in self._declared:
+                self._declared.remove(token)
+                token.undeclare()
+
+        return end
 
     def watch_alive(self, side: Side, on_change: Callable[[str, bool], None], group: str = ALIVE) -> None:
         """Call `on_change(name, alive)` for each process of that group that is alive, appears, or disappears."""

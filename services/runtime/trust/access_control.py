@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from schemas.roles import PERSON_ROLES, PROCESS_ROLES, Role
 from schemas.topics import (
     ALIVE,
+    DISPLAYS,
     HOLDERS,
     MEMBERS,
     ONLOOKERS,
@@ -93,6 +94,9 @@ def allowed_keys(side: Side, mission: str) -> dict[Role, Keys]:
                 allow(Right.APPEAR, (role,), liveliness_key(mission, side, role.value, ONLOOKERS))
     watchers = tuple(role for role in (Role.LINK, *PERSON_ROLES) if side in SIDES[role])
     allow(Right.WATCH, watchers, liveliness_key(mission, side, "*", ALIVE))
+    for role in (each for each in PERSON_ROLES if side in SIDES[each]):
+        allow(Right.APPEAR, (role,), liveliness_key(mission, side, f"{role.value}.$*", DISPLAYS))
+        allow(Right.WATCH, (role,), liveliness_key(mission, side, "*", DISPLAYS))
     for group in (MEMBERS, ONLOOKERS, HOLDERS):
         allow(Right.WATCH, (Role.LINK,), liveliness_key(mission, side, "*", group))
     return {role: {right: tuple(keys) for right, keys in rights.items()} for role, rights in found.items() if rights}

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from schemas.roles import Role
-from schemas.topics import SIDES, TOPICS, Side
+from schemas.roles import PERSON_ROLES, Role
+from schemas.topics import DISPLAYS, SIDES, TOPICS, Side, liveliness_key
 from services.runtime.lockstep.topics import JOIN, TO_TIME_MANAGER, grant_to
 from services.runtime.trust.access_control import Right, access_control, allowed_keys
 from services.runtime.trust.zenoh_files import EXAMPLE_NAMES, example_files
@@ -69,6 +69,15 @@ def test_a_process_appears_under_its_own_name_alone():
         for role, rights in allowed_keys(side, "m").items():
             for key in rights.get(Right.APPEAR, ()):
                 assert key.rsplit("/", 1)[1] in (role.value, f"{role.value}.$*")
+
+
+def test_a_person_may_appear_as_a_display_of_earth_under_the_own_role_and_see_the_others():
+    for role in PERSON_ROLES:
+        assert may(role, Right.APPEAR, liveliness_key("m", Side.EARTH, f"{role.value}.$*", DISPLAYS), Side.EARTH)
+        assert may(role, Right.WATCH, liveliness_key("m", Side.EARTH, "*", DISPLAYS), Side.EARTH)
+        others = [other for other in Role if other is not role]
+        for other in others:
+            assert not may(role, Right.APPEAR, liveliness_key("m", Side.EARTH, f"{other}.$*", DISPLAYS), Side.EARTH)
 
 
 def test_a_role_that_no_certificate_has_is_left_out_because_zenoh_takes_no_name_for_every_name():

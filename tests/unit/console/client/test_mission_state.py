@@ -186,6 +186,36 @@ def test_a_mission_is_silent_once_nothing_has_come_for_long(session: Any, monkey
     assert state.is_silent
 
 
+def test_a_status_that_was_lost_is_asked_for_while_the_ground_is_alive(
+    session: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = time.monotonic()
+    monkeypatch.setattr("services.console.client.mission_state.time.monotonic", lambda: now)
+    state = MissionState(session.client)
+    state.follow()
+    session.send(GROUND_STATUS, header(START), ground(5))
+    session.kept = {GROUND_STATUS: (header(START + 1), ground(6))}
+    beat = Presence(name="ground", side="earth", incarnation=1, software="1", pid=1, host="h", refused=0, events=0)
+    for later_s, samples in ((1.0, 5), (4.0, 6)):
+        now += later_s
+        session.send(EARTH_PRESENCE, header(START), beat)
+        state.refresh()
+        assert state.status is not None
+        assert state.status.samples == samples
+
+
+def test_a_ground_that_is_silent_is_not_asked_for_its_status(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = time.monotonic()
+    monkeypatch.setattr("services.console.client.mission_state.time.monotonic", lambda: now)
+    state = MissionState(session.client)
+    state.follow()
+    session.send(GROUND_STATUS, header(START), ground(5))
+    session.kept = {GROUND_STATUS: (header(START + 1), ground(6))}
+    now += 60.0
+    state.refresh()
+    assert state.status == ground(5)
+
+
 def test_of_many_commands_the_newest_and_those_under_way_are_kept(session: Any) -> None:
     state = MissionState(session.client)
     state.follow()

@@ -36,6 +36,9 @@ class Session(Client):
         self._listeners.append((topic, on_message))
         return lambda: None
 
+    def declare_display(self) -> Callable[[], None]:
+        return lambda: None
+
     def latest(self, topic: Topic, timeout_s: float = 0.0) -> tuple[Header, Any]:
         raise NotReady(topic.name)
 
