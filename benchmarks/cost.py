@@ -12,8 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks import kept
+from benchmarks.data_folder import expect_rasters
 from benchmarks.flights import DEFAULT_NOISE_STD_PPB, Conditions, conditions
-from benchmarks.places import PLACES, SIZES, Row, fly
+from benchmarks.places import PLACES, SIZES, Row, files_of, fly
 from benchmarks.tasks import Tasks, progress
 from he3.driving_cost import UNITS
 from he3.errors import He3Error, InvalidInput
@@ -37,15 +38,14 @@ def run(
 ) -> list[Row]:
     """One row a mission, in the order of places, planners and costs; rows are written to `json`, reports to `out`.
 
-    data: folder with the rasters. Raises InvalidInput for names that are not known; He3Error, after the table, if a
-    mission missed samples or led over ground that is too steep.
+    data: folder with the rasters. Raises InvalidInput for names that are not known and rasters that are missing;
+    He3Error, after the table, if a mission missed samples or led over ground that is too steep.
     """
-    if data is None or not data.is_dir():
-        raise InvalidInput(f"expected --data DIR with the rasters (docs/regions.md), got {data or 'none'}")
     for given, known in ((places, tuple(PLACES)), ((size,), SIZES), (costs, tuple(UNITS))):
         for name in given:
             if name not in known:
                 raise InvalidInput(f"expected names out of {', '.join(known)}, got {name!r}")
+    data = expect_rasters(data, "docs/regions.md", files_of(places))
     shared = conditions(noise, (), None)
     rows: list[Row] = []
     with TemporaryDirectory() as scratch:

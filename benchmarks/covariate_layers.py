@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from benchmarks.data_folder import expect_rasters
 from benchmarks.exam_fields import load_field
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray
@@ -55,6 +56,12 @@ def has_layers(data: Path | None) -> bool:
     return data is not None and all(_path(data, name) is not None for name, _ in _LAYERS)
 
 
+def expect_layers(data: Path | None) -> None:
+    """Raise InvalidInput unless that is a folder with the rasters of Mons Herodotus, as they are or below ``real``."""
+    if not has_layers(data):
+        expect_rasters(data, "docs/exam.md", [f"{_FOLDER}/{name}" for name, _ in _LAYERS])
+
+
 def survey_of(name: str, data: Path | None, seed: int) -> Survey:
     """The field of that name with its layers; of `t1` and `t2` the variation of that seed. Raises InvalidInput."""
     if name not in FIELDS:
@@ -95,8 +102,8 @@ def _path(data: Path, name: str) -> Path | None:
 @cache
 def _herodotus(data: Path | None) -> Survey:
     """FeO with the layers on its cells; a cell without a value takes that of the nearest one that has it."""
-    if data is None or not has_layers(data):
-        raise InvalidInput(f"{HERODOTUS}: expected --data DIR with its rasters")
+    expect_layers(data)
+    assert data is not None
     field = load_field(HERODOTUS, data)
     layers = np.array([_band(data, *source) for source in _LAYERS])
     if layers.shape[1:] != field.region.grid.shape:

@@ -26,7 +26,7 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks import kept
-from benchmarks.covariate_layers import FIELDS, HERODOTUS, Survey, has_layers, survey_of
+from benchmarks.covariate_layers import FIELDS, HERODOTUS, Survey, expect_layers, has_layers, survey_of
 from benchmarks.exam_patterns import at_random, hexagonal, moved_onto
 from benchmarks.tasks import Tasks, progress
 from he3.errors import InvalidInput
@@ -86,6 +86,8 @@ def run(
     `t2`, other noise and other places. Rows are added to `json` as they come; what the file has is not computed again.
     Raises InvalidInput for names and numbers that do not fit, and for a file of anything else.
     """
+    if data is not None and (HERODOTUS in fields or not fields):
+        expect_layers(data)
     known = [name for name in FIELDS if name != HERODOTUS or has_layers(data)]
     chosen = list(fields) or known
     for given, among in ((chosen, known), (patterns, PATTERNS)):

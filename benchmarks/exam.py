@@ -85,8 +85,6 @@ def run(
     if unknown or not methods:
         raise InvalidInput(f"expected methods among {', '.join(METHODS)}; got {', '.join(unknown) or 'none'}")
     names = list(fields) or names_in(data)
-    if data is not None and not fields and names == names_in(None):
-        raise InvalidInput(f"expected --data DIR with rasters, got {data}, which has none (docs/exam.md)")
     sums = {}
     for name in names:
         region = load_field(name, data, noise).region

@@ -13,11 +13,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.data_folder import expect_folder, no_raster
 from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, SiteGrid
@@ -37,6 +38,7 @@ NOISE_SHARE = 0.05
 SUFFIXES = (".npy", ".npz", ".tif", ".tiff")
 """Of rasters that a user brings."""
 
+_PAGE: Final = "docs/exam.md"
 _HERODOTUS = "leggedrobotics+lunar_planner/user_data/map_data/Herodutus_Mons/clino_feo_tio_plagio.tif"
 _WALKER = "opengeostat+pygslib/Exhaustive_set.csv"
 
@@ -82,12 +84,20 @@ SOURCES = {
 def names_in(data: Path | None) -> list[str]:
     """All fields that there are: published ones whose file is there, embedded ones, and rasters right in the folder.
 
-    Raises InvalidInput if the folder is none.
+    Raises InvalidInput if the folder is none, or has no raster: who names it wants more than our own regions.
     """
+    names = _names_in(data)
+    if data is not None and names == list(EMBEDDED):
+        first = next(iter(SOURCES.values())).file
+        own = f"a file {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} right in it"
+        raise no_raster(data, _PAGE, f"{first} nor another that the page names, nor {own}")
+    return names
+
+
+def _names_in(data: Path | None) -> list[str]:
     if data is None:
         return list(EMBEDDED)
-    if not data.is_dir():
-        raise InvalidInput(f"expected --data DIR with rasters, got {data}")
+    expect_folder(data, _PAGE)
     published = [name for name, source in SOURCES.items() if _file_of(data, source) is not None]
     brought = sorted(path.name for path in data.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     return [*published, *EMBEDDED, *brought]
@@ -106,7 +116,7 @@ def load_field(name: str, data: Path | None, noise_share: float | None = None) -
     source = SOURCES.get(name)
     path = None if data is None else _file_of(data, source) if source is not None else data / name
     if path is None or not path.is_file():
-        raise InvalidInput(f"exam: expected fields out of {', '.join(names_in(data))}; got {name!r}")
+        raise InvalidInput(f"exam: expected fields out of {', '.join(_names_in(data))}; got {name!r}")
     if source is None:
         values, cell_m = _raster(path, "")
         return _field(path, name, name, values, cell_m or 1.0, None, noise_share)

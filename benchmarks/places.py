@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks import kept
+from benchmarks.data_folder import expect_rasters
 from benchmarks.flights import Conditions, conditions, expect_open
 from benchmarks.tasks import Tasks, progress
 from he3.constants import MOON_RADIUS_M
@@ -113,15 +114,14 @@ def run(
     """One row a mission; the table printed, rows written to `json`, reports and pictures to folders in `out`.
 
     data: folder with the rasters. noise: standard deviation [ppb]; start: X,Y [m], of every place; budget: metres.
-    Raises InvalidInput for names that are not known and numbers that do not fit; He3Error, after the table, if a
-    mission missed samples or a path led over a pixel that is too steep.
+    Raises InvalidInput for names that are not known, numbers that do not fit and rasters that are missing; He3Error,
+    after the table, if a mission missed samples or a path led over a pixel that is too steep.
     """
-    if data is None or not data.is_dir():
-        raise InvalidInput(f"expected --data DIR with the rasters (docs/regions.md), got {data or 'none'}")
     for given, known in ((places, tuple(PLACES)), (sizes, SIZES)):
         for name in given:
             if name not in known:
                 raise InvalidInput(f"expected names out of {', '.join(known)}, got {name!r}")
+    data = expect_rasters(data, "docs/regions.md", files_of(places))
     shared = conditions(noise, start, budget)
     rows: list[Row] = []
     failures: list[str] = []
@@ -153,6 +153,12 @@ def run(
     if failures:
         raise He3Error(f"{len(failures)} of the missions failed, the first: {failures[0]}")
     return rows
+
+
+def files_of(places: Sequence[str]) -> list[str]:
+    """The files of those places, relative to the folder of data."""
+    layers = [layer for name in places for layer in (PLACES[name].terrain, *PLACES[name].further.values())]
+    return [layer["file"] for layer in layers]
 
 
 def recipe_of(place: Place, size: str, name: str) -> Recipe:
