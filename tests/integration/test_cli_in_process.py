@@ -156,7 +156,9 @@ def test_a_region_that_was_built_as_a_file_gives_the_mission_of_its_name(
     first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "t1.npz"
-    assert main(["region", "build", "t1", "--out", str(file)]) == 0
+    assert main(["region", "build", "t1", "--out", str(file), "--json"]) == 0
+    written = json.loads(capsys.readouterr().out)
+    assert (written["written"], written["rows"], written["field_seed"] is None) == (str(file), 500, False)
     assert main([*MISSION, "--set", f"region={file}", "--report", str(tmp_path / "r.json")]) == 0
     again = MissionReport.model_validate_json((tmp_path / "r.json").read_bytes())
     assert again.path_m == report(first).path_m

@@ -173,6 +173,32 @@ def test_an_area_of_interest_is_kept_by_the_ground_until_it_is_taken_back(client
     assert client.set_interest("ridge") == ()
 
 
+def test_areas_are_added_renamed_and_removed_from_the_command_line_which_prints_what_is_set_then(
+    running: tuple[Launcher, Endpoints], client: MissionClient
+) -> None:
+    def said(*words: str) -> dict[str, Any]:
+        done = he3(running[1], "area", *words, "--yes", "--json")
+        assert (done.returncode, done.stderr) == (0, "")
+        document: dict[str, Any] = json.loads(done.stdout)
+        return document
+
+    def names(document: dict[str, Any]) -> list[str]:
+        return [each["name"] for each in document["areas"] if each["state"] != "being removed"]
+
+    corners = ("400,400", "420,400", "410,420")
+    added = said("add", "crest", *corners, "--interest", "--weight", "3")
+    assert (names(added), added["commands"]) == (["crest"], [])
+    assert names(said("rename", "crest", "rim")) == ["rim"]
+    assert names(said("remove", "rim")) == []
+    (sent,) = said("add", "pit", *corners)["commands"]
+    assert (sent["command"]["kind"], sent["command"]["area_id"]) == ("set_keep_out", "pit")
+    renamed = said("rename", "pit", "hole")
+    assert [each["command"]["area_id"] for each in renamed["commands"]] == ["hole", "pit"]
+    assert names(renamed) == ["hole"]
+    assert names(said("remove", "hole")) == []
+    assert {sent["command"]["command_id"]} < {each.command.command_id for each in client.commands()}
+
+
 def he3(endpoints: Endpoints, *words: str) -> subprocess.CompletedProcess[str]:
     return he3_here(*words, "--mission", MISSION, "--earth", endpoints.earth)
 
@@ -213,7 +239,8 @@ def test_alarms_are_seen_shelved_and_logged_with_the_name_of_who_did_it(
     try:
         (alarm,) = alarms()
         assert (alarm["severity"], alarm["active"], alarm["acknowledged"]) == ("warning", True, False)
-        assert he3(endpoints, "alarms", "acknowledge", "no-contact", "--as", "anna").returncode == 0
+        (seen,) = alarms("acknowledge", "no-contact", "--as", "anna")
+        assert (seen["acknowledged"], seen["acknowledged_by"]) == (True, "anna")
         assert he3(endpoints, "alarms", "shelve", "no-contact", "--for", "1d", "--as", "ben").returncode == 0
         (alarm,) = alarms()
         assert (alarm["acknowledged_by"], alarm["shelved_by"]) == ("anna", "ben")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,6 +15,7 @@ from services.console.cli.session import NamedSession, Session
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from schemas.mission_log import LogEntry
     from services.console.client.alarms import Alarm, Alarms
     from services.console.client.mission_client import MissionClient
     from services.console.client.mission_state import MissionState
@@ -72,10 +73,6 @@ def alarms(
     """Show the alarms, the most urgent first: severity, since when, and who has seen or shelved them."""
     if context.invoked_subcommand is not None:
         return
-    import json as json_format
-
-    from services.console.client.alarms import documents
-
     if recording is not None:
         from services.console.report.alarm_history import recorded_alarms
 
@@ -83,10 +80,7 @@ def alarms(
     else:
         name, found = _of_mission(session)
     if json:
-        document: dict[str, Any] = {"mission": name, "alarms": documents(found.current)}
-        shelved = [{"kind": kind, "until": until, "by": by} for kind, (until, by) in found.shelved.items()]
-        document |= {"history": documents(found.history), "shelved": shelved}
-        typer.echo(json_format.dumps(document, indent=2))
+        typer.echo(_document(name, found))
         return
     lines = alarm_lines(found.current) + _shelved_lines(found)
     if history:
@@ -95,6 +89,17 @@ def alarms(
             *(alarm_lines(tuple(reversed(found.history))) or ["  none"]),
         ]
     typer.echo("\n".join(lines or [f"mission '{name}': no alarms"]))
+
+
+def _document(mission: str, found: Alarms) -> str:
+    """The alarms as JSON text."""
+    import json as json_format
+
+    from services.console.client.alarms import documents
+
+    shelved = [{"kind": kind, "until": until, "by": by} for kind, (until, by) in found.shelved.items()]
+    document = {"mission": mission, "alarms": documents(found.current), "history": documents(found.history)}
+    return json_format.dumps({**document, "shelved": shelved}, indent=2)
 
 
 def _of_mission(session: Session) -> tuple[str, Alarms]:
@@ -161,12 +166,13 @@ def acknowledge(
     session: NamedSession,
     kind: Kind,
     why: Why = "",
+    json: AsJson = False,
 ) -> None:
     """Note that you have seen the alarm; it stays until its cause is gone."""
 
     with session.join() as client:
         _require(client, kind)
-        typer.echo(f"mission '{client.mission}': {client.acknowledge_alarm(kind, why).text}")
+        _print(client, client.acknowledge_alarm(kind, why), json)
 
 
 @app.command(epilog=EXAMPLES)
@@ -179,6 +185,7 @@ def shelve(
         typer.Option("--for", metavar="TIME", help="Mission time, such as 30min or 2h.", callback=checked(_duration)),
     ],
     why: Why = "",
+    json: AsJson = False,
 ) -> None:
     """Let alarms of that kind need no attention for a time."""
     from services.console.client.time_format import parse_duration_s
@@ -186,7 +193,7 @@ def shelve(
 
     with session.join() as client:
         entry = client.shelve_alarm(kind, client.now() + seconds(parse_duration_s(how_long)), why)
-        typer.echo(f"mission '{client.mission}': {entry.text}")
+        _print(client, entry, json)
 
 
 @app.command(epilog=EXAMPLES)
@@ -195,11 +202,20 @@ def unshelve(
     session: NamedSession,
     kind: Kind,
     why: Why = "",
+    json: AsJson = False,
 ) -> None:
     """Let a shelved alarm count again."""
 
     with session.join() as client:
-        typer.echo(f"mission '{client.mission}': {client.unshelve_alarm(kind, why).text}")
+        _print(client, client.unshelve_alarm(kind, why), json)
+
+
+def _print(client: MissionClient, entry: LogEntry, json: bool) -> None:
+    """Print the alarms as they are now as a JSON document, or what was done."""
+    if json:
+        typer.echo(_document(client.mission, alarms_of(client, client.state())))
+    else:
+        typer.echo(f"mission '{client.mission}': {entry.text}")
 
 
 def _require(client: MissionClient, kind: str) -> None:

@@ -15,7 +15,9 @@ from services.console.cli.options import AsJson, one_of, within
 from services.console.cli.session import NamedSession, Session
 
 if TYPE_CHECKING:
+    from schemas.commands import CommandStatus
     from services.console.client.areas import Area
+    from services.console.client.commands import CommandHandle
     from services.console.client.mission_client import MissionClient
     from services.console.client.previews import CommandOutlook
 
@@ -61,10 +63,7 @@ def list_areas(
     """List the areas, and say which changes are still on their way to the rover."""
     with session.join() as client:
         areas = client.areas()
-    if json:
-        typer.echo(json_format.dumps({"areas": [area.document() for area in areas]}, indent=2))
-    else:
-        typer.echo("\n".join(area_lines(areas)) or "no area is set")
+    typer.echo(_document(areas) if json else "\n".join(area_lines(areas)) or "no area is set")
 
 
 @app.command(epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
@@ -81,6 +80,7 @@ def add(
     weight: Weight = 2.0,
     replace: Replace = False,
     yes: Yes = False,
+    json: AsJson = False,
 ) -> None:  # fmt: skip
     """Add an area. Its name is new, unless --replace is given."""
     from services.console.client.areas import Area, AreaKind
@@ -90,8 +90,8 @@ def add(
     with session.join() as client:
         if not replace:
             expect_new_name(client, kind, name)
-        _set(client, area, yes=yes)
-    typer.echo(f"mission '{client.mission}': {_said(area, f'{kind.value} {name}', 'set')}")
+        sent = _set(client, area, yes=yes)
+        _print(client, sent, _said(area, f"{kind.value} {name}", "set"), json)
 
 
 @app.command(epilog=EXAMPLES)
@@ -102,6 +102,7 @@ def rename(
     new_name: AreaName,
     kind: Kind = None,
     yes: Yes = False,
+    json: AsJson = False,
 ) -> None:
     """Give an area a new name; a keep-out is closed all the time. One answer decides on both of its commands."""
     from dataclasses import replace as changed
@@ -113,10 +114,8 @@ def rename(
         objection = client.name_objection(area.kind, new_name)
         if objection is not None:
             raise InvalidInput(objection)
-        _rename(client, area, changed(area, name=new_name), yes=yes)
-    typer.echo(
-        f"mission '{client.mission}': {_said(area, f'the new name {new_name} of {area.kind.value} {name}', 'set')}"
-    )
+        sent = _rename(client, area, changed(area, name=new_name), yes=yes)
+        _print(client, sent, _said(area, f"the new name {new_name} of {area.kind.value} {name}", "set"), json)
 
 
 @app.command(epilog=EXAMPLES)
@@ -126,12 +125,27 @@ def remove(
     name: AreaName,
     kind: Kind = None,
     yes: Yes = False,
+    json: AsJson = False,
 ) -> None:
     """Remove an area: the rover may enter it again, or it is worth no more than others."""
     with session.join() as client:
         area = _found(client.areas(), name, kind)
-        _remove(client, area, yes=yes)
-    typer.echo(f"mission '{client.mission}': {_said(area, f'the removal of {area.kind.value} {name}', 'done')}")
+        sent = _remove(client, area, yes=yes)
+        _print(client, sent, _said(area, f"the removal of {area.kind.value} {name}", "done"), json)
+
+
+def _print(client: MissionClient, sent: list[CommandHandle], text: str, json: bool) -> None:
+    """Print the areas that are set now, with the telecommands that were sent, as a JSON document; or the text."""
+    commands = [handle.status for handle in sent]
+    typer.echo(_document(client.areas(), commands) if json else f"mission '{client.mission}': {text}")
+
+
+def _document(areas: tuple[Area, ...], sent: list[CommandStatus] | None = None) -> str:
+    """The areas as JSON text; after a change with the telecommands, which an area of interest does not need."""
+    document: dict[str, Any] = {"areas": [area.document() for area in areas]}
+    if sent is not None:
+        document["commands"] = [status.model_dump(mode="json") for status in sent]
+    return json_format.dumps(document, indent=2)
 
 
 def _found(areas: tuple[Area, ...], name: str, kind: str | None) -> Area:
@@ -152,21 +166,23 @@ def _said(area: Area, change: str, done: str) -> str:
     return f"{change} {done}" if area.weight is not None else f"{change} is on its way to the rover (he3 area list)"
 
 
-def _set(client: MissionClient, area: Area, *, yes: bool) -> None:
+def _set(client: MissionClient, area: Area, *, yes: bool) -> list[CommandHandle]:
+    """Set the area; the telecommands that were sent."""
     if area.weight is None:
-        _command(client, {"area_id": area.name, "polygon_m": area.polygon_m}, yes=yes)
-    else:
-        client.set_interest(area.name, area.polygon_m, area.weight)
+        return [_command(client, {"area_id": area.name, "polygon_m": area.polygon_m}, yes=yes)]
+    client.set_interest(area.name, area.polygon_m, area.weight)
+    return []
 
 
-def _remove(client: MissionClient, area: Area, *, yes: bool) -> None:
+def _remove(client: MissionClient, area: Area, *, yes: bool) -> list[CommandHandle]:
+    """Remove the area; the telecommands that were sent."""
     if area.weight is None:
-        _command(client, {"area_id": area.name}, yes=yes)
-    else:
-        client.set_interest(area.name, None)
+        return [_command(client, {"area_id": area.name}, yes=yes)]
+    client.set_interest(area.name, None)
+    return []
 
 
-def _rename(client: MissionClient, area: Area, renamed: Area, *, yes: bool) -> None:
+def _rename(client: MissionClient, area: Area, renamed: Area, *, yes: bool) -> list[CommandHandle]:
     """Set the area under its new name, then remove the old one; one question, before either is sent."""
     from he3.errors import He3Error
 
@@ -174,9 +190,9 @@ def _rename(client: MissionClient, area: Area, renamed: Area, *, yes: bool) -> N
         outlook = client.preview("set-keep-out", area_id=renamed.name, polygon_m=renamed.polygon_m)
         then = ("then", f"removes keep-out {area.name}; its ground stays closed under the new name")
         _expect_consent(client, outlook, then)
-    _set(client, renamed, yes=True)
+    sent = _set(client, renamed, yes=True)
     try:
-        _remove(client, area, yes=True)
+        return sent + _remove(client, area, yes=True)
     except He3Error as error:
         raise He3Error(f"{area.kind.value} {renamed.name} is set, and {area.name} not removed: {error}") from None
 
@@ -188,12 +204,12 @@ def _expect_consent(client: MissionClient, outlook: CommandOutlook, *further: tu
         raise typer.Exit(1)
 
 
-def _command(client: MissionClient, what: dict[str, Any], *, yes: bool) -> None:
+def _command(client: MissionClient, what: dict[str, Any], *, yes: bool) -> CommandHandle:
     """Send the keep-out once the operator has read what it does; ends the command if they do not send it."""
     kind = "set-keep-out"
     if asks(kind, yes=yes):
         _expect_consent(client, client.preview(kind, **what))
-    client.command(kind, **what)
+    return client.command(kind, **what)
 
 
 def area_lines(areas: tuple[Area, ...]) -> list[str]:

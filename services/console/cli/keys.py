@@ -13,6 +13,8 @@ from services.console.cli.options import AsJson, ScenarioRef, within
 if TYPE_CHECKING:
     from datetime import datetime
 
+    from services.runtime.trust.authority import Authority
+    from services.runtime.trust.certificates import Subject
     from services.runtime.trust.roster import RosterEntry
 
 EXAMPLES = """\b
@@ -61,62 +63,90 @@ def init(
         typer.Option("--authority-days", metavar="D", help="Validity of the authority [days].",
                      callback=within(0, MAX_DAYS, above=True)),
     ] = 3650.0,
+    json: AsJson = False,
 ) -> None:  # fmt: skip
     """Make a certificate authority, and an identity for each process of a mission."""
     from services.console.launch.keys import issue_for_processes
     from services.runtime.trust.authority import Authority
 
     authority = Authority.create(folder, timedelta(days=authority_days))
-    for path in issue_for_processes(authority, timedelta(days=days)):
-        typer.echo(path)
+    folders = issue_for_processes(authority, timedelta(days=days))
+    typer.echo(_document(authority) if json else "\n".join(map(str, folders)))
 
 
 @app.command(epilog=EXAMPLES)
-def issue(role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None) -> None:
+def issue(
+    role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None, json: AsJson = False
+) -> None:
     """Issue an identity: a folder with a certificate and its key, for one process or person."""
     from services.runtime.trust.authority import Authority
     from services.runtime.trust.certificates import subject
 
-    typer.echo(Authority(folder).issue(subject(role, name), timedelta(days=days), tuple(host or ())))
+    authority, who = Authority(folder), subject(role, name)
+    issued = authority.issue(who, timedelta(days=days), tuple(host or ()))
+    typer.echo(_document(authority, who) if json else issued)
 
 
 @app.command(epilog=EXAMPLES)
-def renew(role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None) -> None:
+def renew(
+    role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None, json: AsJson = False
+) -> None:
     """Issue a new certificate for the same key. Running processes use it after a restart."""
     from services.runtime.trust.authority import Authority
     from services.runtime.trust.certificates import subject
 
-    typer.echo(Authority(folder).renew(subject(role, name), timedelta(days=days), tuple(host or ())))
+    authority, who = Authority(folder), subject(role, name)
+    renewed = authority.renew(who, timedelta(days=days), tuple(host or ()))
+    typer.echo(_document(authority, who) if json else renewed)
 
 
 @app.command(epilog=EXAMPLES)
-def revoke(role: RoleName, name: PersonName, folder: In = KEYS) -> None:
+def revoke(role: RoleName, name: PersonName, folder: In = KEYS, json: AsJson = False) -> None:
     """Take all rights from an identity. The routers refuse it as soon as the link is started with the new roster."""
     from services.runtime.trust.authority import Authority
     from services.runtime.trust.certificates import subject
 
-    revoked = Authority(folder).revoke(subject(role, name))
-    typer.echo(f"{revoked.common_name} is revoked; copy {folder}/roster.json to each identity on other machines")
+    authority, who = Authority(folder), subject(role, name)
+    revoked = authority.revoke(who)
+    said = f"{revoked.common_name} is revoked; copy {folder}/roster.json to each identity on other machines"
+    typer.echo(_document(authority, who) if json else said)
 
 
 @app.command("list", epilog=EXAMPLES)
 def list_(folder: In = KEYS, json: AsJson = False) -> None:
     """List all identities with their expiry dates and revocations."""
-    import json as json_format
-
     from services.runtime.trust.authority import Authority
-    from services.runtime.trust.certificates import utc_now
 
-    now = utc_now()
-    rows = [_row(entry, now) for entry in Authority(folder).roster.entries]
+    authority = Authority(folder)
     if json:
-        typer.echo(json_format.dumps(rows, indent=2))
+        typer.echo(_document(authority))
         return
-    for row in rows:
+    for row in _rows(authority):
         typer.echo(f"{row['common_name']:<28} {row['state']:<8} until {row['expires']}")
 
 
-def _row(entry: RosterEntry, now: datetime) -> dict[str, Any]:
+def _document(authority: Authority, who: Subject | None = None) -> str:
+    """The identities as JSON text. who: only the newest one of that role and name."""
+    import json as json_format
+
+    rows = _rows(authority)
+    if who is not None:
+        rows = [row for row in rows if (row["role"], row["name"]) == (who.role.value, who.name)][-1:]
+    return json_format.dumps(rows, indent=2)
+
+
+def _rows(authority: Authority) -> list[dict[str, Any]]:
+    """All identities in the order in which they were issued."""
+    from services.runtime.trust.certificates import utc_now
+
+    now = utc_now()
+    return [_row(authority, entry, now) for entry in authority.roster.entries]
+
+
+def _row(authority: Authority, entry: RosterEntry, now: datetime) -> dict[str, Any]:
+    from services.runtime.trust.certificates import Subject
+
+    folder = authority.folder_of(Subject(entry.role, entry.name))
     state = "revoked" if entry.revoked_at is not None else "expired" if now > entry.expires else "valid"
     return {
         "common_name": entry.common_name,
@@ -126,6 +156,7 @@ def _row(entry: RosterEntry, now: datetime) -> dict[str, Any]:
         "expires": entry.expires.isoformat(timespec="minutes"),
         "revoked_at": None if entry.revoked_at is None else entry.revoked_at.isoformat(timespec="seconds"),
         "serial": format(entry.x509.serial_number, "x"),
+        "folder": str(folder) if folder.is_dir() else None,
     }
 
 
@@ -134,12 +165,15 @@ def zenoh(
     folder: Folder,
     scenario: ScenarioRef,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")] = Path("zenoh"),
+    json: AsJson = False,
 ) -> None:
     """Write the access rules of both routers as Zenoh configuration, as the link applies them."""
+    import json as json_format
+
     from services.console.launch.scenarios import choose
     from services.runtime.trust.authority import Authority
     from services.runtime.trust.zenoh_files import write_access_files
 
     mission = choose(scenario).scenario.name
-    for path in write_access_files(out, mission, Authority(folder).roster):
-        typer.echo(path)
+    files = [str(path) for path in write_access_files(out, mission, Authority(folder).roster)]
+    typer.echo(json_format.dumps({"files": files}, indent=2) if json else "\n".join(files))

@@ -41,14 +41,9 @@ def show(
     json: AsJson = False,
 ) -> None:
     """Show the plan that waits for approval."""
-    from schemas.plans import PlanReview
-
     with session.join() as client:
         proposal = client.proposed_plan()
-    if json:
-        typer.echo(PlanReview(proposal=proposal).model_dump_json(indent=2))
-    else:
-        typer.echo("no plan waits for approval" if proposal is None else "\n".join(plan_lines(proposal)))
+    _print(proposal, "no plan waits for approval" if proposal is None else "\n".join(plan_lines(proposal)), json)
 
 
 @app.command(epilog=EXAMPLES)
@@ -60,14 +55,15 @@ def approve(
     ] = None,
     proposal: Number = None,
     why: Why = "",
+    json: AsJson = False,
 ) -> None:
     """Send the plan that waits to the rover."""
 
     with session.join() as client:
         number, about = _waiting(client, proposal)
-        client.approve_plan(number, drop or (), why)
+        waits = client.approve_plan(number, drop or (), why)
     dropped = f" without {', '.join(drop)}" if drop else ""
-    typer.echo(f"mission '{client.mission}': {about} approved{dropped}")
+    _print(waits, f"mission '{client.mission}': {about} approved{dropped}", json)
 
 
 @app.command(epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
@@ -82,16 +78,11 @@ def revise(
     json: AsJson = False,
 ) -> None:
     """Let the ground make the plan that waits anew, through places of yours; it waits for approval once more."""
-    from schemas.plans import PlanReview
-
     places_m = points(places)
     with session.join() as client:
         number, about = _waiting(client, proposal)
         revised = client.revise_plan(number, places_m, why)
-    if json:
-        typer.echo(PlanReview(proposal=revised).model_dump_json(indent=2))
-    else:
-        typer.echo("\n".join((f"mission '{client.mission}': {about} revised", *plan_lines(revised))))
+    _print(revised, "\n".join((f"mission '{client.mission}': {about} revised", *plan_lines(revised))), json)
 
 
 @app.command("send-back", epilog=EXAMPLES)
@@ -100,13 +91,21 @@ def send_back(
     session: NamedSession,
     proposal: Number = None,
     why: Why = "",
+    json: AsJson = False,
 ) -> None:
     """Let the ground plan the round again."""
 
     with session.join() as client:
         number, about = _waiting(client, proposal)
-        client.send_plan_back(number, why)
-    typer.echo(f"mission '{client.mission}': {about} sent back")
+        waits = client.send_plan_back(number, why)
+    _print(waits, f"mission '{client.mission}': {about} sent back", json)
+
+
+def _print(waits: PlanProposal | None, text: str, json: bool) -> None:
+    """Print the plan that waits now as a JSON document, or the text."""
+    from schemas.plans import PlanReview
+
+    typer.echo(PlanReview(proposal=waits).model_dump_json(indent=2) if json else text)
 
 
 def _waiting(client: MissionClient, wanted: int | None) -> tuple[int, str]:

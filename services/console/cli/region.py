@@ -132,6 +132,7 @@ def build(
         ),
     ] = None,
     field_seed: FieldSeed = None,
+    json: AsJson = False,
 ) -> None:
     """Build a region from rasters: a folder with region.toml and GeoTIFFs. Or write a region as an .npz file."""
     from he3.errors import InvalidInput
@@ -139,20 +140,30 @@ def build(
     if source.endswith(".toml") and Path(source).name != "region.toml":
         if field_seed is not None:
             raise InvalidInput("--field-seed: expected it with a region, got it with a recipe, which has its own seed")
-        _build_folder(Path(source), out)
+        _build_folder(Path(source), out, json=json)
         return
     if out is None:
         raise InvalidInput("expected --out FILE.npz for a region, got none")
-    _build_file(source, out, field_seed)
+    _build_file(source, out, field_seed, json=json)
 
 
-def _build_folder(source: Path, out: Path | None) -> None:
+def _print_written(where: Path, region: Region) -> None:
+    """Print what `he3 region show --json` says of the region, and where it was written."""
+    import json as json_format
+
+    typer.echo(json_format.dumps({"written": str(where), **_figures(region)}, indent=2))
+
+
+def _build_folder(source: Path, out: Path | None, *, json: bool) -> None:
     from services.mission.region_build.build import build_region
     from services.mission.region_build.recipe import read_recipe
 
     recipe = read_recipe(source)
     folder = out if out is not None else Path(recipe.name)
     document = build_region(recipe, source.parent, folder, _progress)
+    if json:
+        _print_written(folder, _loaded(str(folder), None))
+        return
     typer.echo(f"written to {folder}: {document.title}")
     for origin in document.origins:
         typer.echo(f"              {origin.line()}")
@@ -162,7 +173,7 @@ def _progress(line: str) -> None:
     typer.echo(line, err=True)
 
 
-def _build_file(region: str, out: Path, field_seed: int | None) -> None:
+def _build_file(region: str, out: Path, field_seed: int | None, *, json: bool) -> None:
     import numpy as np
 
     from he3.errors import He3Error, InvalidInput
@@ -190,6 +201,9 @@ def _build_file(region: str, out: Path, field_seed: int | None) -> None:
             )
     except OSError as error:
         raise He3Error(f"{out}: cannot write the region: {error.strerror}") from None
+    if json:
+        _print_written(out, loaded)
+        return
     typer.echo(f"written to {out}: {loaded.title}, {loaded.grid.rows} x {loaded.grid.columns} cells")
 
 
@@ -215,10 +229,14 @@ def fetch(
     sites: Annotated[
         Path | None, typer.Option("--sites", metavar="FILE", help="A file of other sites and addresses, as sites.toml.")
     ] = None,
+    json: AsJson = False,
 ) -> None:
     """Download the windows of public products at a site, and build its region. Continues a download broken off."""
     from services.mission.region_build.fetching import fetch_site
     from services.mission.region_build.sites import site_named
 
     document = fetch_site(site_named(site, sites), out, _progress)
+    if json:
+        _print_written(out, _loaded(str(out), None))
+        return
     typer.echo(f"written to {out}: {document.title}")

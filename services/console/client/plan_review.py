@@ -27,12 +27,12 @@ class PlanReviewing(Commanding):
         review: PlanReview = self._session.query(SHOW_PLAN, NoParameters())
         return review.proposal
 
-    def approve_plan(self, proposal: int, drop: Sequence[str] = (), why: str = "") -> None:
-        """Send the plan of that proposal to the rover, without the samples of these ids.
+    def approve_plan(self, proposal: int, drop: Sequence[str] = (), why: str = "") -> PlanProposal | None:
+        """Send the plan of that proposal to the rover, without the samples of these ids; returns what waits then.
 
         Raises InvalidInput, in one line, for a proposal that does not wait, and for samples that are not in it.
         """
-        self._decide(proposal, PlanVerdict.APPROVE, why, drop=tuple(drop))
+        return self._decide(proposal, PlanVerdict.APPROVE, why, drop=tuple(drop)).proposal
 
     def revise_plan(self, proposal: int, places_m: Sequence[Place], why: str = "") -> PlanProposal:
         """Let the ground make that plan anew, to sample these places [m] in this order; returns what waits then.
@@ -45,9 +45,12 @@ class PlanReviewing(Commanding):
         assert review.proposal is not None, "a plan that is revised waits"
         return review.proposal
 
-    def send_plan_back(self, proposal: int, why: str = "") -> None:
-        """Let the ground plan that round again. Raises InvalidInput for a proposal that does not wait."""
-        self._decide(proposal, PlanVerdict.SEND_BACK, why)
+    def send_plan_back(self, proposal: int, why: str = "") -> PlanProposal | None:
+        """Let the ground plan that round again; returns what waits then, as a rule nothing until it is planned.
+
+        Raises InvalidInput for a proposal that does not wait.
+        """
+        return self._decide(proposal, PlanVerdict.SEND_BACK, why).proposal
 
     def _decide(self, proposal: int, verdict: PlanVerdict, why: str, **changes: Any) -> PlanReview:
         try:

@@ -35,10 +35,11 @@ class Mission:
     def preview(self, *_: Any, **__: Any) -> Any:
         return self._outlook
 
-    def command(self, _: str, *, area_id: str, polygon_m: Any = None) -> None:
+    def command(self, _: str, *, area_id: str, polygon_m: Any = None) -> str:
         if area_id == self._refused:
             raise He3Error("the ground is silent")
         self.sent.append((area_id, polygon_m is not None))
+        return area_id
 
 
 def answer(monkeypatch: pytest.MonkeyPatch, line: str) -> None:
@@ -54,7 +55,7 @@ def test_one_answer_sends_both_commands_and_says_what_both_do(
 ) -> None:
     mission: Any = Mission()
     answer(monkeypatch, "\n")
-    _rename(mission, CRATER, RENAMED, yes=False)
+    assert _rename(mission, CRATER, RENAMED, yes=False) == ["rim", "crater"]
     assert mission.sent == [("rim", True), ("crater", False)]
     said = capsys.readouterr().err
     assert "then       removes keep-out crater; its ground stays closed under the new name" in said

@@ -40,6 +40,20 @@ def test_every_command_explains_itself_with_examples(words: list[str], capsys: p
     assert said.err == ""
 
 
+WITHOUT_JSON = {
+    "up", "web", "foxglove",  # they serve until they are stopped
+    "schemas", "region template",  # what they print is a document already
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_command_prints_a_json_document_but_those_that_serve_or_print_another_one(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([*words, "--help"])
+    assert ("--json" in capsys.readouterr().out) == (" ".join(words) not in WITHOUT_JSON)
+
+
 def test_every_command_is_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     out = capsys.readouterr().out

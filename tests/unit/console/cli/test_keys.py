@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -20,6 +21,29 @@ def test_a_new_folder_of_keys_has_an_identity_for_each_process_and_for_the_launc
     assert {load_identity(path).role.value for path in found.processes.values()} == set(found.processes)
     assert load_identity(found.viewer).role is Role.VIEWER
     assert capsys.readouterr().out.splitlines() == [str(path) for path in (*found.processes.values(), found.viewer)]
+
+
+def test_every_change_of_the_keys_prints_its_identities_in_the_form_of_the_list(tmp_path, capsys):
+    keys = str(tmp_path / "keys")
+
+    def said(*words):
+        assert main(["keys", *words, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    assert {row["role"] for row in said("init", keys)} == {
+        "link", "field", "rover", "ground", "recorder", "viewer"
+    }  # fmt: skip
+    (issued,) = said("issue", "operator", "anna", "--in", keys)
+    assert (issued["common_name"], issued["state"]) == ("operator.anna", "valid")
+    assert load_identity(Path(issued["folder"])).common_name == "operator.anna"
+    (renewed,) = said("renew", "operator", "anna", "--in", keys)
+    assert renewed["serial"] != issued["serial"]
+    (revoked,) = said("revoke", "operator", "anna", "--in", keys)
+    assert revoked["state"] == "revoked"
+    assert revoked in said("list", "--in", keys)
+    files = said("zenoh", keys, "t1", "--out", str(tmp_path / "zenoh"))["files"]
+    assert all(Path(each).is_file() for each in files)
+    assert len(files) == 2
 
 
 def test_identities_are_issued_listed_renewed_and_revoked(tmp_path, capsys):
