@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -20,9 +21,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from he3.errors import InvalidInput
 from he3.provenance import LayerOrigin, OriginKind
+from he3.reference import METRES_PER_DEGREE
 from schemas.validation import one_line
 from services.mission.embedded_regions import EMBEDDED
-from services.mission.tiff import NotPlain, read_tiff
+from services.mission.layer_units import unit_factor
+from services.mission.tiff import NotPlain, TiffFacts, facts_of, read_tiff
 
 DOCUMENT: Final = "region.toml"
 FORMAT_VERSION: Final = 1
@@ -211,8 +214,13 @@ def checked(model: type[T], document: dict[str, Any], where: Path) -> T:
         raise InvalidInput(f"{where}: {one_line(error)}") from None
 
 
-def read_layer(folder: Path, name: str, layer: LayerTable) -> NDArray[Any]:
-    """The raster of a layer, (rows, columns) with row 0 in the south, in the type of its file."""
+def read_layer(folder: Path, name: str, document: RegionDocument) -> NDArray[Any]:
+    """The raster of a layer, (rows, columns) with row 0 in the south, in the type of its file.
+
+    Cells of the file's no-data value are NaN. Raises InvalidInput for a raster whose file says that its numbers are not
+    the layer's values, or that it does not lie on the region's cells.
+    """
+    layer = document.layers[name]
     assert layer.file is not None  # the caller asks for layers with files
     path = folder / layer.file
     try:
@@ -234,7 +242,54 @@ def read_layer(folder: Path, name: str, layer: LayerTable) -> NDArray[Any]:
         raster = read_tiff(path)
     except NotPlain as plain:
         raster = _read_by_gdal(path, str(plain))
-    return np.flipud(raster)
+    facts = facts_of(path)
+    _expect_values(f"{path}: layer {name}", name, facts)
+    _expect_cells(f"{path}: layer {name}", facts, document, raster.shape[0])
+    # No-data cells of `traversable` keep their number: 0 is closed, another one is refused as no boolean.
+    return np.flipud(raster if name == "traversable" else _with_holes(raster, facts.no_data))
+
+
+def _with_holes(raster: NDArray[Any], no_data: float | None) -> NDArray[Any]:
+    """The raster with NaN in cells of its file's no-data value; unchanged where there are none."""
+    if no_data is None or math.isnan(no_data):
+        return raster
+    # As the raster's own type rounds it: -3.4028226550889045e38 is no float32.
+    holes = raster == (np.asarray(no_data).astype(raster.dtype) if raster.dtype.kind == "f" else no_data)
+    return np.where(holes, np.nan, raster) if holes.any() else raster
+
+
+def _expect_values(where: str, name: str, facts: TiffFacts) -> None:
+    """Raises InvalidInput if a file says that its numbers are not values in the unit of that layer."""
+    if (facts.scale, facts.offset) != (1.0, 0.0):
+        raise InvalidInput(
+            f"{where}: expected values, got numbers with scale {facts.scale:g} and offset {facts.offset:g}"
+        )
+    if unit_factor(name, facts.unit) not in (None, 1.0):
+        raise InvalidInput(f"{where}: expected values in the unit of the layer, got {facts.unit!r}")
+    if facts.masked:
+        raise InvalidInput(f"{where}: expected NaN or a no-data value in cells without a value, got a mask")
+
+
+def _expect_cells(where: str, facts: TiffFacts, document: RegionDocument, rows: int) -> None:
+    """Raises InvalidInput if a file places its raster of so many rows elsewhere than on the document's cells."""
+    if facts.place is None:
+        return
+    x, y, width, height = facts.place
+    if not (width > 0.0 and height > 0.0):
+        raise InvalidInput(f"{where}: expected a raster with row 0 in the north, got another one")
+    if document.kind == "window":
+        return
+    cell, size = document.resolution_m, height * METRES_PER_DEGREE if facts.degrees else height
+    if abs(size - cell) > 0.01 * cell:
+        raise InvalidInput(f"{where}: expected cells of resolution_m, {cell:g} m, got {size:.6g} m")
+    if document.origin_x_m is None or document.origin_y_m is None or not document.crs or facts.degrees:
+        return
+    west, north = document.origin_x_m, document.origin_y_m + rows * cell
+    if max(abs(x - west), abs(y - north)) > cell / 2 or abs(width - cell) > 0.01 * cell:
+        raise InvalidInput(
+            f"{where}: expected square cells from ({west:.10g}, {north:.10g}) m on, as origin_x_m and origin_y_m say, "
+            f"got cells of {width:.6g} x {height:.6g} m from ({x:.10g}, {y:.10g}) m on"
+        )
 
 
 def _read_by_gdal(path: Path, why: str) -> NDArray[Any]:

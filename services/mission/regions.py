@@ -84,7 +84,12 @@ def _window(folder: Path, document: RegionDocument) -> OrbitalWindow:
     if window is None or document.origin_lat_deg is None or document.origin_lon_deg is None:
         raise InvalidInput(f"{folder / DOCUMENT}: expected a region of kind 'window', got {document.kind!r}")
     for key in WINDOW_LAYERS:
-        layers[key] = read_layer(folder, key, document.layers[key]).astype(np.float64, order="C")
+        layers[key] = read_layer(folder, key, document).astype(np.float64, order="C")
+        if not np.isfinite(layers[key]).all():
+            holes = cells_where(~np.isfinite(layers[key]))
+            raise InvalidInput(
+                f"{folder / DOCUMENT}: key {key}: expected values everywhere, got missing ones in {holes}"
+            )
     return OrbitalWindow(
         name=document.name,
         title=document.title,
@@ -111,7 +116,7 @@ def _region_from_folder(folder: Path, seed: int | None) -> Region:
         raise InvalidInput(f"{where}: expected no field seed with a region of kind 'site', which has one variation; "
                            f"got {seed}")  # fmt: skip
     arrays: dict[str, NDArray[Any]] = {
-        key: read_layer(folder, key, layer) for key, layer in document.with_files.items() if key in _LAYERS
+        key: read_layer(folder, key, document) for key in document.with_files if key in _LAYERS
     }
     arrays["resolution_m"] = np.asarray(document.resolution_m)
     region = _region(where, arrays)

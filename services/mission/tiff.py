@@ -8,10 +8,12 @@ Source of the format: TIFF 6.0 (Adobe, 1992), BigTIFF (the libtiff specification
 from __future__ import annotations
 
 import math
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from html import unescape
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,8 +29,10 @@ _WIDTH, _LENGTH, _BITS, _COMPRESSION, _SAMPLES, _PREDICTOR, _FORMAT = 256, 257, 
 _STRIPS, _ROWS_PER_STRIP, _STRIP_BYTES = 273, 278, 279
 _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES = 322, 323, 324, 325
 _NO_DATA: Final = 42113  # text, GDAL's
+_METADATA: Final = 42112  # XML, GDAL's
 _SUBFILE, _IS_MASK = 254, 4
 _PIXEL_SCALE, _TIE_POINT, _MATRIX, _GEO_KEYS, _RASTER_TYPE, _IS_POINT = 33550, 33922, 34264, 34735, 1025, 2
+_MODEL_TYPE, _IS_GEOGRAPHIC = 1024, 2
 _MAX_DIRECTORIES: Final = 64  # of overviews and masks
 _KINDS: Final = {1: "B", 2: "B", 3: "H", 4: "I", 5: "Q", 7: "B", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}
 _DTYPES: Final = {
@@ -116,6 +120,13 @@ class TiffFacts:
     """Whether a mask, in the file or beside it, hides pixels."""
     place: tuple[float, float, float, float] | None
     """(x, y) of the outer north-west corner, width and height of a pixel, in the raster's projection; None without."""
+    degrees: bool
+    """Whether that place is in degrees of longitude and latitude."""
+    scale: float
+    """Value = number * scale + offset."""
+    offset: float
+    unit: str
+    """Unit of the values; empty where the file does not say it."""
 
 
 def facts_of(path: Path) -> TiffFacts:
@@ -137,7 +148,32 @@ def facts_of(path: Path) -> TiffFacts:
         no_data = float(bytes(directories[0][_NO_DATA]).split(b"\0")[0])
     except (KeyError, ValueError):
         no_data = None
-    return TiffFacts(no_data, masked or path.with_name(f"{path.name}.msk").exists(), _place(directories[0]))
+    said = _metadata(directories[0])
+    return TiffFacts(
+        no_data, masked or path.with_name(f"{path.name}.msk").exists(), _place(directories[0]),
+        any(key[0] == _MODEL_TYPE and key[3] == _IS_GEOGRAPHIC for key in _geo_keys(directories[0])),
+        _number(said.get("scale"), 1.0), _number(said.get("offset"), 0.0), said.get("unittype", ""),
+    )  # fmt: skip
+
+
+def _metadata(tags: dict[int, Any]) -> dict[str, str]:
+    """What GDAL says of the first band, by role: scale, offset, unittype, description."""
+    text = bytes(tags.get(_METADATA, b"")).split(b"\0")[0].decode("utf-8", "replace")
+    items = re.finditer(r'<Item name="[^"]*" sample="0" role="(\w+)">([^<]*)</Item>', text)
+    return {item.group(1): unescape(item.group(2)) for item in items}
+
+
+def _number(text: str | None, default: float) -> float:
+    try:
+        return default if text is None else float(text)
+    except ValueError:
+        return math.nan
+
+
+def _geo_keys(tags: dict[int, Any]) -> NDArray[np.int64]:
+    """The GeoKeys (n, 4), without the head of their directory."""
+    keys = np.asarray(tags.get(_GEO_KEYS, ()), dtype=np.int64)
+    return keys[: len(keys) // 4 * 4].reshape(-1, 4)[1:]
 
 
 def _place(tags: dict[int, Any]) -> tuple[float, float, float, float] | None:
@@ -152,9 +188,9 @@ def _place(tags: dict[int, Any]) -> tuple[float, float, float, float] | None:
         return None
     width, height = (float(each) for each in tags[_PIXEL_SCALE][:2])
     column, row, _, x, y, _ = (float(each) for each in tags[_TIE_POINT])
-    keys = np.asarray(tags.get(_GEO_KEYS, ()), dtype=np.int64)
-    keys = keys[: len(keys) // 4 * 4].reshape(-1, 4)[1:]
-    if any(key[0] == _RASTER_TYPE and key[3] == _IS_POINT for key in keys):  # the tie point is a pixel's centre
+    if any(
+        key[0] == _RASTER_TYPE and key[3] == _IS_POINT for key in _geo_keys(tags)
+    ):  # the tie point is a pixel's centre
         column, row = column + 0.5, row + 0.5
     return x - column * width, y + row * height, width, height
 

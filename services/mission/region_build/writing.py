@@ -62,10 +62,12 @@ def write_folder(
 def write_raster(
     path: Path, values: NDArray[Any], crs: str, west_north: tuple[float, float], cell: float, description: str
 ) -> None:
-    """Write one layer (rows, columns), row 0 south, as a deflated GeoTIFF, north up."""
+    """Write one layer (rows, columns), row 0 south, as a deflated GeoTIFF, north up; NaN is its no-data value."""
     library = rasterio()
     data = np.flipud(values)
     data = data.astype(np.uint8) if data.dtype == np.bool_ else data.astype(np.float32)
+    if data.dtype == np.float32:  # readers of the GeoTIFF take its no-data value for missing, and NaN for a number
+        data = np.where(np.isnan(data), np.float32(NO_DATA), data)
     west, north = west_north
     transform = library.Affine(cell, 0.0, west, 0.0, -cell, north)
     options: dict[str, Any] = {

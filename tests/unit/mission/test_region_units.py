@@ -24,7 +24,7 @@ def marked(folder: Path, layer: str, numbers: Array, dtype: str = "float32", **f
     with rasterio.open(folder / f"{layer}.tif", "w", **profile) as target:
         target.write(numbers.astype(dtype), 1)
         for key, value in facts.items():
-            setattr(target, key, (value,))
+            setattr(target, key, value if key == "nodata" else (value,))
     return document
 
 
@@ -100,3 +100,16 @@ def test_a_scaled_value_of_zero_is_missing_where_zero_is(tmp_path: Path) -> None
     document["layers"]["titanium_wt"]["zero_is_missing"] = True
     with pytest.raises(InvalidInput, match="got missing ones below"):
         build(document, tmp_path)
+
+
+def test_cells_of_which_nothing_is_known_have_the_no_data_value_for_other_readers(tmp_path: Path) -> None:
+    numbers = sloping(5.0)
+    numbers[46:50, 46:50] = -77.0
+    document = marked(tmp_path, "he3_ppb", numbers, nodata=-77.0)
+    document["layers"]["he3_ppb"]["mask_holes"] = True
+    region = build(document, tmp_path)
+    assert region.known is not None
+    with rasterio.open(tmp_path / "out" / "he3_ppb.tif") as built:
+        shown = built.read(1, masked=True)
+    assert (shown.mask == ~region.known[::-1]).all()
+    assert shown.mask.any()
