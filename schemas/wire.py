@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Generic, Self, TypeVar
+from typing import Annotated, Any, Generic, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
@@ -118,6 +118,19 @@ class Header(Wire):
 
 
 Body = TypeVar("Body", bound=Wire)
+
+
+def values_set(change: Wire) -> dict[str, Any]:
+    """The fields of a change that say something, as JSON values; what lies in them is whole, defaults included.
+
+    A field that is None, or False by default, leaves things as they are.
+    """
+    named = {
+        name
+        for name, field in type(change).model_fields.items()
+        if (value := getattr(change, name)) != field.default or not (value is None or value is False)
+    }
+    return change.model_dump(mode="json", include=named)
 
 
 class Envelope(Wire, Generic[Body]):

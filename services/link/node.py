@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from he3.errors import InvalidInput
 from schemas.link import Direction, LinkChange
 from schemas.topics import LINK_SET, LINK_SHOW, LINK_STATUS, Side, crossing
+from schemas.wire import values_set
 from services.link.counts import DropReason
 from services.link.relay import Relay
 from services.mission.mission_time import SECOND, MissionTime
@@ -107,11 +108,9 @@ class LinkNode:
         except InvalidInput as error:
             yield RefuseQuery(token, str(error))
             return
-        changes = change.model_dump(mode="json", exclude_defaults=True, exclude={"by"})
-        if changes:
+        changes = values_set(change)
+        if changes.keys() - {"by"}:
             self._relay.note(now, change)
-            if change.by:
-                changes["by"] = change.by
             yield LogRecord(Level.INFO, "link changed", changes)
             self._report_due = now
         yield SendReply(token, self._relay.status(now, self._incarnation))

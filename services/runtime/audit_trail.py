@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
@@ -10,11 +12,12 @@ from he3.errors import He3Error
 from schemas.authority import AuthorityChange
 from schemas.commands import Telecommand
 from schemas.people import NAMING
-from services.runtime.trust.audit import AuditKind
+from schemas.wire import printable, values_set
+from services.runtime.trust.audit import MAX_WHAT, AuditKind
 
 if TYPE_CHECKING:
     from schemas.topics import Topic
-    from schemas.wire import Header
+    from schemas.wire import Header, Wire
     from services.mission.mission_time import MissionTime
     from services.runtime.trust.audit import AuditLog
 
@@ -61,7 +64,7 @@ class AuditTrail:
             self._add(AuditKind.COMMAND, what=what, order=_short(body.order.model_dump_json()), **fields)
         else:
             kind = AuditKind.AUTHORITY if isinstance(body, AuthorityChange) else AuditKind.CHANGE
-            self._add(kind, what=_short(body.model_dump_json(exclude_defaults=True)), **fields)
+            self._add(kind, what=_values(body), **fields)
 
     def refused(
         self, topic: Topic, by: str, why: str, number: int, now: MissionTime, *, verified: bool = False
@@ -92,5 +95,18 @@ def named_in(header: Header | None, body: Any) -> str:
     return header.signer or header.source
 
 
+def _values(change: Wire) -> str:
+    """Each value that the change sets, as JSON: one that is the default of its field counts like any other.
+
+    Without them the preset `nominal`, which is made of defaults alone, would be `{"conditions":{}}`.
+    """
+    values = {name: value for name, value in values_set(change).items() if name != "by"}
+    return _short(json.dumps(values, ensure_ascii=False, separators=(",", ":")))
+
+
 def _short(text: str) -> str:
-    return text if len(text) <= 400 else f"{text[:400]}..."
+    """The text, if a line of the log has room for it; else its beginning, with length and SHA-256 of the whole."""
+    if len(json.dumps(printable(text))) <= MAX_WHAT:
+        return text
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return f"{text[:400]}... ({len(text)} characters, SHA-256 {digest})"

@@ -38,6 +38,9 @@ BEGINNING: Final = "0" * 64
 """`previous` of the first line."""
 MAX_LINE_BYTES: Final = 16_384
 MAX_TEXT: Final = 1_000
+MAX_WHAT: Final = 12_000
+"""Characters of what was changed or ordered, as JSON writes them: a preset, some hundred contact windows, a polygon."""
+_MOST: Final = {"what": MAX_WHAT, "order": MAX_WHAT}
 _PURPOSE = b"he3 audit 1\n"
 """Prefix of the signed bytes, so that no other signature of a key counts as a line's."""
 
@@ -75,7 +78,7 @@ def audit_line(
         "written_at": written_at.isoformat(timespec="milliseconds"),
         "kind": kind.value,
         **{
-            key: printable(value[:MAX_TEXT]) if isinstance(value, str) else value
+            key: printable(value[: _MOST.get(key, MAX_TEXT)]) if isinstance(value, str) else value
             for key, value in fields.items()
             if value is not None
         },

@@ -215,6 +215,20 @@ def test_packets_dropped_for_want_of_room_name_their_flow_so_that_the_log_limits
     assert {note.cause for note in notes} == {Cause("tm/sample: queue full", "rover")}
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_log_has_each_value_that_a_preset_sets(name: str) -> None:
+    endpoint = Endpoint(LinkConditions(down=DirectionConditions(loss=1.0)))
+    endpoint.ask(conditions=preset(name), by="anna")
+    (note,) = [note for _, note in endpoint.of(LogRecord) if note.text == "link changed"]
+    assert note.fields == {"conditions": preset(name).model_dump(mode="json"), "by": "anna"}
+
+
+def test_a_request_that_changes_nothing_has_no_line_in_the_log() -> None:
+    endpoint = Endpoint(LinkConditions())
+    endpoint.ask(by="anna")
+    assert [note for _, note in endpoint.of(LogRecord) if note.text == "link changed"] == []
+
+
 def test_status_is_published_rarely_when_idle_and_at_most_once_a_second_when_busy() -> None:
     endpoint = Endpoint()
     endpoint.until(START + 600 * S)
