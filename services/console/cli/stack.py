@@ -33,8 +33,8 @@ Examples:
 A file has one command a line, in the words of 'he3 command'; conditions come first:
   pause                                    # the first one: at once
   after accepted: keep-out crater 100,100 150,100 125,150
-  at 2h: go-to 120 340 --expires-in 3600
   after completed, at next contact: resume
+  at 2h: go-to 120 340 --expires-in 3600
 Without a condition a command waits until the one before it has completed. The stack
 stops at its first failure. 'at next contact' is at once while there is contact.
 """

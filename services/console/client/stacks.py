@@ -5,8 +5,8 @@ A stack is text, one command a line, in the words of ``he3 command``. Conditions
     # The area is closed before the rover drives on.
     pause
     after accepted: keep-out crater 100,100 150,100 125,150
-    at 2h: go-to 120 340 --expires-in 3600
     after completed, at next contact: resume
+    at 2h: go-to 120 340 --expires-in 3600
 
 A line without a condition is sent when the command before it has completed. A stack stops at its first failure.
 """

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -136,6 +138,18 @@ def test_the_rovers_rules_are_applied_to_what_the_commands_before_have_made_of_i
     assert broken("pause\ngo-to 1 2\nresume").startswith("line 3 (resume)")
     assert broken("safe\npause") == "line 2 (pause): the rover is in safe mode by then"
     assert broken("resume", RoverMode.SAFE) == broken("resume", None) == ""
+
+
+SHOWN_IN = ("docs/delay.md", "services/console/cli/stack.py", "services/console/client/stacks.py")
+
+
+@pytest.mark.parametrize("page", SHOWN_IN)
+def test_the_stack_that_documentation_and_help_show_passes_the_rovers_rules(page: str) -> None:
+    text = (Path(__file__).parents[4] / page).read_text("utf-8")
+    shown = re.search(r"^ *pause\b.*\n(?: *(?:after|at) .*\n)+", text, re.MULTILINE)
+    assert shown is not None
+    assert len(parse_stack(shown[0], START)) == 4
+    assert broken(shown[0]) == ""
 
 
 def test_each_command_waits_for_its_conditions() -> None:
