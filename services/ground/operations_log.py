@@ -104,7 +104,11 @@ class OperationsLog:
         until = "" if mark.until is None else f" for {(mark.until - now) / seconds(60.0):,.0f} min"
         why = f": {mark.why}" if mark.why else ""
         entry = self._note(
-            LogKind.ALARM, f"{mark.kind.value} {_DONE[mark.action]}{until}{why}", now, by=mark.by, mark=mark
+            LogKind.ALARM,
+            f"{mark.kind.value.replace('_', '-')} {_DONE[mark.action]}{until}{why}",
+            now,
+            by=mark.by,
+            mark=mark,
         )
         yield SendReply(token, entry.body)
         yield entry

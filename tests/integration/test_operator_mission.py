@@ -254,7 +254,7 @@ def test_alarms_are_seen_shelved_and_logged_with_the_name_of_who_did_it(
     for expected in (
         ("link", "contact off (black-out)", client.person),
         ("link", "contact as scheduled", client.person),
-        ("alarm", "no_contact acknowledged", "anna"),
+        ("alarm", "no-contact acknowledged", "anna"),
         ("interest", "area of interest rim removed", client.person),
         ("event", "round 1", ""),
     ):

@@ -96,7 +96,7 @@ def test_a_mark_on_an_alarm_is_answered_with_its_entry_and_one_into_the_past_is_
     reply, published = kept.mark(mark(AlarmAction.SHELVE, until=NOW + 1800 * SECOND), 8, NOW)
     (entry,) = kept.listed().entries
     assert (reply, published) == (SendReply(8, entry), Send(published.topic, entry))  # type: ignore[union-attr]
-    assert entry.text == "no_contact shelved for 30 min: a pass is due"
+    assert entry.text == "no-contact shelved for 30 min: a pass is due"
     with pytest.raises(ValueError, match="expected until with shelve and only there"):
         mark(AlarmAction.ACKNOWLEDGE, until=NOW)
 
