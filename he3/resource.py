@@ -73,11 +73,15 @@ def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.flo
     mixture = ProcessMixture.of(process)
     lags = _pairs_at_lags(grid, area)
     prior = [_prior_variance(each, grid, area, *lags) for each in mixture.processes]
-    std, coarser = (_std_of_mean(mixture, prior, grid, area, block, times) for times in (1, 2))
+    std = _std_of_mean(mixture, prior, grid, area, block, 1)
+    exact = block == 1 and (
+        cells <= MAX_WARPED_NODES or all(one.hyperparameters.warp is None for one in mixture.processes)
+    )
+    coarser = std if exact else _std_of_mean(mixture, prior, grid, area, block, 2)
     scale = process.hyperparameters.scale_ppb
     return AreaMean(
         mean_ppb=float(mean_ppb[area].mean(dtype=np.float64)),
-        std_ppb=scale * std,
+        std_ppb=scale * (std + abs(std - coarser)),
         cells=cells,
         spacing_m=block * grid.resolution_m,
         std_error_ppb=scale * abs(std - coarser),
@@ -192,15 +196,15 @@ def _std_of_mean(
 
     It is integrated over blocks of ``block`` cells a side, or as many as a warp allows, times ``times``.
     """
-    places, weights = _nodes(grid, area, times * block)
+    nodes = [_nodes(grid, area, times * block * wider) for wider in ((1,) if times * block == 1 else (1, 2))]
     widest = max(block, math.ceil(math.sqrt(int(area.sum()) / MAX_WARPED_NODES)))
     means, variances = [], []
     for process, before in zip(mixture.processes, prior, strict=True):
         if process.hyperparameters.warp is not None:
             moved, variance = _through_warp(process, *_nodes(grid, area, times * widest))
         else:
-            moved, explained = _learned(process, places, weights)
-            variance = max(0.0, before - explained)
+            moved, explained = _learned(process, nodes)
+            variance = max(before - explained, _least_variance(process, before))
         means.append(moved)
         variances.append(variance)
     return float(mixture_moments(mixture.weights, np.array(means), np.sqrt(variances))[1])
@@ -218,14 +222,29 @@ def _through_warp(process: GaussianProcess, places: FloatArray, weights: FloatAr
     return (mean - own.mean_ppb) / own.scale_ppb, max(0.0, variance) / own.scale_ppb**2
 
 
-def _learned(process: GaussianProcess, places: FloatArray, weights: FloatArray) -> tuple[float, float]:
+def _least_variance(process: GaussianProcess, prior: float) -> float:
+    """Variance that is left of a number with that prior variance when every sample measures it, in standardised units.
+
+    Where the terms of a smooth process cancel within the error of the integration, no smaller variance is returned.
+    """
+    own = process.hyperparameters
+    left: float = prior / (1.0 + len(process) * prior * own.scale_ppb**2 / own.noise_variance_ppb2)
+    return left
+
+
+def _learned(process: GaussianProcess, nodes: list[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
     """How far the samples move the average from its expectation, and the variance that they explain of it.
 
-    The latter is less what the unknown constant adds; both are in standardised units.
+    The latter is less what the unknown constant adds; both are in standardised units. nodes: places and weights of the
+    blocks of cells; a second entry has those of blocks twice as wide, by which the first are corrected.
     """
     if len(process) == 0:
         return 0.0, 0.0
-    whitened = process.solve(process.hyperparameters.covariance(process.places_m, places) @ weights)
+    own = process.hyperparameters
+    crossing, *coarser = (own.covariance(process.places_m, places) @ weights for places, weights in nodes)
+    for wider in coarser:
+        crossing = (4.0 * crossing - wider) / 3.0
+    whitened = process.solve(crossing)
     explained = float(whitened @ whitened) - float(_of_constant(process, whitened)) ** 2
     return float(whitened @ process.whitened), explained
 
