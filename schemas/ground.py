@@ -209,8 +209,16 @@ class MapOverview(Wire):
     keep_outs: tuple[KeepOutArea, ...] = ()
 
 
+class InterestArea(Wire):
+    """A part of the site whose uncertainty counts `weight` times in planning."""
+
+    area_id: Identifier
+    polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)]
+    weight: Annotated[float, Field(ge=0, le=1000)]
+
+
 class MissionTrack(Wire):
-    """Samples, driven path, planned path, keep-out areas and scores, for pictures of the mission."""
+    """Samples, driven path, planned path, areas and scores of one revision of the map, when it was last shown."""
 
     samples: tuple[SampleReport, ...]
     driven_path_m: tuple[Waypoint, ...]
@@ -219,14 +227,8 @@ class MissionTrack(Wire):
     plan_ends: MissionTimeNs | None = None
     keep_outs: tuple[KeepOutArea, ...] = ()
     """The areas in force for planning."""
-
-
-class InterestArea(Wire):
-    """A part of the site whose uncertainty counts `weight` times in planning."""
-
-    area_id: Identifier
-    polygon_m: Annotated[tuple[Waypoint, ...], Field(min_length=3, max_length=256)]
-    weight: Annotated[float, Field(ge=0, le=1000)]
+    interests: tuple[InterestArea, ...] = ()
+    """The areas of interest."""
 
 
 class InterestChange(Wire):

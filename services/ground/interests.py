@@ -26,8 +26,10 @@ class InterestAreas:
 
     def __init__(self, grid: SiteGrid, areas: Mapping[str, InterestRegion]) -> None:
         self._grid = grid
-        self._areas: _Areas = {area_id: (area.polygon_m, area.weight) for area_id, area in areas.items()}
-        self._weights = self._weights_of(self._areas)
+        self._areas: _Areas
+        self._weights: NDArray[np.float32] | None
+        self._listed: InterestList
+        self._set({area_id: (area.polygon_m, area.weight) for area_id, area in areas.items()})
 
     @property
     def weights(self) -> NDArray[np.float32] | None:
@@ -35,13 +37,8 @@ class InterestAreas:
         return self._weights
 
     def listed(self) -> InterestList:
-        """The areas as an operator sees them."""
-        return InterestList(
-            areas=tuple(
-                InterestArea(area_id=area_id, polygon_m=tuple(polygon), weight=weight)
-                for area_id, (polygon, weight) in self._areas.items()
-            )
-        )
+        """The areas as an operator sees them; the same object until they change."""
+        return self._listed
 
     def objection(self, change: InterestChange, open_cells: BoolArray) -> str | None:
         """One line on why that change cannot be made; None if it can. open_cells: (rows, columns)."""
@@ -66,9 +63,17 @@ class InterestAreas:
         """Set an area, or remove it if there is no polygon; returns whether anything changed."""
         if change.area_id is None or (change.polygon_m is None and change.area_id not in self._areas):
             return False
-        self._areas = self._changed(change)
-        self._weights = self._weights_of(self._areas)
+        self._set(self._changed(change))
         return True
+
+    def _set(self, areas: _Areas) -> None:
+        self._areas, self._weights = areas, self._weights_of(areas)
+        self._listed = InterestList(
+            areas=tuple(
+                InterestArea(area_id=area_id, polygon_m=tuple(polygon), weight=weight)
+                for area_id, (polygon, weight) in areas.items()
+            )
+        )
 
     def _changed(self, change: InterestChange) -> _Areas:
         areas = dict(self._areas)
@@ -88,5 +93,4 @@ class InterestAreas:
 
     def restore(self, state: SavedState) -> None:
         """Restore the areas from this state."""
-        self._areas = state["areas"]
-        self._weights = self._weights_of(self._areas)
+        self._set(state["areas"])

@@ -417,6 +417,7 @@ def build_node(
         samples,
         round_log,
         refits,
+        interests,
         scorer,
         origin,
         scenario.start_ns,

@@ -20,7 +20,7 @@ from he3.trend import CovariateTrend, UnknownConstant, UnknownLevel
 from he3.warping import Warp
 from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
-from schemas.ground import GoalForecast, GoalStatus, KeepOutArea, MissionPhase
+from schemas.ground import GoalForecast, GoalStatus, InterestArea, KeepOutArea, MissionPhase
 from schemas.link import LinkConditions
 from schemas.maps import MapRegion, MapScore
 from schemas.mission_log import HeardEvent, LogEntry, ModeChange
@@ -43,6 +43,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     HeardEvent,
     Hyperparameters,
     Hyperprior,
+    InterestArea,
     Intervals,
     KeepOutArea,
     LinkConditions,

@@ -199,6 +199,42 @@ def test_areas_are_added_renamed_and_removed_from_the_command_line_which_prints_
     assert {sent["command"]["command_id"]} < {each.command.command_id for each in client.commands()}
 
 
+def test_the_areas_of_an_earlier_map_are_those_of_when_it_was_last_shown(
+    running: tuple[Launcher, Endpoints], client: MissionClient, tmp_path: Path
+) -> None:
+    def next_revision() -> int:
+        shown = client.status().map_revision
+        until(lambda: client.history().revisions[-1].revision > shown, "a further map")
+        return shown
+
+    corners = [(100, 100), (200, 100), (150, 200)]
+    client.set_interest("early", corners, 3.0)
+    revision = next_revision()
+    client.set_interest("early")
+    client.set_interest("late", corners, 2.0)
+    try:
+        for flags, wanted in ((("--as-of", str(revision)), "early"), ((), "late")):
+            done = he3(running[1], "map", "export", str(tmp_path / wanted), *flags, "--quiet", "--json")
+            assert (done.returncode, done.stderr) == (0, "")
+            areas = json.loads((tmp_path / wanted / "interest_areas.geojson").read_text())["features"]
+            assert [each["properties"]["area_id"] for each in areas] == [wanted]
+    finally:
+        client.set_interest("late")
+
+
+def test_a_file_of_an_earlier_map_has_that_map(
+    running: tuple[Launcher, Endpoints], client: MissionClient, tmp_path: Path
+) -> None:
+    until(lambda: client.status().samples > 1, "a map of two samples")
+    first = client.history().revisions[0]
+    done = he3(running[1], "map", "export", str(tmp_path / "map.npz"), "--as-of", str(first.revision), "--json")
+    assert json.loads(done.stdout) == {
+        "file": str(tmp_path / "map.npz"), "revision": first.revision, "samples": first.samples
+    }  # fmt: skip
+    with np.load(tmp_path / "map.npz") as written:
+        assert written["mean_ppb"].mean() == pytest.approx(client.layer("mean", as_of=first.revision).values.mean())
+
+
 def he3(endpoints: Endpoints, *words: str) -> subprocess.CompletedProcess[str]:
     return he3_here(*words, "--mission", MISSION, "--earth", endpoints.earth)
 

@@ -64,7 +64,7 @@ class MapFiles(MapQueries):
             layers += region_layers(loaded, account, mean.values, simulated)
         return MapContents(
             mission=self.mission, region=account, revision=revision, mission_time_ns=mean.about.mission_time_ns,
-            layers=tuple(layers), track=self.track(revision), interests=self.set_interest(),
+            layers=tuple(layers), track=self.track(revision),
             simulated=simulated, software=software_version(),
             notes=(loaded,) if isinstance(loaded, str) else (),
         )  # fmt: skip

@@ -13,7 +13,7 @@ from he3.frames import SiteGrid
 from schemas.maps import MapLayer
 
 if TYPE_CHECKING:
-    from schemas.ground import InterestArea, MissionTrack
+    from schemas.ground import MissionTrack
     from schemas.maps import MapRegion
 
 SIMULATION_ONLY: Final = "simulation only"
@@ -54,7 +54,6 @@ class MapContents:
     mission_time_ns: int
     layers: tuple[RasterLayer, ...]
     track: MissionTrack
-    interests: tuple[InterestArea, ...] = ()
     software: str = ""
     """Version of this software."""
     simulated: bool = False

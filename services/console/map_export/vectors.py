@@ -54,10 +54,10 @@ def feature_tables(contents: MapContents, placement: Placement) -> list[FeatureT
         tables.append(_with_metres(name, "LineString", lines, {"length_m": [path_length(line) for line in lines]}))
     keep_outs = [_points(area.polygon_m) for area in track.keep_outs]
     tables.append(_with_metres("keep_outs", "Polygon", keep_outs, {"area_id": [a.area_id for a in track.keep_outs]}))
-    interests = [_points(area.polygon_m) for area in contents.interests]
+    interests = [_points(area.polygon_m) for area in track.interests]
     columns: dict[str, list[Any]] = {
-        "area_id": [a.area_id for a in contents.interests],
-        "weight": [a.weight for a in contents.interests],
+        "area_id": [a.area_id for a in track.interests],
+        "weight": [a.weight for a in track.interests],
     }
     tables.append(_with_metres("interest_areas", "Polygon", interests, columns))
     site: dict[str, list[Any]] = {"region": [contents.region.title], "provenance": [contents.region.provenance],

@@ -19,7 +19,7 @@ import numpy as np
 from he3.errors import He3Error, InvalidInput, NotReady
 from he3.frames import SiteGrid
 from schemas.maps import MapHistory, MapRevision, MapSite
-from schemas.topics import MAP_HISTORY
+from schemas.topics import INTERESTS, MAP_HISTORY
 from services.console.replay.followed import FollowedGround
 from services.console.report.verification import RebuiltBelief
 from services.ground.map.history import revision_at
@@ -118,6 +118,7 @@ class RecordedMaps:
         with self._lock:
             current, intervals, process, samples = self._map(index)
             driven, planned = self._ground.paths(self._tape.told_by_ground(shown_until))
+            changed = self._tape.of(INTERESTS, shown_until)
             terrain = self._ground.terrain.traversable
         open_cells = terrain if self._region is not None else _open_cells(overview)
         origin = overview.origin_lat_deg, overview.origin_lon_deg
@@ -131,6 +132,7 @@ class RecordedMaps:
             process=process, origin_deg=None if origin[0] is None or origin[1] is None else (origin[0], origin[1]),
             provenance="" if self._account is None else self._account.provenance, region=self._account,
             keep_outs=overview.keep_outs,
+            interests=changed[-1].body.areas if changed else self._tape.evidence.interests_at_first(),
         )  # fmt: skip
 
     # --- the belief, which the lock protects ------------------------------------------------------------------------

@@ -77,6 +77,8 @@ def recorded_map(
         process=belief.belief.process, intervals=belief.belief.intervals,
     )  # fmt: skip
 
+    interests = evidence.interests_at_first() if facts.interests is None else facts.interests
+
     def layer(name: MapLayer) -> RasterLayer:
         threshold = threshold_ppb if name is MapLayer.EXCEEDANCE else None
         cells = whole_layer(MapLayerQuery(layer=name, threshold=threshold), snapshot)
@@ -87,9 +89,8 @@ def recorded_map(
         layers=(*map(layer, BELIEF), *region_layers(loaded, account, current.mean_ppb, facts.simulated)),
         track=MissionTrack(
             samples=samples, driven_path_m=snapshot.driven_path_m, planned_path_m=(), score_history=(),
-            keep_outs=overview.keep_outs,
+            keep_outs=overview.keep_outs, interests=interests,
         ),
-        interests=evidence.interests_at_first() if facts.interests is None else facts.interests,
         software=software_version(), simulated=facts.simulated, notes=(OF_REPORTS, *notes, *evidence.problems),
     )  # fmt: skip
 

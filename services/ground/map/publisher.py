@@ -1,4 +1,4 @@
-"""Makes the map that operators see: a new snapshot whenever map, track or plan have changed."""
+"""Makes the map that operators see: a new snapshot whenever map, track, plan or areas have changed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from services.runtime.node import PublishSnapshot, SendIfHeard
 if TYPE_CHECKING:
     from schemas.maps import MapRegion, MapScore
     from services.ground.belief import Belief
+    from services.ground.interests import InterestAreas
     from services.ground.refits import RefitSchedule
     from services.ground.round_log import RoundLog
     from services.ground.samples import SampleIntake
@@ -38,6 +39,7 @@ class MapPublisher:
         samples: SampleIntake,
         round_log: RoundLog,
         refits: RefitSchedule,
+        interests: InterestAreas,
         scorer: Scorer | None,
         origin_deg: tuple[float, float] | None,
         start: MissionTime,
@@ -52,6 +54,7 @@ class MapPublisher:
         self._samples = samples
         self._round_log = round_log
         self._refits = refits
+        self._interests = interests
         self._scorer = scorer
         self._origin_deg = origin_deg
         self._region = region
@@ -131,12 +134,14 @@ class MapPublisher:
     def _make(self, now: MissionTime, plan_ends: Callable[[MissionTime], MissionTime | None]) -> MapSnapshot:
         """The snapshot of what was noted last: the one that was made last, if it shows that."""
         driven, planned = self._round_log.paths()
+        interests = self._interests.listed().areas
         before = self.snapshot
         if (
             before is not None
             and before.revision == self.revision
             and before.driven_path_m is driven
             and before.planned_path_m is planned
+            and (before.interests is interests or before.interests == interests)
         ):
             return before
         self._judge()
@@ -164,6 +169,7 @@ class MapPublisher:
                 for area_id, outlines in self._terrain.outlines.items()
                 for outline in outlines
             ),
+            interests=interests,
         )
         return self.snapshot
 

@@ -128,7 +128,7 @@ def score(snapshot: MapSnapshot) -> MapScore:
 
 
 def track(snapshot: MapSnapshot) -> MissionTrack:
-    """Samples, driven and planned path, keep-out areas, and the score after each round."""
+    """Samples, driven and planned path, areas, and the score after each round."""
     return MissionTrack(
         samples=snapshot.samples,
         driven_path_m=snapshot.driven_path_m,
@@ -136,6 +136,7 @@ def track(snapshot: MapSnapshot) -> MissionTrack:
         score_history=snapshot.score_history,
         plan_ends=snapshot.plan_ends,
         keep_outs=snapshot.keep_outs,
+        interests=snapshot.interests,
     )
 
 

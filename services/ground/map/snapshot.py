@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from he3.frames import Float32Array, SiteGrid
     from he3.gp import GaussianProcess
     from he3.intervals import Intervals
-    from schemas.ground import KeepOutArea
+    from schemas.ground import InterestArea, KeepOutArea
     from schemas.maps import MapRegion, MapScore
     from schemas.plans import Waypoint
     from schemas.telemetry import SampleReport
@@ -40,7 +40,7 @@ class MapSnapshot:
     plan_ends: MissionTime | None
     """Expected time at which the rover has done all planned rounds."""
     revision: int
-    """Grows by one with every change of the map; track and plan may change without."""
+    """Grows by one with every change of the map; track, plan and areas of interest may change without."""
     mission_time_ns: MissionTime
     """Mission time of that revision."""
     score: MapScore | None
@@ -58,6 +58,8 @@ class MapSnapshot:
     """The region under the map; None where there is none, as in tests of the map alone."""
     keep_outs: tuple[KeepOutArea, ...] = ()
     """The keep-out areas in force."""
+    interests: tuple[InterestArea, ...] = ()
+    """The areas of interest."""
     earlier: tuple[MapSnapshot, ...] = ()
     """Revisions before this one that are still held, oldest first; they hold none themselves."""
 

@@ -53,7 +53,9 @@ def export(
     if recording is not None and target.suffix in WRITERS:
         raise InvalidInput(f"map export {target}: expected a folder with --recording, got '{target.suffix}'")
     if target.suffix in WRITERS:
-        _export_file(target, session)
+        if region is not None or pds4:
+            raise InvalidInput(f"map export {target}: expected a folder with --region or --pds4, got a file")
+        _export_file(target, session, as_of, json)
         return
     if target.suffix and not target.is_dir():
         expected = f"a folder (one with a dot in its name has to exist), or a file name with {' or '.join(WRITERS)}"
@@ -88,15 +90,15 @@ def _report(done: Exported, json: bool) -> None:
         typer.echo(f"note          {note}")
 
 
-def _export_file(file: Path, session: Session) -> None:
+def _export_file(file: Path, session: Session, as_of: str | None, json: bool) -> None:
     from schemas.maps import MapLayer
     from services.console.report.export import EXPORTED, WRITERS, Export
     from services.console.report.mission_report import array_of
 
     with session.join() as client:
-        rasters = {layer: client.raster(layer) for layer in EXPORTED}
-        track = client.track()
-    mean = rasters[MapLayer.MEAN]
+        mean = client.raster(MapLayer.MEAN, as_of=as_of)
+        rasters = {layer: client.raster(layer, as_of=mean.revision) for layer in EXPORTED}
+        track = client.track(mean.revision)
     WRITERS[file.suffix](
         Export(
             mean_ppb=array_of(mean),
@@ -107,4 +109,10 @@ def _export_file(file: Path, session: Session) -> None:
         ),
         file,
     )
-    typer.echo(f"written to {file}: {mean.rows} x {mean.columns} cells, {len(track.samples)} samples")
+    if json:
+        done = {"file": str(file), "revision": mean.revision, "samples": len(track.samples)}
+        typer.echo(json_format.dumps(done, indent=2))
+        return
+    typer.echo(
+        f"written to {file}: {mean.rows} x {mean.columns} cells, revision {mean.revision}, {len(track.samples)} samples"
+    )

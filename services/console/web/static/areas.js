@@ -152,7 +152,7 @@ export function showAreas() {
   }
   listed = [
     ...[...keepOuts].map(([name, area]) => ({ key: keyOf("keepout", name), kind: "keepout", name, ...area })),
-    ...state.interests.map(({ area_id: name, polygon_m: corners, weight }) => ({ key: keyOf("interest", name), kind: "interest", name, corners, weight, on: "" })),
+    ...(state.past === null ? state.interests : map.track?.interests ?? []).map(({ area_id: name, polygon_m: corners, weight }) => ({ key: keyOf("interest", name), kind: "interest", name, corners, weight, on: "" })),
   ];
   if (map.draft.length < 3) suggestName();
   map.areas = listed.map(({ key, kind, name, corners, weight }) => ({ kind, corners, name: weight === undefined ? name : `${name} ×${weight}`, selected: key === selected }));

@@ -71,11 +71,11 @@ def contents(account: MapRegion, **changes: Any) -> MapContents:
         samples=(sample(1, 0.25 * width, 0.5 * height), sample(2, 0.75 * width, 0.125 * height)),
         driven_path_m=((0.0, 0.0), (0.5 * width, 0.5 * height), (width, height)), planned_path_m=(), score_history=(),
         keep_outs=(KeepOutArea(area_id="steep", polygon_m=corner),),
+        interests=(InterestArea(area_id="rich", polygon_m=corner, weight=2.5),),
     )  # fmt: skip
     document: dict[str, Any] = {
         "mission": "t1", "region": account, "revision": 17, "mission_time_ns": 1_893_456_000 * NS,
         "layers": tuple(layers), "track": track,
-        "interests": (InterestArea(area_id="rich", polygon_m=corner, weight=2.5),),
     }  # fmt: skip
     return MapContents(**document | changes)
 
