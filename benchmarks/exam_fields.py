@@ -12,6 +12,7 @@ import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.data_folder import expect_folder, no_raster
+from benchmarks.pixel_size import ground_pixel_m
 from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray, SiteGrid
@@ -120,7 +122,7 @@ def load_field(name: str, data: Path | None, noise_share: float | None = None) -
     if source is None:
         values, cell_m = _raster(path, "")
         return _field(path, name, name, values, cell_m or 1.0, None, noise_share)
-    values, cell_m = _raster(path, source.part)
+    values, cell_m = _raster(path, source.part, published=True)
     return _field(path, name, source.title, values, source.cell_m or cell_m or 1.0, source.noise, noise_share)
 
 
@@ -173,10 +175,10 @@ def coarser(values: FloatArray, cell_m: float) -> tuple[FloatArray, float]:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan), cell_m * block
 
 
-def _raster(path: Path, part: str) -> tuple[FloatArray, float | None]:
+def _raster(path: Path, part: str, published: bool = False) -> tuple[FloatArray, float | None]:
     """Values with row 0 south, NaN where there is none, and the edge of a cell [m] if the file says it."""
     reader: Callable[[Path, str], tuple[Any, float | None]]
-    reader = {".npy": _npy, ".npz": _npz, ".csv": _csv}.get(path.suffix.lower(), _geotiff)
+    reader = {".npy": _npy, ".npz": _npz, ".csv": _csv}.get(path.suffix.lower(), partial(_geotiff, published=published))
     values, cell_m = reader(path, part)
     if values.ndim != 2 or values.dtype.kind not in "iuf":
         raise InvalidInput(f"{path}: expected numbers in rows and columns, got {values.dtype} of shape {values.shape}")
@@ -224,7 +226,7 @@ def _csv(path: Path, part: str) -> tuple[FloatArray, None]:
     return values, None
 
 
-def _geotiff(path: Path, part: str) -> tuple[FloatArray, float]:
+def _geotiff(path: Path, part: str, published: bool = False) -> tuple[FloatArray, float]:
     try:
         import rasterio
     except ImportError:
@@ -238,9 +240,11 @@ def _geotiff(path: Path, part: str) -> tuple[FloatArray, float]:
             masked[hidden_by_mask(raster, band)] = np.ma.masked
             _expect_no_marks(path, masked.data, ~np.ma.getmaskarray(masked))
             values = masked.astype(np.float64).filled(np.nan)
-            # Pixels are taken as squares; in degrees their height counts.
-            degrees = raster.crs is not None and raster.crs.is_geographic
-            cell_m = abs(raster.transform.e) * (math.radians(1.0) * MOON_RADIUS_M if degrees else 1.0)
+            if published:  # as in the figures of the documentation: squares as high as the pixels
+                degrees = raster.crs is not None and raster.crs.is_geographic
+                cell_m = abs(raster.transform.e) * (math.radians(1.0) * MOON_RADIUS_M if degrees else 1.0)
+            else:
+                cell_m = ground_pixel_m(path, raster)
     except rasterio.errors.RasterioError as error:
         raise InvalidInput(f"{path}: expected a raster that GDAL reads, got {error}") from None
     return values[::-1], cell_m
