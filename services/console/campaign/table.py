@@ -157,6 +157,8 @@ def _append(columns: dict[str, list[Any]], values: dict[str, Any], index: int, m
 
 def shown_figures(table: Table, wanted: Sequence[str] = ()) -> list[str]:
     """The figures that a report is about: those wanted, else the first four that vary. Raises InvalidInput."""
+    if not len(table):
+        raise InvalidInput("expected one row at least in the store, got none")
     for name in wanted:
         if name not in table.figures:
             raise InvalidInput(

@@ -208,6 +208,8 @@ def test_what_the_rows_do_not_have_is_refused(table: Table) -> None:
         findings_of(table, ["mission_time_s"], "seed")
     with pytest.raises(InvalidInput, match="expected one row at least"):
         findings_of(table_of([]), [])
+    with pytest.raises(InvalidInput, match="expected one row at least"):
+        shown_figures(table_of([]), ["rmse_ppb"])
 
 
 def test_ticks_are_round_and_within_the_axis() -> None:
