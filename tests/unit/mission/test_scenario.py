@@ -93,6 +93,18 @@ def test_a_bad_scenario_is_refused_in_one_line_with_file_and_key(tmp_path, text,
     assert len(line) < 400 + len(str(path))
 
 
+@pytest.mark.parametrize("key", ["planner = 'dijkstra'", "hyperparameters = 'guess'"])
+def test_one_fault_is_counted_as_one_though_the_defaults_of_other_keys_follow_from_it(tmp_path, key):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + f"[ground]\n{key}\n")
+    with pytest.raises(InvalidInput, match=f"ground.{key.split()[0]}: ") as refused:
+        load_scenario(path)
+    assert "more)" not in str(refused.value)
+    path.write_text(GOOD + f"[ground]\n{key}\npipeline = -1\n")
+    with pytest.raises(InvalidInput, match=r"\(and 1 more\)$"):
+        load_scenario(path)
+
+
 def test_a_file_that_is_too_long_is_read_no_further_than_its_limit(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD + "#" * MAX_SCENARIO_BYTES)
