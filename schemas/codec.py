@@ -53,6 +53,12 @@ class Foreign(Refused):
     kind = "foreign"
 
 
+class TooMany(Refused):
+    """A message for which a process has no room, because it is slower than those that send."""
+
+    kind = "too many"
+
+
 class NotPermitted(Refused):
     """A message that its sender may not send, or that does not prove who sent it, or when."""
 

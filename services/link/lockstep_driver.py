@@ -150,8 +150,7 @@ class TimeManagerDriver:
 
     def _take_in(self, timeout_s: float) -> None:
         if self._context.inbox.take(timeout_s):
-            while self._context.inbox.take():
-                pass
+            self._context.inbox.take_all()
 
     def _finished(self) -> str | None:
         """Why the process that decides the end has finished; None before that, and after time was paused for it."""

@@ -166,9 +166,9 @@ class ProcessContext:
         payload = self.scheduler.host.encode_reply(topic, header, reply)
         return body_of(payload) if query.payload is None else payload
 
-    def refused(self, topic: Topic, why: Refused | InvalidInput, source: str = "") -> None:
-        """Count and log something from outside that never reached the node. source: the sender that it names."""
-        for record in self.scheduler.host.refuse(topic, why, source):
+    def refused(self, topic: Topic, why: Refused | InvalidInput, count: int = 1) -> None:
+        """Count and log something from outside that never reached the node. count: messages that it stands for."""
+        for record in self.scheduler.host.refuse(topic, why, count=count):
             self.perform(record)
 
     def close_log(self) -> None:

@@ -660,9 +660,12 @@ class Host:
         self._sequences[topic.name] = sequence + 1
         return sequence
 
-    def refuse(self, topic: Topic, why: Refused | InvalidInput, source: str = "") -> list[Action]:
-        """Count something from outside that is refused; returns its log record. source: the sender that it names."""
-        self._refused += 1
+    def refuse(self, topic: Topic, why: Refused | InvalidInput, source: str = "", *, count: int = 1) -> list[Action]:
+        """Count something from outside that is refused; returns its log record.
+
+        source: the sender that it names. count: messages that the record stands for.
+        """
+        self._refused += count
         kind = why.kind if isinstance(why, Refused) else Refused.kind
         return [
             LogRecord(

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
+
+DRAINS_FOR_S: Final = 0.2
+"""Longest time [s of wall time] that a main loop takes in what waits, before it does its other work."""
 
 TakeIn = Callable[[], None]
 """Called in the main loop, which alone touches the node."""
@@ -45,6 +49,12 @@ class Inbox:
             return False
         take_in()
         return True
+
+    def take_all(self) -> None:
+        """Run the calls that wait, for `DRAINS_FOR_S` at most: a flood must not keep the loop from its heartbeat."""
+        until_s = time.monotonic() + DRAINS_FOR_S
+        while time.monotonic() < until_s and self.take():
+            pass
 
 
 def _nothing() -> None:

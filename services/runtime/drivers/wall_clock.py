@@ -9,13 +9,16 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from functools import partial
+from math import inf
 from typing import TYPE_CHECKING, Protocol
 
-from he3.errors import InvalidInput
-from schemas.codec import Refused, decode
+from he3.errors import Busy, InvalidInput
+from schemas.codec import Refused, TooMany, decode
 from schemas.refusal import Refusal
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
+from services.runtime.backlog import Backlog
 from services.runtime.context import IDLE_S, ProcessContext
+from services.runtime.inbox import DRAINS_FOR_S
 from services.runtime.inputs import Input, MessageArrived, ProcessStarted
 from services.runtime.lockstep.stamp import read_stamp
 from services.runtime.process_clock import CLOCKS
@@ -29,7 +32,9 @@ if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
 
 CLOCK_TIMEOUT_S = 2.0
-"""A query for the mission's clock is repeated after this time."""
+"""A query for the mission's clock ends after this time."""
+ASKS_AGAIN_S = 0.1
+"""Shortest time between two such queries."""
 
 
 class TimeSource(Protocol):
@@ -55,12 +60,20 @@ class ClockFollower:
         context = self._context
         session, inbox = context.sessions[self._side], context.inbox
         session.subscribe(self._topic, lambda payload, _: inbox.put(partial(self._update, payload)))
-        reported = False
+        began_s, asked_at_s, reported = time.monotonic(), -inf, False
+
+        def on_end(outcome: Outcome) -> None:
+            inbox.put(partial(self._replied, outcome))
+
         while not context.clock.known and not inbox.stopped.is_set():
-            session.query(self._topic, b"", CLOCK_TIMEOUT_S, lambda outcome: inbox.put(partial(self._replied, outcome)))
-            if not inbox.take(IDLE_S) and not reported:
+            now_s = time.monotonic()
+            if now_s - asked_at_s >= ASKS_AGAIN_S:  # a flood wakes this loop far more often
+                asked_at_s = now_s
+                session.query(self._topic, b"", CLOCK_TIMEOUT_S, on_end)
+            if now_s - began_s > IDLE_S and not reported:
                 context.log.warning(f"waiting for the mission's clock on {self._topic.key(context.mission)}")
                 reported = True
+            inbox.take(ASKS_AGAIN_S)
         return not inbox.stopped.is_set()
 
     def tend(self, monotonic_s: float) -> None:
@@ -82,8 +95,11 @@ class ClockFollower:
 class WallClockDriver:
     """Runs one node on the wall clock."""
 
-    def __init__(self, context: ProcessContext, time_source: TimeSource | None = None) -> None:
-        """time_source: the mission's clock if None."""
+    def __init__(
+        self, context: ProcessContext, time_source: TimeSource | None = None, backlog: Backlog | None = None
+    ) -> None:
+        """time_source: the mission's clock if None. backlog: bounds what waits; None: the usual bounds."""
+        self._backlog = backlog or Backlog()
         self._context = context
         self._clock = context.clock
         self._inbox = context.inbox
@@ -104,10 +120,14 @@ class WallClockDriver:
         return topic
 
     def on_message(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
-        self._inbox.put(partial(self._take_message, MessageArrived(topic, payload), attachment))
+        if self._backlog.enter(topic, len(payload)):
+            self._inbox.put(partial(self._take_message, MessageArrived(topic, payload), attachment))
 
     def on_query(self, topic: Topic, query: IncomingQuery) -> None:
-        self._inbox.put(partial(self._take_query, topic, query))
+        if self._backlog.enter(topic, 0):
+            self._inbox.put(partial(self._take_query, topic, query))
+        else:
+            query.refuse(refusal_of(Busy(f"{topic.name}: too many queries wait; ask again later")))
 
     def _on_outcome(self, query: str, outcome: Outcome) -> None:
         self._inbox.put(partial(self._put, Kind.QUERY, outcome_input(query, outcome)))
@@ -118,12 +138,14 @@ class WallClockDriver:
         self._inputs += 1
         self._scheduler.put((kind, "", self._inputs), given)
 
-    def _take_message(self, given: Input, attachment: bytes) -> None:
+    def _take_message(self, given: MessageArrived, attachment: bytes) -> None:
+        self._backlog.leave(given.topic, len(given.payload))
         if self._clock.in_lockstep and (stamp := read_stamp(attachment)) is not None:
             self._clock.advance(stamp.at)  # an onlooker's time is that of what it receives
         self._put(Kind.MESSAGE, given)
 
     def _take_query(self, topic: Topic, query: IncomingQuery) -> None:
+        self._backlog.leave(topic, 0)
         token = self._context.open_queries.next_token()
         try:
             given = query_input(topic, query, token)
@@ -145,13 +167,15 @@ class WallClockDriver:
             self._act_on_due()
             self._inbox.take(self._sleep_s())
             self._drain()
+            self._report_turned_away()
             now_s = time.monotonic()
             self._context.beat(now_s)
             self._time_source.tend(now_s)
 
     def _drain(self) -> None:
-        """Handle everything that waits; timers first, each at the time at which it was due."""
-        while not self._inbox.stopped.is_set():
+        """Handle what waits, for `DRAINS_FOR_S` at most; timers first, each at the time at which it was due."""
+        until_s = time.monotonic() + DRAINS_FOR_S
+        while not self._inbox.stopped.is_set() and time.monotonic() < until_s:
             if self._scheduler.waiting:
                 self._act(self._clock.now())
             take_in = self._inbox.next()
@@ -159,6 +183,11 @@ class WallClockDriver:
                 return
             self._act_on_due()
             take_in()
+
+    def _report_turned_away(self) -> None:
+        for topic, count in self._backlog.turned_away():
+            why = TooMany(f"{topic.name}: {count} more messages than this process has room for; it cannot keep up")
+            self._context.refused(topic, why, count=count)
 
     def _act_on_due(self) -> None:
         while not self._inbox.stopped.is_set():
