@@ -1,10 +1,13 @@
 """The site's plane on the Moon: a projection whose metres at the site are metres on the ground.
 
-Up to 65 deg of latitude it is equirectangular, true to scale at the latitude of the centre, as in `he3.reference`.
-Beyond, it is polar stereographic, true to scale at the centre, about the meridian of the south-west corner, along which
-the site's north lies. That is how the map's GeoTIFFs place a polar site, too. A site across a pole has the meridian
-of its centre in the middle instead. The relative error of lengths is the squared distance from the centre over 4 R^2:
-2e-6 at 5 km. Source: Snyder 1987, USGS Professional Paper 1395, sections 12 and 21.
+Up to 65 deg of latitude it is equirectangular, true to scale at the latitude of the centre, as in `he3.reference`. At
+a distance y north of the centre, east-west lengths are off by tan(lat) y / R: 0.1 % at 20 deg and 5 km. Where that is
+more than 1 % at an edge of the site, as at 60 deg and 10 km, the plane is stereographic about the centre instead, which
+is off by the squared distance from it over 4 R^2: 0.04 % in the corner of a site of 100 km.
+Beyond 65 deg it is polar stereographic, true to scale at the centre, about the meridian of the south-west corner,
+along which the site's north lies. That is how the map's GeoTIFFs place a polar site, too. A site across a pole has the
+meridian of its centre in the middle instead. Lengths are off by cos(lat) / (1 + sin(lat)) y / R: by 0.06 % at 66 deg
+and 5 km, by 0.6 % at 50 km. Source: Snyder 1987, USGS Professional Paper 1395, sections 12 and 21.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from services.mission.region_build.geo import pyproj
 
 POLAR_DEG: Final = 65.0  # deg, beyond it lunar maps are polar stereographic, as those of the USGS
 MAX_SCALE_ERROR: Final = 1e-3  # 1, of the metres of a projection that a recipe gives
+MAX_STRETCH: Final = 0.01  # 1, of lengths at the edges of a site in the equirectangular projection
 MOON_SPHERE: Final = f"+proj=longlat +R={MOON_RADIUS_M:.0f} +no_defs"
 
 
@@ -34,7 +38,8 @@ class SitePlane:
     y_m: float
     grid: SiteGrid
     has_origin: bool
-    """Whether latitude and longitude of the corner define the place of the site; not with a custom projection."""
+    """Whether latitude and longitude of the corner define the place of the site; not with a projection of the recipe,
+    across a pole, or stereographically about the centre."""
 
     def centres(self, margin: int = 0) -> tuple[FloatArray, FloatArray]:
         """(x, y) [m] in the projection of all cell centres and ``margin`` cells around, each (rows, columns)."""
@@ -58,6 +63,8 @@ def site_plane(latitude_deg: float, longitude_deg: float, grid: SiteGrid, projec
     """
     if projection:
         crs, own = projection, True
+    elif abs(latitude_deg) <= POLAR_DEG and _stretch(latitude_deg, grid.height_m) > MAX_STRETCH:
+        crs, own = about_centre(latitude_deg, longitude_deg), True
     elif abs(latitude_deg) <= POLAR_DEG:
         crs = f"+proj=eqc +lat_ts={latitude_deg!r} +lat_0=0 +lon_0={longitude_deg!r} +R={MOON_RADIUS_M:.0f} +units=m"
         own = False
@@ -83,6 +90,27 @@ def _crs(given: Any) -> Any:
         return library.CRS.from_user_input(given)
     except library.exceptions.ProjError:
         raise InvalidInput(f"expected a projection, got {str(given)[:80]!r}") from None
+
+
+def about_centre(latitude_deg: float, longitude_deg: float) -> str:
+    """The stereographic projection about that place, true to scale there, its y axis along the meridian."""
+    return f"+proj=stere +lat_0={latitude_deg!r} +lon_0={longitude_deg!r} +R={MOON_RADIUS_M:.0f} +units=m"
+
+
+def array_crs(latitude_deg: float, longitude_deg: float, height_m: float) -> str:
+    """The projection of an array whose row 0 is north at its centre: equirectangular where that is true to scale."""
+    if abs(latitude_deg) > POLAR_DEG or _stretch(latitude_deg, height_m) > MAX_STRETCH:
+        return about_centre(latitude_deg, longitude_deg)
+    return (
+        f"+proj=eqc +lat_ts={latitude_deg!r} +lon_0={longitude_deg!r} +R={MOON_RADIUS_M:.0f} "
+        f"+y_0={-math.radians(latitude_deg) * MOON_RADIUS_M!r} +units=m"
+    )
+
+
+def _stretch(latitude_deg: float, height_m: float) -> float:
+    """Relative error of east-west lengths at the edge of a site that is farther from the equator, equirectangular."""
+    edge = math.radians(abs(latitude_deg)) + height_m / 2 / MOON_RADIUS_M
+    return math.cos(math.radians(latitude_deg)) / max(math.cos(edge), 1e-9) - 1.0
 
 
 def _polar(latitude_deg: float, longitude_deg: float, grid: SiteGrid) -> tuple[str, bool]:

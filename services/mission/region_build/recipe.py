@@ -20,7 +20,7 @@ Cells = Annotated[int, Field(ge=4, le=4000)]
 
 
 class GridTable(Table):
-    """The place of a raster without georeferencing (.npy): its centre and pixel size; row 0 is north."""
+    """The place of a raster without georeferencing (.npy): its centre and pixel size; row 0 is north of the centre."""
 
     centre_lat_deg: Latitude
     centre_lon_deg: Longitude

@@ -23,6 +23,7 @@ from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray
 from services.mission.region_build.geo import pyproj, rasterio
 from services.mission.region_build.plausible import expect_no_marks, expect_plausible
+from services.mission.region_build.projection import array_crs
 from services.mission.region_build.recipe import GridTable, SourceTable
 from services.mission.region_build.units import factor_of
 
@@ -200,10 +201,7 @@ def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable)
         return _values(path.name, raw, hidden, layer, table, list(table.no_data), scale, offset, factor)
 
     cell = grid.resolution_m
-    crs = (
-        f"+proj=eqc +lat_ts={grid.centre_lat_deg!r} +lon_0={grid.centre_lon_deg!r} +R={MOON_RADIUS_M:.0f} "
-        f"+y_0={-math.radians(grid.centre_lat_deg) * MOON_RADIUS_M!r} +units=m"
-    )
+    crs = array_crs(grid.centre_lat_deg, grid.centre_lon_deg, rows * cell)
     return Source(
         name=path.name, layer=layer, table=table, rows=rows, columns=columns, sha256=_checksum([path]), reader=read,
         transform=(cell, 0.0, -columns * cell / 2, 0.0, -cell, rows * cell / 2), crs=crs, period=None,
