@@ -43,12 +43,15 @@ class RefusalCounter:
 
 
 class AuditTrail:
-    """Writes into an audit log. A log that cannot be written is reported once, and the mission goes on."""
+    """Writes into an audit log. One that cannot be written is reported, and the mission goes on.
+
+    It is tried again with each further line. The first that the system takes again says how many are missing.
+    """
 
     def __init__(self, log: AuditLog, report: Callable[[str], None]) -> None:
         self._log = log
         self._report = report
-        self._failed = False
+        self._missed = 0
         self._commands: OrderedDict[str, None] = OrderedDict()
 
     def changed(self, topic: Topic, header: Header | None, body: Any, verified: bool, now: MissionTime) -> None:
@@ -75,13 +78,16 @@ class AuditTrail:
         )
 
     def _add(self, kind: AuditKind, **fields: Any) -> None:
-        if self._failed:
-            return
         try:
-            self._log.add(kind, **fields)
+            self._log.add(kind, missed=self._missed or None, **fields)
         except He3Error as error:
-            self._failed = True
-            self._report(f"{error}; the mission goes on without its audit log")
+            if not self._missed:
+                self._report(f"{error}; the mission goes on without its audit log, which is tried again with each line")
+            self._missed += 1
+            return
+        if self._missed:
+            self._report(f"{self._log.path}: the audit log goes on; {self._missed} lines before it are missing")
+            self._missed = 0
 
 
 def named_in(header: Header | None, body: Any) -> str:

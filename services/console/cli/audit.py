@@ -91,6 +91,8 @@ def _shown(row: dict[str, Any]) -> str:
     from schemas.wire import printable
 
     about = [str(row[key]) for key in ("what", "why") if row.get(key)]
+    if row.get("missed"):
+        about.append(f"{row['missed']} lines before this one could not be written")
     by = str(row.get("by") or "-")
     if row.get("verified") is False:
         by += " (unverified)"

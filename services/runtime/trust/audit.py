@@ -279,11 +279,14 @@ class AuditLog:
         self._number, self.head = self._number + 1, line_hash(line)
 
     def _write(self, content: bytes) -> None:
+        """Write the content whole, or nothing of it: a line that follows later must not stand behind a part of one."""
+        whole = os.fstat(self._file.fileno()).st_size
         try:
             while content:
                 content = content[self._file.write(content) or 0 :]
             os.fsync(self._file.fileno())
         except OSError as error:
+            os.ftruncate(self._file.fileno(), whole)
             raise He3Error(f"{self.path}: cannot write: {error.strerror}") from None
 
     def close(self) -> None:

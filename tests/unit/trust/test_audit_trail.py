@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,43 @@ def written(path: Path, topic: Topic, *changes: Wire) -> list[dict[str, Any]]:
     assert verify(lines).fault is None
     assert max(map(len, lines)) < MAX_LINE_BYTES
     return list(rows(lines))[1:]
+
+
+class FullDisk:
+    """The file of an audit log on a disk that is full until somebody makes room: it takes a part of a line."""
+
+    def __init__(self, file: Any) -> None:
+        self.file = file
+        self.full = True
+
+    def write(self, content: bytes) -> int:
+        if self.full and len(content) < 40:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return self.file.write(content[:30] if self.full else content)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
+
+
+def test_after_a_full_disk_the_audit_log_goes_on_whole_and_says_how_many_lines_are_missing(tmp_path: Path) -> None:
+    log, reports = AuditLog(tmp_path / "link.jsonl", lambda: AT), []
+    disk: Any = FullDisk(log._file)
+    trail = AuditTrail(log, reports.append)
+    trail.changed(LINK_SET, None, LinkChange(loss=0.1), True, 0)
+    log._file = disk
+    for _ in range(3):
+        trail.changed(LINK_SET, None, LinkChange(loss=0.2), True, 0)
+    disk.full = False
+    for _ in range(2):
+        trail.changed(LINK_SET, None, LinkChange(loss=0.3), True, 0)
+    log.close()
+    lines = list(file_lines(log.path))
+    assert verify(lines).fault is None
+    assert [(row["what"], row.get("missed")) for row in list(rows(lines))[1:]] == [
+        ('{"loss":0.1}', None), ('{"loss":0.3}', 3), ('{"loss":0.3}', None),
+    ]  # fmt: skip
+    assert ["No space left on device" in reports[0], "3 lines before it are missing" in reports[1]] == [True, True]
+    assert len(reports) == 2
 
 
 @pytest.mark.parametrize("name", PRESETS)
