@@ -27,6 +27,8 @@ _OF_NO_RANGE: Final = (-32768.0, -32767.0, -99999.0, -999999.0, -99.0, -1e20, 1e
 MAX_STEP_DEG: Final = 85.0  # deg, from a cell to the next; no ground stands steeper over MIN_STEP_M, ASSUMED
 MIN_STEP_M: Final = 300.0  # m, lower steps may be boulders, scarps, or walls in a synthetic region, ASSUMED
 
+FAR_OFF: Final = 10.0  # 1, ranges of all other cells, from which on a few cells of a raster are broken ones, ASSUMED
+
 
 def expect_measured(name: str, values: FloatArray, low: float, high: float, unit: str = "") -> None:
     """Raises InvalidInput if a value (rows, columns) is not finite, outside low..high, or marks a missing value.
@@ -84,6 +86,22 @@ def undeclared(values: NDArray[Any], known: BoolArray) -> Undeclared | None:
         if varies and max(lowest - number, number - highest) > highest - lowest:
             return Undeclared(number, where)
     return None
+
+
+def far_off(values: NDArray[Any]) -> BoolArray:
+    """The few cells (rows, columns) whose values lie far beyond all others, as those of a broken pixel do.
+
+    Beyond: by more than ``FAR_OFF`` times the range of all cells but the thousandth part at either end, at least one.
+    None where these are all equal.
+    """
+    ordered = np.sort(values, axis=None).astype(np.float64)
+    ends = max(1, ordered.size // 1000)
+    if ordered.size <= 2 * ends:
+        return np.zeros(values.shape, dtype=np.bool_)
+    low, high = ordered[ends], ordered[-ends - 1]
+    reach = FAR_OFF * (high - low) if high > low else math.inf
+    beyond: BoolArray = (values < low - reach) | (values > high + reach)
+    return beyond
 
 
 def filled_with_nearest(values: FloatArray) -> tuple[FloatArray, BoolArray | None]:

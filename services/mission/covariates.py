@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from he3.errors import InvalidInput
 from he3.frames import FloatArray
 from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
-from he3.nodata import cells_where, undeclared
+from he3.nodata import cells_where, far_off, undeclared
 from he3.reference import Region
 from he3.trend import GAIN_STD, UNSURE_GAIN_STD, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
 from services.mission.scenario import Scenario
@@ -36,8 +36,9 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
 
     A name is one of ``REGION_LAYERS``, or a raster of the region's cells: .npy with row 0 south, or .tif with row 0
     north. Raises InvalidInput, in one line, for a name that is neither, and for a raster of another shape or with cells
-    without a value: not finite, the file's no-data value, or a number that marks missing values in any unit. A .tif
-    that says where it lies has to lie on these cells, if the region has a projection.
+    without a value: not finite, the file's no-data value, or a number that marks missing values in any unit; also for
+    one with a few cells far beyond all others, which would be all that the layer shows. A .tif that says where it lies
+    has to lie on these cells, if the region has a projection.
     """
     layers = np.empty((len(names), *region.grid.shape))
     for number, name in enumerate(names):
@@ -54,6 +55,12 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
             raise InvalidInput(
                 f"covariate {name}: expected a value on every cell, got {marks.number:g}, which marks missing values, "
                 f"in {cells_where(marks.where)}"
+            )
+        if name not in REGION_LAYERS and (broken := far_off(values)).any():
+            others = values[~broken]
+            raise InvalidInput(
+                f"covariate {name}: expected values as the others, {others.min():g} to {others.max():g}, got "
+                f"{values[broken][0]:g} in {cells_where(broken)}: they hide what the others show; mend or clip them"
             )
         layers[number] = values
     return layers

@@ -59,6 +59,12 @@ def test_the_gain_of_the_orbital_map_is_known_to_within_a_half_in_the_published_
             "a value on every cell, got -9999, which marks missing",
         ),
         ("ends.npy", np.where(np.eye(125) > 0, 255, HILLS).astype(np.uint8), "got 255, which marks missing values"),
+        (
+            "hot.npy",
+            np.where(np.add.outer(np.arange(125), 1000 * np.arange(125)) == 4003, 1e6, HILLS),
+            "as the others, 0 to 82.6667, got 1e\\+06 in 1 cell, at row 3, column 4: they hide",
+        ),
+        ("cold.npy", np.where(np.add.outer(np.arange(125), HILLS[0]) < 1.5, -5e4, HILLS), "got -50000 in 7 cells"),
         ("text.npy", b"no array", "an array that NumPy reads"),
         ("text.tif", b"no raster", "expected a TIFF file"),
     ],
@@ -114,6 +120,12 @@ def test_a_mask_of_0_and_255_is_a_covariate(region, tmp_path):
     mask = np.where(HILLS > 40, 255, 0).astype(np.uint8)
     np.save(tmp_path / "mask.npy", mask)
     assert (covariates([str(tmp_path / "mask.npy")], region)[0] == mask).all()
+
+
+def test_a_raster_of_rare_high_places_is_a_covariate(region, tmp_path):
+    rare = np.where(HILLS > 82, 5.0 * HILLS, HILLS)  # 4 cells of 15,625, at five times the highest of the others
+    np.save(tmp_path / "rare.npy", rare)
+    assert (covariates([str(tmp_path / "rare.npy")], region)[0] == rare).all()
 
 
 @pytest.mark.parametrize("point", [False, True])
