@@ -306,6 +306,21 @@ def test_the_information_of_a_round_is_that_of_its_places_given_what_is_known():
     assert answer.information_nats == pytest.approx(0.5 * joint, rel=1e-9)
 
 
+def test_the_fewer_samples_a_mission_has_the_farther_apart_informative_takes_them():
+    mask = np.ones((50, 50), dtype=bool)
+    kernel = Hyperparameters(Matern52(1.0, 60.0), mean_ppb=7.0, scale_ppb=1.5)
+
+    def metres(samples_left, seed):
+        request = request_over(
+            mask, (25.0, 25.0), grid=SiteGrid(50, 50, 10.0), hyperparameters=kernel, samples=5, seed=seed,
+            samples_left=samples_left, options=PlannerOptions(),
+        )  # fmt: skip
+        return plan("informative", request).length_m
+
+    few, some, many = (np.mean([metres(left, seed) for seed in range(4)]) for left in (10, 40, 150))
+    assert few > 1.2 * some > 1.2 * 1.2 * many
+
+
 def test_a_round_through_chosen_places_goes_round_obstacles_and_stops_at_each_in_its_order() -> None:
     mask = np.ones((SIZE, SIZE), dtype=bool)
     mask[4:28, 14] = False  # a wall with a gap in the south
