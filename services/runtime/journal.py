@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -107,8 +108,12 @@ class JournalWriter:
         codec: StateCodec,
         keep: Keep = lambda *_: None,
         where: str = "journal",
+        is_there: Callable[[], bool] = lambda: True,
     ) -> None:
-        """keep: called with each checkpoint. where: the file, for the line of an error."""
+        """keep: called with each checkpoint. where: the file, for the line of an error. is_there: whether the file has
+        a name still, so that the next start finds it.
+        """
+        self._is_there = is_there
         self._stream = stream
         self._where = where
         self._codec = codec
@@ -123,12 +128,16 @@ class JournalWriter:
     def append(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         """Write inputs that are about to be handled at that time.
 
-        Raises He3Error if the system refuses: what is not in the journal must not be handled.
+        Raises He3Error if the system refuses, InvalidInput if the file was deleted: what no start will find in the
+        journal must not be handled.
         """
         try:
             self._write(now, inputs)
+            if self._is_there():
+                return
         except OSError as error:
             raise He3Error(f"{self._where}: cannot write the journal: {error.strerror}") from None
+        raise InvalidInput(f"{self._where}: the journal was deleted while this process wrote it")
 
     def _write(self, now: MissionTime, inputs: Sequence[Input]) -> None:
         for given in inputs:
@@ -182,8 +191,12 @@ class JournalFolder:
             stream = open_output(path, new=True)
         except OSError as error:
             raise failed(f"{self._folder}: cannot keep a journal there", error) from None
+
+        def is_there() -> bool:
+            return os.fstat(stream.fileno()).st_nlink > 0
+
         if history is None:
-            return JournalWriter(stream, self._identity, self._codec, where=str(path))
+            return JournalWriter(stream, self._identity, self._codec, where=str(path), is_there=is_there)
         earlier_starts = history.starts
 
         def keep(mark: Mark, starts: int, state: bytes) -> None:
@@ -192,7 +205,7 @@ class JournalFolder:
             with suppress(OSError):
                 write_checkpoint(self._checkpoint, self._identity, checkpoint)
 
-        return JournalWriter(stream, self._identity, self._codec, keep, str(path))
+        return JournalWriter(stream, self._identity, self._codec, keep, str(path), is_there)
 
     def _read(
         self,

@@ -330,6 +330,17 @@ def test_a_journal_that_cannot_be_written_is_one_line_and_what_was_written_befor
         ended(writer)
 
 
+@pytest.mark.parametrize("checkpoints", [False, True])
+def test_nothing_is_accepted_once_the_journal_was_deleted(tmp_path: Path, checkpoints: bool) -> None:
+    folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
+    writer = folder.begin(folder.history() if checkpoints else None)
+    writer.append(1, [TimerElapsed("a")])
+    (tmp_path / "rover-0001.mcap").unlink()
+    with pytest.raises(InvalidInput, match=r"rover-0001\.mcap: the journal was deleted while"):
+        writer.append(2, [TimerElapsed("b")])
+    ended(writer)
+
+
 @pytest.mark.parametrize(("number", "kind"), [(errno.ENOSPC, He3Error), (errno.EACCES, InvalidInput)])
 def test_a_full_disk_is_no_bad_input_where_a_journal_begins(
     number: int, kind: type[He3Error], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
