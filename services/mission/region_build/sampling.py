@@ -20,9 +20,11 @@ from he3.nodata import cells_where
 from he3.terrain import slope_deg
 from services.mission.region_build.geo import rasterio
 from services.mission.region_build.projection import SitePlane, transformer
-from services.mission.region_build.sources import Source
+from services.mission.region_build.sources import MAX_WINDOW_PIXELS, Source
 
 _PADDING: Final = 12  # pixels around; a cubic spline's coefficients depend on those farther off by 0.27^12 = 1e-7
+_PADDING_BLOCKS: Final = 6  # of averaged pixels, where cells are larger than pixels: 0.27^6 = 4e-4
+_SIDE: Final = math.isqrt(MAX_WINDOW_PIXELS)  # pixels, side of a window up to which it is padded with blocks
 _SUPPORT: Final = 2  # pixels around that bicubic interpolation needs
 
 
@@ -55,7 +57,7 @@ def sample(source: Source, plane: SitePlane, margin: int = 0, *, slopes: bool = 
     step = _pixels_a_cell(rows, columns)
     pixel_m = plane.grid.resolution_m / step[0], plane.grid.resolution_m / step[1]
     steep = source_slopes(values, pixel_m, rows, columns) if slopes else None
-    factors = max(1, int(step[0] + 1e-6)), max(1, int(step[1] + 1e-6))
+    factors = _pixels_a_block(step)
     values = _averaged(values, factors)
     rows, columns = (rows + 0.5) / factors[0] - 0.5, (columns + 0.5) / factors[1] - 0.5
     missing = np.isnan(values)
@@ -99,7 +101,9 @@ def _unwrapped(columns: FloatArray, source: Source) -> FloatArray:
 def _window(source: Source, rows: FloatArray, columns: FloatArray) -> tuple[int, int, int, int]:
     """(row, column, rows, columns) of the pixels that are needed, with padding as far as the raster reaches."""
     bounds = []
-    for axis, places, count in (("rows", rows, source.rows), ("columns", columns, source.columns)):
+    factors = _pixels_a_block(_pixels_a_cell(rows, columns))
+    axes = (("rows", rows, source.rows, factors[0]), ("columns", columns, source.columns, factors[1]))
+    for axis, places, count, factor in axes:
         low, high = float(places.min()) - 0.5, float(places.max()) - 0.5  # in pixels' centres
         first, last = math.floor(low + 1e-6) - _SUPPORT + 1, math.ceil(high - 1e-6) + _SUPPORT - 1
         endless = axis == "columns" and source.is_global
@@ -111,7 +115,9 @@ def _window(source: Source, rows: FloatArray, columns: FloatArray) -> tuple[int,
         if endless and last - first > count:
             raise InvalidInput(f"{source.name}: layer {source.layer}: expected a site on one side of the pole in a "
                                f"cylindrical raster, got one around it")  # fmt: skip
-        first, last = first - _PADDING, last + _PADDING
+        blocks = min(_PADDING_BLOCKS * factor, (_SIDE - last + first) // 2) if factor > 1 else 0
+        padding = max(_PADDING, blocks)
+        first, last = first - padding, last + padding
         if not endless:
             first, last = max(first, 0), min(last, count - 1)
         bounds.append((first, last - first + 1))
@@ -119,11 +125,20 @@ def _window(source: Source, rows: FloatArray, columns: FloatArray) -> tuple[int,
 
 
 def _pixels_a_cell(rows: FloatArray, columns: FloatArray) -> tuple[float, float]:
-    """How many pixels a cell covers, down and across, in the middle of the site."""
+    """How many pixels, stacked along the raster's rows and columns, are as long as a cell, in the middle of the site.
+
+    A raster may be rotated against the site, as a polar one is by its longitude: the length of a pixel on the ground
+    follows from the inverse of the derivatives of row and column in the cell's two directions.
+    """
     r, c = rows.shape[0] // 2, rows.shape[1] // 2
-    down = max(abs(rows[r, c] - rows[r - 1, c]), abs(rows[r, c] - rows[r, c - 1]))
-    across = max(abs(columns[r, c] - columns[r, c - 1]), abs(columns[r, c] - columns[r - 1, c]))
-    return max(float(down), 1e-9), max(float(across), 1e-9)
+    found = [[places[r, c] - places[r - 1, c], places[r, c] - places[r, c - 1]] for places in (rows, columns)]
+    (of_row, of_column) = np.linalg.norm(np.linalg.inv(np.array(found)), axis=0)  # cells a pixel
+    return 1.0 / float(of_row), 1.0 / float(of_column)
+
+
+def _pixels_a_block(step: tuple[float, float]) -> tuple[int, int]:
+    """Pixels, down and across, that are averaged before they are resampled. step: pixels a cell."""
+    return max(1, int(step[0] + 1e-6)), max(1, int(step[1] + 1e-6))
 
 
 def _averaged(values: FloatArray, factors: tuple[int, int]) -> FloatArray:
