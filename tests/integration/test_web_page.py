@@ -763,6 +763,34 @@ def test_the_view_is_in_the_address_and_a_reload_forgets_nothing(
     browser.get(address)
 
 
+def test_a_long_name_of_an_area_is_shortened_on_the_map_and_whole_under_the_pointer(browser: Any) -> None:
+    assert in_module(
+        browser, "marks.js", "[it.shortened('crater', 6, (t) => t.length), it.shortened('craters', 6, (t) => t.length),"
+        " it.shortened('crater', 0, (t) => t.length)]"
+    ) == ["crater", "crate…", "c…"]  # fmt: skip
+    name = "Boulder-field-below-the-western-scarp-1"
+    hovered = in_module(
+        browser, "layers.js",
+        f"it.map.areas = [{{kind: 'keepout', name: '{name}', note: '',"
+        " corners: [[100, 100], [200, 100], [200, 200]]}],"
+        "[[180, 120], [120, 180]].map((place) => { it.map.onHover(place, [9, 9]);"
+        f" return document.getElementById('hover').textContent.includes('keep-out {name}'); }})",
+    )  # fmt: skip
+    assert hovered == [True, False]
+
+
+def test_what_is_not_answered_is_asked_for_less_and_less_often_until_it_is_heard_of_again(browser: Any) -> None:
+    waits = in_module(
+        browser, "patience.js",
+        "(() => { const patience = new it.Patience(2000), found = []; let now = 5;"
+        " for (let time = 0; time < 7; time++) { patience.failed(now); found.push(patience.until - now);"
+        " if (patience.mayAsk(patience.until - 1)) found.push('too early'); now = patience.until; }"
+        " patience.forget(); found.push(patience.mayAsk(now)); patience.failed(now); found.push(patience.until - now);"
+        " return found; })()",
+    )  # fmt: skip
+    assert waits == [2000, 4000, 8000, 16_000, 32_000, 60_000, 60_000, True, 2000]
+
+
 def in_address(driver: Any) -> dict[str, str]:
     """What the address says of the view."""
     return dict(urllib.parse.parse_qsl(driver.current_url.partition("#")[2]))

@@ -155,7 +155,7 @@ export function showAreas() {
     ...(state.past === null ? state.interests : map.track?.interests ?? []).map(({ area_id: name, polygon_m: corners, weight }) => ({ key: keyOf("interest", name), kind: "interest", name, corners, weight, on: "" })),
   ];
   if (map.draft.length < 3) suggestName();
-  map.areas = listed.map(({ key, kind, name, corners, weight }) => ({ kind, corners, name: weight === undefined ? name : `${name} ×${weight}`, selected: key === selected }));
+  map.areas = listed.map(({ key, kind, name, corners, weight }) => ({ kind, corners, name, note: weight === undefined ? "" : ` ×${weight}`, selected: key === selected }));
   map.draw();
   describe();
   drawList();
@@ -195,7 +195,7 @@ function rowOf(area) {
 }
 
 function row(area, change) {
-  const name = element("button", { type: "button", class: "ghost", title: "Show on the map" }, area.name);
+  const name = element("button", { type: "button", class: "ghost", title: `${area.name}: show on the map` }, area.name);
   name.dataset.act = "show";
   name.setAttribute("aria-pressed", String(area.key === selected));
   name.addEventListener("click", () => select(area));

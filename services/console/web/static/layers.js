@@ -2,6 +2,7 @@
 
 import { SiteMap } from "./map.js";
 import { askJson, download } from "./net.js";
+import { Patience } from "./patience.js";
 import { Difference, TileSource } from "./raster.js";
 import { $, attempt, numberIn, sinceStart, state, toast } from "./state.js";
 import { inAddress, keepView, numbers } from "./view.js";
@@ -139,7 +140,7 @@ async function opened(layer, above, revision) {
 }
 
 // The next map is loaded in any case: another mission may count its revisions from 0.
-export function forgetMap() { shownKey = trackKey = ""; trackAt = -Infinity; sources.clear(); }
+export function forgetMap() { shownKey = trackKey = ""; trackAt = -Infinity; sources.clear(); patience.forget(); }
 
 // --- colours --------------------------------------------------------------------------------------------------------
 
@@ -235,7 +236,7 @@ $("range-auto").addEventListener("click", () => setRange(null));
 function showHover(place, at, event, sample) {
   const box = $("hover");
   if (!place) { box.hidden = true; return; }
-  box.textContent = valueText(place, map.paneAt(at[0])) + (sample ? `  ·  sample ${sample.sample_id}: ${grouped(sample.helium3_ppb, 3)} ppb` : "");
+  box.textContent = valueText(place, map.paneAt(at[0])) + (sample ? `  ·  sample ${sample.sample_id}: ${grouped(sample.helium3_ppb, 3)} ppb` : "") + map.areasAt(place).map(({ kind, name, note }) => `  ·  ${kind === "keepout" ? "keep-out" : "interest"} ${name}${note}`).join("");
   box.hidden = false;
   const wrap = $("map").getBoundingClientRect();
   box.style.left = `${Math.min(at[0] + 14, wrap.width - box.offsetWidth - 4)}px`;
@@ -262,12 +263,14 @@ map.onSay = say;
 
 // The list of revisions grows with the map.
 let historyAt = 0;
+const patience = new Patience(HISTORY_EVERY_MS);
 export async function refreshHistory(atOnce = false) {
   const isKnown = state.revisions.length > 0 && state.revisions.at(-1).revision === newestRevision();
-  if (!atOnce && (isKnown || performance.now() - historyAt < HISTORY_EVERY_MS || document.hidden)) return;
+  if (!atOnce && (isKnown || performance.now() - historyAt < HISTORY_EVERY_MS || document.hidden || !patience.mayAsk(performance.now()))) return;
   historyAt = performance.now();
   try {
     const { site, revisions } = await askJson("map/history");
+    patience.forget();
     map.setSite(site);
     $("provenance").textContent = site.provenance ?? "";
     state.revisions = revisions;
@@ -278,7 +281,17 @@ export async function refreshHistory(atOnce = false) {
     showTime();
     offerMoments();
     if (atOnce) wantMap();
-  } catch { /* there is no map yet; the next beat asks again */ }
+  } catch { patience.failed(performance.now()); } // there is no map yet, or no ground: a later beat asks again
+}
+
+// A status tells of another map than those that are known.
+export const mapIsPromised = () => patience.forget();
+
+// The ground has been heard again: what it did not answer is asked for at once.
+export function groundIsHeard() {
+  patience.forget();
+  for (const source of sources.values()) source.failed.clear();
+  map.draw();
 }
 
 function showTime() {
@@ -410,7 +423,7 @@ function inWords() {
   const parts = [...about, `Seen: ${metres(west)} to ${metres(east)} m east, ${metres(south)} to ${metres(north)} m north.`];
   if (map.track) parts.push(`${map.track.samples.length} samples.`);
   if (map.rover) parts.push(`Rover at (${map.rover.x_m.toFixed(1)}, ${map.rover.y_m.toFixed(1)}) m.`);
-  if (map.areas.length) parts.push(`Areas: ${map.areas.map(({ name, kind }) => `${name}, ${kind === "keepout" ? "keep-out" : "interest"}`).join("; ")}.`);
+  if (map.areas.length) parts.push(`Areas: ${map.areas.map(({ name, note, kind }) => `${name}${note}, ${kind === "keepout" ? "keep-out" : "interest"}`).join("; ")}.`);
   return parts.join(" ");
 }
 

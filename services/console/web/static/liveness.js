@@ -12,6 +12,8 @@ const ALL = ["link", "ground", "rover"], NOTHING_HEARD = ["disconnected", "missi
 
 export const isTimeKnown = () => !["disconnected", "mission silent", "link silent"].includes(document.body.dataset.liveness);
 
+export const isGroundSilent = (liveness) => ["mission silent", "ground silent"].includes(liveness?.condition);
+
 export function heard(liveness) {
   state.liveness = liveness;
   state.heard = performance.now();

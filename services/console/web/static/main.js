@@ -3,11 +3,11 @@
 import { showAlarms } from "./alarms.js";
 import { Chart } from "./charts.js";
 import { showCommands, takeCommand, whenCommandsChange } from "./commands.js";
-import { forgetMap, map, refreshHistory, wantMap, whenTimeChanges } from "./layers.js";
+import { forgetMap, groundIsHeard, map, mapIsPromised, refreshHistory, wantMap, whenTimeChanges } from "./layers.js";
 import { picture, showLink } from "./linkpanel.js";
 import "./deliberate.js";
 import { everyFrame, redraw, setFlying } from "./frames.js";
-import { heard, isTimeKnown, showLiveness } from "./liveness.js";
+import { heard, isGroundSilent, isTimeKnown, showLiveness } from "./liveness.js";
 import { showLog } from "./log.js";
 import { askJson, listen } from "./net.js";
 import { estimateIsAt, showAreas, takeInterests } from "./areas.js";
@@ -39,9 +39,18 @@ whenCommandsChange(() => redraw(showAreas, showLog, showTimeline));
 listen({
   state: takeAll,
   clock: takeClock,
-  beat: (beat) => { takeClock(beat); heard(beat.liveness); refreshHistory().then(showView); },
+  beat: (beat) => {
+    if (isGroundSilent(state.liveness) && !isGroundSilent(beat.liveness)) groundIsHeard();
+    takeClock(beat);
+    heard(beat.liveness);
+    refreshHistory().then(showView);
+  },
   // Of these only the fields come that are others than before.
-  status: (status) => { state.status = { ...state.status, ...status }; redraw(showStatus, showMap); },
+  status: (status) => {
+    state.status = { ...state.status, ...status };
+    if (status.map_revision !== undefined) mapIsPromised();
+    redraw(showStatus, showMap);
+  },
   rover: (rover) => { state.rover = { ...state.rover, ...rover }; redraw(showRover); },
   link: (link) => { state.link = { ...state.link, ...link }; redraw(showLink); },
   contacts: (contacts) => { state.contacts = { ...state.contacts, ...contacts }; redraw(showLog, showTimeline); },

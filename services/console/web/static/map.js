@@ -23,7 +23,7 @@ export class SiteMap {
     this.split = .5;            // share of the frame to the left of the swipe
     this.track = null;
     this.rover = null;          // { x_m, y_m, heading_deg, stale }
-    this.areas = [];            // { corners, kind, name, selected }
+    this.areas = [];            // { corners, kind, name, note, selected }
     this.chosen = null;         // [x, y]
     this.sample = null;         // id of the selected sample
     this.cross = null;          // [x, y] while the keyboard leads
@@ -166,6 +166,18 @@ export class SiteMap {
       if (away <= best) { best = away; nearest = sample; }
     }
     return nearest;
+  }
+
+  // The areas that hold a place.
+  areasAt([x, y]) {
+    return this.areas.filter(({ corners }) => {
+      let inside = false;
+      corners.forEach(([x1, y1], index) => {
+        const [x2, y2] = corners.at(index - 1);
+        if (y1 > y !== y2 > y && x < x1 + ((y - y1) / (y2 - y1)) * (x2 - x1)) inside = !inside;
+      });
+      return inside;
+    });
   }
 
   choose(place, sample = null) {

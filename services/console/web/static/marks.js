@@ -4,6 +4,8 @@
 import { nice, tenth } from "./projection.js";
 
 const TICKS_APART_PX = 80; // at least
+const LABEL_FONT = "600 11px system-ui, sans-serif";
+const NAME_PX = 110; // of the name of an area
 
 export function axes(context, projection, colour) {
   const { left, right, top, bottom } = projection.box, { west, south, east, north } = projection.window;
@@ -136,9 +138,22 @@ export function area(context, projection, colour, { corners, kind, selected }) {
   if (keepOut) hatched(context, projection, corners, style);
 }
 
-// Its name, which lies over paths and samples.
-export function areaName(context, projection, colour, { corners, kind, name }) {
-  if (name) label(context, name, projection.at(...corners[0]), colour(kind === "keepout" ? "--keepout" : "--interest"));
+// Its name, which lies over paths and samples; a long one ends with … unless the area is selected. The note follows it.
+export function areaName(context, projection, colour, { corners, kind, name, note = "", selected }) {
+  if (!name) return;
+  context.font = LABEL_FONT;
+  const measure = (text) => context.measureText(text).width, { left, right } = projection.box;
+  const text = (selected ? name : shortened(name, NAME_PX - measure(note), measure)) + note;
+  const [x, y] = projection.at(...corners[0]), seen = x >= left && x <= right;
+  label(context, text, [seen ? Math.max(left + 2, Math.min(x, right - measure(text) - 8)) : x, y], colour(kind === "keepout" ? "--keepout" : "--interest"));
+}
+
+// The text if it is no wider; else its longest beginning that is with an ellipsis, of one character at least.
+export function shortened(text, width, measure) {
+  if (measure(text) <= width) return text;
+  const characters = [...text];
+  while (characters.length > 1 && measure(`${characters.join("")}…`) > width) characters.pop();
+  return `${characters.join("")}…`;
 }
 
 function hatched(context, projection, corners, style) {
@@ -212,7 +227,7 @@ export function vehicle(context, projection, colour, rover) {
 }
 
 export function label(context, text, [x, y], style) {
-  context.font = "600 11px system-ui, sans-serif";
+  context.font = LABEL_FONT;
   context.textAlign = "left";
   const width = context.measureText(text).width;
   context.fillStyle = "rgb(0 0 0 / 70%)";

@@ -2,6 +2,7 @@
 // cell is 2^k cells of the map wide, and has the value of the map at its centre. Row 0 of a tile is in the south.
 
 import { ask } from "./net.js";
+import { Patience } from "./patience.js";
 import { clamp } from "./projection.js";
 
 const TILE = 512, KEPT = 24, AT_ONCE = 4, AGAIN_MS = 2000;
@@ -13,7 +14,7 @@ export class TileSource {
     Object.assign(this, { site, layer, threshold, revision, about: null, kept: KEPT });
     this.tiles = new Map();     // key -> tile; the last used is the last
     this.waiting = new Map();   // key -> promise
-    this.failed = new Map();    // key -> when
+    this.failed = new Map();    // key -> Patience
     this.top = Math.max(0, Math.ceil(Math.log2(Math.max(site.rows, site.columns) / TILE)));
   }
 
@@ -57,9 +58,16 @@ export class TileSource {
     for (const place of places) {
       const key = place.join(" ");
       if (this.tiles.has(key) || this.waiting.has(key) || this.waiting.size >= AT_ONCE) continue;
-      if (performance.now() - (this.failed.get(key) ?? -Infinity) < AGAIN_MS) continue;
-      this.load(place).then(onTile, () => { this.failed.set(key, performance.now()); setTimeout(onTile, AGAIN_MS); });
+      if (!(this.failed.get(key)?.mayAsk(performance.now()) ?? true)) continue;
+      this.load(place).then((tile) => { this.failed.delete(key); onTile(tile); }, () => this.fail(key, onTile));
     }
+  }
+
+  fail(key, onTile) {
+    const patience = this.failed.get(key) ?? new Patience(AGAIN_MS), now = performance.now();
+    this.failed.set(key, patience);
+    patience.failed(now);
+    setTimeout(onTile, patience.until - now);
   }
 
   load(place) {
