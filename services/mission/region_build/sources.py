@@ -32,6 +32,7 @@ MAX_CHECKSUM_BYTES: Final = 256 * 1024 * 1024  # beyond it, the checksum is that
 _MISSING_BELOW: Final = -1e30  # no quantity is; covers -3.4e38 in each of its spellings
 _PLANET_RADIUS_M: Final = 1_000_000.0  # elevations above it are distances from the Moon's centre
 _POSITIVE: Final = ("iron_wt", "maturity")  # layers in which 0 or less marks a missing value, always
+_MOST_FLAT: Final = 1e-6  # 1, flattening of the Moon's figure in a raster's projection: 2 m
 _EQUATOR_M: Final = 2 * math.pi * MOON_RADIUS_M
 
 
@@ -270,10 +271,17 @@ def _period(crs: Any, pixel: float) -> float | None:
 
 
 def _expect_the_moon(source: Source, crs: Any) -> None:
-    radius = crs.ellipsoid.semi_major_metre if crs.ellipsoid is not None else math.nan
+    body = crs.ellipsoid
+    radius, minor = (math.nan, math.nan) if body is None else (body.semi_major_metre, body.semi_minor_metre)
     if not abs(radius / MOON_RADIUS_M - 1.0) < 2e-3:
         raise InvalidInput(
             f"{source.name}: expected a raster of the Moon, R about {MOON_RADIUS_M:.0f} m, got {radius:.0f} m"
+        )
+    # PROJ takes latitudes of an ellipsoid over as those of the sphere, up to 0.07 deg or 2 km off.
+    if not abs(minor / radius - 1.0) < _MOST_FLAT:
+        raise InvalidInput(
+            f"{source.name}: expected latitudes on a sphere, as those of lunar products, got an ellipsoid of "
+            f"{radius:.0f} x {minor:.0f} m"
         )
 
 

@@ -664,6 +664,20 @@ def test_a_raster_of_another_planet_is_refused(tmp_path: Path) -> None:
         build(recipe(LAT, LON), tmp_path)
 
 
+def test_a_raster_on_an_ellipsoid_is_refused_and_one_on_another_lunar_sphere_is_taken(tmp_path: Path) -> None:
+    """PROJ takes its latitudes for those of the sphere, 2 km off at 45 deg."""
+    lats, lons, north, west = degrees_grid(LAT, LON, 1516, 96)
+    transform = from_origin(west, north, 1 / 1516, 1 / 1516)
+    geotiff(tmp_path / "dem.tif", heights(lats, lons), "+proj=longlat +a=1738100 +b=1736000 +no_defs", transform)
+    with pytest.raises(
+        InvalidInput, match=r"expected latitudes on a sphere, .* got an ellipsoid of 1738100 x 1736000 m"
+    ):
+        build(recipe(LAT, LON), tmp_path)
+    geotiff(tmp_path / "dem.tif", heights(lats, lons), "+proj=longlat +R=1738100 +no_defs", transform)
+    region = build(recipe(LAT, LON), tmp_path)
+    expect_agreement(region, expected(region, LAT), 0.5)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
