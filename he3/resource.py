@@ -72,7 +72,7 @@ def area_mean(process: GaussianProcess, grid: SiteGrid, mean_ppb: NDArray[np.flo
     block = max(1, math.ceil(math.sqrt(cells / MAX_NODES)))
     mixture = ProcessMixture.of(process)
     lags = _pairs_at_lags(grid, area)
-    prior = [_prior_variance(each, grid, area, *lags) for each in mixture.processes]
+    prior = [_prior_of_average(each, grid, area, *lags) for each in mixture.processes]
     std = _std_of_mean(mixture, prior, grid, area, block, 1)
     exact = block == 1 and (
         cells <= MAX_WARPED_NODES or all(one.hyperparameters.warp is None for one in mixture.processes)
@@ -167,15 +167,24 @@ def _pairs_at_lags(
     return pairs, lags[0][:, None], lags[1][None, :]
 
 
-def _prior_variance(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prior:
+    """Of the average before any sample, by every cell of the area, in standardised units."""
+
+    variance: float
+    basis: FloatArray | None
+    """Average (p,) of the trend's columns; None without a trend."""
+
+
+def _prior_of_average(
     process: GaussianProcess,
     grid: SiteGrid,
     area: BoolArray,
     pairs: FloatArray,
     north_m: FloatArray,
     east_m: FloatArray,
-) -> float:
-    """w' K w over all pairs of cells, in standardised units. pairs and lags [m]: those of ``_pairs_at_lags``."""
+) -> _Prior:
+    """w' K w over all pairs of cells. pairs and lags [m]: those of ``_pairs_at_lags``."""
     hyperparameters = process.hyperparameters
     kernel = even_kernel(hyperparameters.kernel)
     covariance = kernel.of_squared_distance(kernel.squared_length(east_m, north_m))
@@ -184,15 +193,16 @@ def _prior_variance(
         pairs, _, _ = _pairs_at_lags(grid, area, amplitude)
     total: float = float((pairs * covariance).sum()) / float(area.sum()) ** 2
     basis = hyperparameters.trend_basis(grid.points()[area.ravel()])
-    if basis is not None:
-        total += float((basis.mean(axis=0) ** 2).sum())
-    return total
+    if basis is None:
+        return _Prior(total, None)
+    average: FloatArray = basis.mean(axis=0)
+    return _Prior(total + float((average**2).sum()), average)
 
 
 def _std_of_mean(
-    mixture: ProcessMixture, prior: list[float], grid: SiteGrid, area: BoolArray, block: int, times: int
+    mixture: ProcessMixture, prior: list[_Prior], grid: SiteGrid, area: BoolArray, block: int, times: int
 ) -> float:
-    """Standard deviation of the average in standardised units. prior: its variance before any sample, by process.
+    """Standard deviation of the average in standardised units. prior: of each process, before any sample.
 
     It is integrated over blocks of ``block`` cells a side, or as many as a warp allows, times ``times``.
     """
@@ -203,8 +213,8 @@ def _std_of_mean(
         if process.hyperparameters.warp is not None:
             moved, variance = _through_warp(process, *_nodes(grid, area, times * widest))
         else:
-            moved, explained = _learned(process, nodes)
-            variance = max(before - explained, _least_variance(process, before))
+            moved, explained = _learned(process, nodes, before.basis)
+            variance = max(before.variance - explained, _least_variance(process, before.variance))
         means.append(moved)
         variances.append(variance)
     return float(mixture_moments(mixture.weights, np.array(means), np.sqrt(variances))[1])
@@ -232,18 +242,25 @@ def _least_variance(process: GaussianProcess, prior: float) -> float:
     return left
 
 
-def _learned(process: GaussianProcess, nodes: list[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
+def _learned(
+    process: GaussianProcess, nodes: list[tuple[FloatArray, FloatArray]], basis: FloatArray | None
+) -> tuple[float, float]:
     """How far the samples move the average from its expectation, and the variance that they explain of it.
 
     The latter is less what the unknown constant adds; both are in standardised units. nodes: places and weights of the
-    blocks of cells; a second entry has those of blocks twice as wide, by which the first are corrected.
+    blocks of cells; a second entry has those of blocks twice as wide, by which the first are corrected. basis: average
+    (p,) of the trend's columns over all cells, since the layers of a trend may differ from cell to cell.
     """
     if len(process) == 0:
         return 0.0, 0.0
     own = process.hyperparameters
-    crossing, *coarser = (own.covariance(process.places_m, places) @ weights for places, weights in nodes)
+    crossing, *coarser = (own.kernel.covariance(process.places_m, places) @ weights for places, weights in nodes)
     for wider in coarser:
         crossing = (4.0 * crossing - wider) / 3.0
+    of_samples = own.trend_basis(process.places_m)
+    if of_samples is not None:
+        assert basis is not None
+        crossing = crossing + of_samples @ basis
     whitened = process.solve(crossing)
     explained = float(whitened @ whitened) - float(_of_constant(process, whitened)) ** 2
     return float(whitened @ process.whitened), explained

@@ -12,7 +12,7 @@ from he3.gp import GaussianProcess, Hyperparameters, fit_hyperparameters
 from he3.kernels import kernel_from
 from he3.posterior.grid import GridPosterior
 from he3.resource import area_mean, drawn_fields, share_above
-from he3.trend import orbital_trend
+from he3.trend import covariate_trend, orbital_trend
 from schemas.maps import ResourceQuery
 from services.ground.map.resources import corners_of, estimate
 from services.ground.map.snapshot import MapSnapshot
@@ -94,6 +94,20 @@ def test_an_area_that_the_samples_know_well_keeps_its_spread(
     assert got.std_ppb == pytest.approx(spread_by_cells(process, site, covered), rel=0.03)
 
 
+@pytest.mark.parametrize("kernel", ["se", "matern32"])
+def test_a_covariate_that_differs_from_cell_to_cell_counts_with_its_average_over_the_area(kernel: str) -> None:
+    site, rng = SiteGrid(400, 400, 1.0), np.random.default_rng(7)
+    trend = covariate_trend(site, rng.normal(size=(1, *site.shape)), 8.0, 4.0)
+    parameters = {"variance": 1.0, "length_scale_m": 100.0}
+    process = GaussianProcess(
+        Hyperparameters(kernel_from(kernel, parameters), NOISE_STD_PPB, 8.0, 1.5, trend=trend)
+    ).condition(rng.uniform(0, 400, (100, 2)), rng.normal(8, 1, 100))  # fmt: skip
+    covered = np.add.outer(np.arange(400), np.arange(400)) < 400
+    got = area_mean(process, site, np.full(site.shape, 8.0), covered)
+    assert got.spacing_m > 1.0
+    assert got.std_ppb == pytest.approx(spread_by_cells(process, site, covered), rel=0.02)
+
+
 def spread_by_cells(process: GaussianProcess, grid: SiteGrid, covered: np.ndarray) -> float:
     """Standard deviation [ppb] of the mean over the cells, each one of them counted; the constant is unknown."""
     own, cells = process.hyperparameters, grid.points()[covered.ravel()]
@@ -103,9 +117,12 @@ def spread_by_cells(process: GaussianProcess, grid: SiteGrid, covered: np.ndarra
     whitened, ones = process.solve(crossing / len(cells)), process.solve(np.ones(len(process)))
     pairs = fftconvolve(covered.astype(float), covered[::-1, ::-1].astype(float))
     east, north = np.meshgrid(*((np.arange(2 * count - 1) - count + 1) for count in reversed(covered.shape)))
-    lags = own.covariance(np.zeros((1, 2)), np.column_stack((east.ravel(), north.ravel())) * grid.resolution_m)
+    lags = own.kernel.covariance(np.zeros((1, 2)), np.column_stack((east.ravel(), north.ravel())) * grid.resolution_m)
     prior = float((pairs.ravel() * lags[0]).sum()) / len(cells) ** 2
-    variance = prior - float(whitened @ whitened) + float(1.0 - ones @ whitened) ** 2 / float(ones @ ones)
+    basis = own.trend_basis(cells)
+    unknown = float(1.0 - ones @ whitened) ** 2 / float(ones @ ones) if basis is None else 0.0
+    prior += 0.0 if basis is None else float((basis.mean(axis=0) ** 2).sum())
+    variance = prior - float(whitened @ whitened) + unknown
     return float(np.sqrt(variance)) * own.scale_ppb
 
 
