@@ -83,6 +83,9 @@ def test_a_browser_shows_every_sample_of_a_mission_whose_services_have_ended_wit
         until(lambda: shown(driver).get("samples") == report["samples"], lambda: f"the last map, not {shown(driver)}")
         label = "return document.getElementById('time-label').textContent"
         until(lambda: script(driver, label).endswith(f"{report['samples']} samples"), lambda: script(driver, label))
+        chips = "return ['liveness', 'contact', 'elapsed'].map((id) => document.getElementById(id).textContent)"
+        ended = ["mission over, services ended", "contact not known", "not known"]
+        until(lambda: script(driver, chips) == ended, lambda: f"the end, not {script(driver, chips)}")
 
 
 def test_a_display_that_hangs_keeps_a_run_from_its_end_for_a_moment_only(flown: Flown) -> None:

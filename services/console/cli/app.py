@@ -69,14 +69,14 @@ def build() -> typer.Typer:
     app.command("foxglove", short_help="Stream a mission to Foxglove.", epilog=foxglove.EXAMPLES)(foxglove.foxglove)
     app.add_typer(link.app, name="link", help="The link between Earth and Moon: show it, change it.")
     app.add_typer(command.app, name="command", help="Send the rover a telecommand.")
-    app.add_typer(area.app, name="area", help="Areas closed to the rover, and of interest: list, add, rename, remove.")
+    app.add_typer(area.app, name="area", help="Keep-outs and areas of interest: list, add, rename, remove.")
     app.command("commands", short_help="List the telecommands and their stages.", epilog=command.EXAMPLES)(
         command.commands
     )
     app.add_typer(alarms.app, name="alarms", help="What needs attention: show it, acknowledge it, shelve it.")
     app.add_typer(stack.app, name="stack", help="A list of telecommands with conditions: check it, send it.")
     app.add_typer(keys.app, name="keys", help="Certificates: who may connect, and as what.", epilog=keys.EXAMPLES)
-    app.add_typer(plan.app, name="plan", help="The plan that waits for approval: show it, approve it, send it back.")
+    app.add_typer(plan.app, name="plan", help="A plan that waits for approval: show, approve, revise it.")
     app.add_typer(authority.app, name="authority", help="Who commands the rover: show it, take it, release it.")
     app.add_typer(audit.app, name="audit", help="The audit log: who did what.", epilog=audit.EXAMPLES)
     app.add_typer(region.app, name="region", help="Regions: show them, build them from rasters, fetch real ones.")

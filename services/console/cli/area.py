@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from services.console.cli.command import Area as AreaName
-from services.console.cli.command import Replace, Yes, asks, confirmed, expect_new_name
+from services.console.cli.command import Replace, Yes, asks, checked_name, confirmed, expect_new_name
 from services.console.cli.coordinates import NEGATIVE_NUMBERS, polygon
 from services.console.cli.flag_groups import with_flags
 from services.console.cli.options import AsJson, one_of, within
@@ -98,13 +98,13 @@ def add(
 @with_flags
 def rename(
     session: NamedSession,
-    name: AreaName,
-    new_name: AreaName,
+    name: Annotated[str, typer.Argument(metavar="OLD", help="Present name of the area.", callback=checked_name)],
+    new_name: Annotated[str, typer.Argument(metavar="NEW", help="Its new name.", callback=checked_name)],
     kind: Kind = None,
     yes: Yes = False,
     json: AsJson = False,
 ) -> None:
-    """Give an area a new name; a keep-out is closed all the time. One answer decides on both of its commands."""
+    """Give an area a new name. A keep-out stays closed meanwhile; it takes two commands, and one question for both."""
     from dataclasses import replace as changed
 
     from he3.errors import InvalidInput

@@ -82,10 +82,12 @@ Preview = Annotated[
     bool, typer.Option("--preview", help="Only say what it would do: drive, energy, rounds lost, when; send nothing.")
 ]
 Yes = Annotated[
-    bool, typer.Option("--yes", "-y", help="Send it without a question. Without a terminal there is none in any case.")
+    bool, typer.Option("--yes", "-y", help="Send it without asking. Without a terminal nothing is asked anyway.")
 ]
 Replace = Annotated[bool, typer.Option("--replace", help="Replace the area of that name.")]
-Area = Annotated[str, typer.Argument(metavar="AREA", help="Name of the area.", callback=checked(_identifier))]
+checked_name = checked(_identifier)
+"""The name of an area, or a usage error."""
+Area = Annotated[str, typer.Argument(metavar="AREA", help="Name of the area.", callback=checked_name)]
 
 
 @dataclass(frozen=True, slots=True)

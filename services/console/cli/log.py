@@ -49,7 +49,7 @@ def log(
         typer.Option("--since", metavar="TIME", help="Since 2h after the beginning, or since a time in UTC.",
                      callback=checked(_since)),
     ] = None,
-    text: Annotated[str, typer.Option("--text", metavar="TEXT", help="Only lines that contain it, in any case.")] = "",
+    text: Annotated[str, typer.Option("--text", metavar="TEXT", help="Only lines with this text (case ignored).")] = "",
     csv: Annotated[bool, typer.Option("--csv", help="Print comma-separated values.")] = False,
     json: AsJson = False,
 ) -> None:  # fmt: skip

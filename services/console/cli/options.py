@@ -118,6 +118,7 @@ OutFolder = Annotated[
 ]
 ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="File for the report (JSON).")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
+AsJsonLines = Annotated[bool, typer.Option("--json", help="Print JSON documents instead of text, one a line.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on standard error.")]
 Keys = Annotated[
     Path | None,

@@ -30,7 +30,7 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 Why = Annotated[str, typer.Option("--why", metavar="TEXT", help="A note for the log of the ground station.")]
 Number = Annotated[
     int | None,
-    typer.Option("--proposal", metavar="N", help="Only if this proposal still waits; without it, the one that waits."),
+    typer.Option("--proposal", metavar="N", help="Number of the proposal, such as 12; without it, the one that waits."),
 ]
 
 
@@ -51,7 +51,8 @@ def show(
 def approve(
     session: NamedSession,
     drop: Annotated[
-        list[str] | None, typer.Option("--drop", metavar="SAMPLE", help="A sample that is not taken; repeatable.")
+        list[str] | None,
+        typer.Option("--drop", metavar="SAMPLE", help="Leave out a sample, such as r07s2; repeatable."),
     ] = None,
     proposal: Number = None,
     why: Why = "",
@@ -77,7 +78,7 @@ def revise(
     why: Why = "",
     json: AsJson = False,
 ) -> None:
-    """Let the ground make the plan that waits anew, through places of yours; it waits for approval once more."""
+    """Replace the samples of the plan that waits by these places; the ground plans the ways, and it waits again."""
     places_m = points(places)
     with session.join() as client:
         number, about = _waiting(client, proposal)
@@ -93,7 +94,7 @@ def send_back(
     why: Why = "",
     json: AsJson = False,
 ) -> None:
-    """Let the ground plan the round again."""
+    """Send nothing to the rover: the ground plans the round again."""
 
     with session.join() as client:
         number, about = _waiting(client, proposal)

@@ -53,7 +53,7 @@ def _person(text: str) -> str:
 AsName = Annotated[
     str | None,
     typer.Option(
-        "--as", metavar="NAME", help="Your name, in a mission without keys; else user@host. It is not proven.",
+        "--as", metavar="NAME", help="Your name in a mission without keys, instead of user@host. Nothing proves it.",
         callback=checked(_person),
     ),
 ]  # fmt: skip

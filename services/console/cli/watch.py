@@ -12,7 +12,7 @@ import typer
 
 from he3.errors import He3Error, PeerUnreachable
 from services.console.cli.flag_groups import with_flags
-from services.console.cli.options import AsJson
+from services.console.cli.options import AsJsonLines
 from services.console.cli.session import Session
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ MAP_FROM_COLUMNS = 72
 @with_flags
 def watch(
     session: Session,
-    json: AsJson = False,
+    json: AsJsonLines = False,
 ) -> None:
     """Follow a running mission until it is over, or until Ctrl-C."""
 

@@ -21,6 +21,8 @@ class Condition(StrEnum):
 
     OVER = "over"
     """The mission is over: nothing changes any more."""
+    ENDED = "ended"
+    """The mission is over, and its services have ended: mission time and contact are not known any more."""
     MISSION_SILENT = "mission silent"
     """Nothing is heard of any process."""
     LINK_SILENT = "link silent"
@@ -46,6 +48,8 @@ class Liveness:
 def liveness(state: MissionState) -> Liveness:
     """The mission's condition now, from what this session has heard."""
     if state.status is not None and state.status.is_over:
+        if state.silent_s > PROCESS_SILENT_S:
+            return Liveness(Condition.ENDED, "mission over, services ended")
         return Liveness(Condition.OVER, "mission over")
     if state.silent_s > PROCESS_SILENT_S:
         return Liveness(Condition.MISSION_SILENT, f"nothing heard of the mission for {state.silent_s:.0f} s")

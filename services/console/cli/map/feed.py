@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from services.console.cli.flag_groups import with_flags
-from services.console.cli.options import MAX_WAIT_S, AsJson, within
+from services.console.cli.options import MAX_WAIT_S, AsJsonLines, within
 from services.console.cli.session import Session
 
 
@@ -21,7 +21,7 @@ def follow(
         typer.Option("--seconds", metavar="S", help="End after S seconds of wall time; without it, on Ctrl-C.",
                      callback=within(0, MAX_WAIT_S)),
     ] = None,
-    json: AsJson = False,
+    json: AsJsonLines = False,
 ) -> None:  # fmt: skip
     """The map's feed: a line for each change as it comes, the present map first."""
     began = time.monotonic()

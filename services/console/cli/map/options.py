@@ -43,7 +43,7 @@ LayerName = Annotated[
 ]  # fmt: skip
 Threshold = Annotated[
     float | None,
-    typer.Option("--threshold", metavar="PPB", help="Abundance for the probability of more helium-3 than that.",
+    typer.Option("--threshold", metavar="PPB", help="Abundance of which the probability of more is told.",
                  callback=within(0, MAX_PPB)),
 ]  # fmt: skip
 AsOf = Annotated[

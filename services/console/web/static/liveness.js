@@ -5,14 +5,14 @@ import { duration, elapsed } from "./words.js";
 
 const DISCONNECTED = { condition: "disconnected", text: "page disconnected; reconnecting …" };
 const SILENT_MS = 3000; // three beats of the server
-const LOOKS = { live: "good", over: "", "out of contact": "warn", "rover overdue": "warn" };
+const LOOKS = { live: "good", over: "", ended: "", "out of contact": "warn", "rover overdue": "warn" };
 // What is no longer known under each condition; everything where nothing is heard.
 const UNKNOWN = { "link silent": ["link"], "ground silent": ["ground"], "out of contact": ["rover"], "rover overdue": ["rover"] };
 const ALL = ["link", "ground", "rover"], NOTHING_HEARD = ["disconnected", "mission silent"];
 
-export const isTimeKnown = () => !["disconnected", "mission silent", "link silent"].includes(document.body.dataset.liveness);
+export const isTimeKnown = () => !["disconnected", "mission silent", "link silent", "ended"].includes(document.body.dataset.liveness);
 
-export const isGroundSilent = (liveness) => ["mission silent", "ground silent"].includes(liveness?.condition);
+export const isGroundSilent = (liveness) => ["mission silent", "ground silent", "ended"].includes(liveness?.condition);
 
 export function heard(liveness) {
   state.liveness = liveness;

@@ -58,6 +58,7 @@ def test_every_command_is_in_the_help(capsys: pytest.CaptureFixture[str]) -> Non
     assert main(["--help"]) == 0
     out = capsys.readouterr().out
     assert all(f"\n  {words[0]} " in out for words in COMMANDS)
+    assert [line for line in out.splitlines() if line.startswith("  ") and line.endswith("...")] == []
 
 
 def test_the_command_line_is_made_without_anything_heavy() -> None:

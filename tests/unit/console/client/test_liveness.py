@@ -161,9 +161,10 @@ def test_losses_that_the_link_states_make_no_rover_overdue_and_a_rover_that_is_s
     assert liveness(state).condition is Condition.ROVER_OVERDUE
 
 
-def test_a_mission_that_is_over_is_over_whoever_is_silent(
+def test_a_mission_that_is_over_is_over_until_nothing_is_heard_then_its_services_have_ended(
     state: MissionState, session: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session.send(GROUND_STATUS, header(START + 1), ground(MissionPhase.COMPLETED))
-    later(monkeypatch, 60.0)
     assert liveness(state).condition is Condition.OVER
+    later(monkeypatch, 60.0)
+    assert liveness(state).condition is Condition.ENDED
