@@ -779,6 +779,18 @@ def test_a_long_name_of_an_area_is_shortened_on_the_map_and_whole_under_the_poin
     assert hovered == [True, False]
 
 
+def test_no_name_of_an_area_makes_the_page_wider_than_a_phone(browser: Any) -> None:
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    wide = {"area_id": "W" * 40, "polygon_m": [[1, 1], [9, 1], [9, 9]], "weight": 2}
+    in_module(browser, "areas.js", f"it.takeInterests({{areas: [{json.dumps(wide)}]}})")
+    entry = {"number": 9999, "at": 1, "kind": "interest", "text": f"area of interest {'W' * 40} set", "by": "anna"}
+    in_module(browser, "state.js", f"it.state.entries.push({json.dumps(entry)})")
+    in_module(browser, "log.js", "it.showLog()")
+    until(lambda: "W" * 40 in script(browser, "return document.getElementById('log').textContent"), "the log")
+    assert script(browser, "return document.documentElement.scrollWidth") <= 390
+
+
 def test_what_is_not_answered_is_asked_for_less_and_less_often_until_it_is_heard_of_again(browser: Any) -> None:
     waits = in_module(
         browser, "patience.js",
