@@ -59,15 +59,22 @@ def show(
         typer.echo(f"              {origin.line()}")
     if loaded.origin_lat_deg is not None and loaded.origin_lon_deg is not None:
         typer.echo(f"origin        {loaded.origin_lat_deg:.6f} N {loaded.origin_lon_deg:.6f} E, south-west corner")
+    elif loaded.crs and loaded.origin_x_m is not None and loaded.origin_y_m is not None:
+        typer.echo(
+            f"origin        {loaded.origin_x_m:.1f} m, {loaded.origin_y_m:.1f} m, south-west corner in {loaded.crs}"
+        )
     typer.echo(f"size          {size}")
     typer.echo(
         f"helium-3      {figures['he3_min_ppb']:.2f} to {figures['he3_max_ppb']:.2f} ppb, "
         f"mean {figures['he3_mean_ppb']:.2f}, std {figures['he3_std_ppb']:.2f}"
     )
-    typer.echo(f"elevation     {figures['relief_m']:.1f} m from lowest to highest")
-    typer.echo(
-        f"slope         median {figures['slope_median_deg']:.1f} deg, maximum {figures['slope_max_deg']:.1f} deg"
-    )
+    if figures["relief_m"] is not None:
+        typer.echo(f"elevation     {figures['relief_m']:.1f} m from lowest to highest")
+        typer.echo(
+            f"slope         median {figures['slope_median_deg']:.1f} deg, maximum {figures['slope_max_deg']:.1f} deg"
+        )
+    else:
+        typer.echo("elevation     none is given")
     typer.echo(f"closed        {figures['untraversable_fraction']:.2%} of the ground is not traversable")
     if loaded.known is not None:
         typer.echo(f"unknown       {figures['unknown_fraction']:.2%} of it has no reference, is closed and not scored")
@@ -94,6 +101,7 @@ def _figures(region: Region) -> dict[str, Any]:
     import numpy as np
 
     field = region.he3_ppb if region.known is None else region.he3_ppb[region.known]
+    terrain = bool(region.elevation_m.any())  # without heights they are 0 everywhere
     return {
         "name": region.name,
         "title": region.title,
@@ -102,6 +110,8 @@ def _figures(region: Region) -> dict[str, Any]:
         "origin_lat_deg": region.origin_lat_deg,
         "origin_lon_deg": region.origin_lon_deg,
         "crs": region.crs,
+        "origin_x_m": region.origin_x_m,
+        "origin_y_m": region.origin_y_m,
         "rows": region.grid.rows,
         "columns": region.grid.columns,
         "resolution_m": region.grid.resolution_m,
@@ -110,9 +120,9 @@ def _figures(region: Region) -> dict[str, Any]:
         "he3_max_ppb": float(field.max()),
         "he3_mean_ppb": float(field.mean()),
         "he3_std_ppb": float(field.std()),
-        "relief_m": float(np.ptp(region.elevation_m)),
-        "slope_median_deg": float(np.median(region.slope_deg)),
-        "slope_max_deg": float(region.slope_deg.max()),
+        "relief_m": float(np.ptp(region.elevation_m)) if terrain else None,
+        "slope_median_deg": float(np.median(region.slope_deg)) if terrain else None,
+        "slope_max_deg": float(region.slope_deg.max()) if terrain else None,
         "untraversable_fraction": region.untraversable_fraction,
         "unknown_fraction": 0.0 if region.known is None else float(1.0 - region.known.mean()),
     }
