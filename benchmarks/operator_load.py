@@ -66,7 +66,7 @@ def run(
 ) -> dict[str, Any]:
     """The figures, printed and written to a file."""
     say = _say
-    say(f"a mission left alone for {seconds:g} s at {rate:g} times life ...")
+    say(f"a mission left alone for {seconds:g} s at simulation speed {rate:g}x ...")
     alone = _mission(rate, seed, lambda client, _: _left_alone(client, seconds))
     say(f"the same with {clients} clients asking {per_second:g} times a second each ...")
     figures: dict[str, Any] = {}

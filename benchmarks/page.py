@@ -74,7 +74,7 @@ def run(
     """The figures, printed and written to a file."""
     if pages < 1 or clicks < 1 or seconds <= 0:
         raise InvalidInput(f"expected pages, clicks and seconds over 0, got {pages}, {clicks} and {seconds:g}")
-    say(f"{pages} pages over a mission at {rate:g} times life for {seconds:g} s ...")
+    say(f"{pages} pages over a mission at simulation speed {rate:g}x for {seconds:g} s ...")
     with ExitStack() as stack:
         mission = stack.enter_context(_mission(rate))
         address = stack.enter_context(_page_server(mission))
