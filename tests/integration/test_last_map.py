@@ -88,6 +88,16 @@ def test_a_browser_shows_every_sample_of_a_mission_whose_services_have_ended_wit
         until(lambda: script(driver, chips) == ended, lambda: f"the end, not {script(driver, chips)}")
 
 
+def test_the_feed_is_followed_to_the_last_map_and_ends_with_the_mission(flown: Flown) -> None:
+    command = he3("map", "follow", "--json", "--mission", "short", "--earth", flown.ends.earth)
+    with start(command, stdout=subprocess.PIPE, text=True) as follower:
+        assert follower.stdout is not None
+        assert json.loads(follower.stdout.readline())["samples"] == 0
+        assert flown.to_its_end()["samples"] == 6
+        lines = follower.stdout.read().splitlines()
+        assert (follower.wait(), json.loads(lines[-1])["samples"]) == (0, 6)
+
+
 def test_a_display_that_hangs_keeps_a_run_from_its_end_for_a_moment_only(flown: Flown) -> None:
     server = Served(flown.mission)
     with server:

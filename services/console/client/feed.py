@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from he3.errors import He3Error, InvalidInput
@@ -20,14 +20,17 @@ class MapFeed:
 
     _session: Client
 
-    def maps(self, timeout_s: float | None = None) -> Iterator[FeedMap]:
-        """The map with every change, from the feed: equal to the ground's to the byte. Ends after `timeout_s`."""
+    def maps(self, timeout_s: float | None = None, ended: Callable[[], bool] = lambda: False) -> Iterator[FeedMap]:
+        """The map with every change, from the feed: equal to the ground's to the byte.
+
+        Ends after `timeout_s` of wall time, or when `ended`, which is called several times a second, returns true.
+        """
         reader = FeedReader()
         frames: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         end = self._session.subscribe_raw(MAP_FEED, frames.put)
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         try:
-            while deadline is None or time.monotonic() < deadline:
+            while not ended() and (deadline is None or time.monotonic() < deadline):
                 if reader.needs_key:
                     self._ask_for_key(frames)
                 try:

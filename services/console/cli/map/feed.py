@@ -18,15 +18,28 @@ def follow(
     session: Session,
     limit_s: Annotated[
         float | None,
-        typer.Option("--seconds", metavar="S", help="End after S seconds of wall time; without it, on Ctrl-C.",
+        typer.Option("--seconds", metavar="S", help="End after S seconds of wall time at the latest.",
                      callback=within(0, MAX_WAIT_S)),
     ] = None,
     json: AsJsonLines = False,
 ) -> None:  # fmt: skip
-    """The map's feed: a line for each change as it comes, the present map first."""
-    began = time.monotonic()
+    """The map's feed: a line for each change as it comes, the present map first, until the mission is over."""
+    from he3.errors import PeerUnreachable
+
+    began, shown = time.monotonic(), -1
     with session.join() as client:
-        for current in client.maps(timeout_s=limit_s):
+        client.declare_display()
+        state = client.state()
+
+        def ended() -> bool:
+            state.refresh()
+            if state.is_silent:
+                raise PeerUnreachable(f"mission '{client.mission}': nothing heard for {state.silent_s:.0f} s")
+            status = state.status
+            return status is not None and status.is_over and shown >= status.map_revision
+
+        for current in client.maps(limit_s, ended):
+            shown = current.revision
             figures = {
                 "revision": current.revision,
                 "samples": current.samples,
