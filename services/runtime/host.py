@@ -117,7 +117,7 @@ FROM_OUTSIDE: Final = (Received, ReceivedRaw, QueryReceived, ReplyReceived)
 """Events that follow from what others send. An exception upon any other event ends the process."""
 
 SHOWN_OF_KNOWN: Final = 20
-"""Refused requests of a proven sender of which each has a line in the audit log, before only every tenfold has."""
+"""Refusals of what came with a right signature of which each has a line in the audit log; later every tenfold has."""
 
 DEFECT: Final = "a defect in the program: the input is set aside, see the log"
 
@@ -368,7 +368,7 @@ class Host:
             self._gate.admit_command(topic, header, body, now)
         except Refused as refusal:
             self._refused += 1
-            self._audit_refusal(topic, named_in(header, body), str(refusal), now)
+            self._audit_refusal(topic, named_in(header, body), str(refusal), now, each_of_first=True)
             return replace(given, objection=str(refusal))
         self._write_down(topic, header, body, now)
         return given
@@ -391,7 +391,8 @@ class Host:
             case ReplyError(token, topic, why):
                 who = self._asking.pop(token, None)
                 if who is not None and topic.signed:
-                    self._audit_refusal(topic, who, why, now, verified=self._gate is not None)
+                    known = self._gate is not None
+                    self._audit_refusal(topic, who, why, now, verified=known, each_of_first=known)
 
     def _write_down(self, topic: Topic, header: Header | None, body: Wire, now: MissionTime) -> None:
         if self._audit is not None and (isinstance(topic.service, Query) or topic is COMMAND):
@@ -409,11 +410,17 @@ class Host:
                 return QueryUnanswered(query, NoReply.REFUSED, why), actions
         return None, actions
 
-    def _audit_refusal(self, topic: Topic, who: str, why: str, now: MissionTime, *, verified: bool = False) -> None:
-        """Write down a refusal, unless there were many of that sender: each is counted, few have a line."""
+    def _audit_refusal(
+        self, topic: Topic, who: str, why: str, now: MissionTime, *, verified: bool = False, each_of_first: bool = False
+    ) -> None:
+        """Write down a refusal, unless there were many of that sender: each is counted, few have a line.
+
+        verified: whether the name is proven. each_of_first: whether each of the first has a line, since a process with
+        a right signature brought it.
+        """
         if self._audit is None:
             return
-        number, report = (self._refusals_of_known if verified else self._refusals).count(who)
+        number, report = (self._refusals_of_known if each_of_first else self._refusals).count(who)
         if report:
             self._audit.refused(topic, who, why, number, now, verified=verified)
 

@@ -191,6 +191,14 @@ def test_a_command_that_the_ground_makes_up_is_refused_by_the_rover(authority, g
     assert rover.bodies[0].objection == "command c-12: expected the signature of role operator, got none"
 
 
+def test_each_of_the_first_twenty_refused_commands_is_in_the_audit_log_and_of_a_flood_few(authority, ground, rover):
+    altered = consented(authority).model_copy(update={"kind": CommandKind.RESUME})
+    for _ in range(120):
+        rover.run(MessageArrived(COMMAND, uplink(ground, altered)))
+    assert [line["number_of_sender"] for line in rover.written] == [*range(1, 21), 100]
+    assert rover.host.refused == 120
+
+
 def test_a_command_of_a_viewer_is_refused_with_role_and_name(authority, ground, rover):
     rover.run(MessageArrived(COMMAND, uplink(ground, consented(authority, "viewer.anna"))))
     assert rover.bodies[0].objection == "command c-12 of viewer anna: expected role operator"
