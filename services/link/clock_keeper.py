@@ -78,7 +78,7 @@ class ClockKeeper:
             session.serve(CLOCKS[side], lambda query: query.reply(encode(*self._message())))
             if self._missing:
                 session.watch_alive(side, lambda name, alive: inbox.put(partial(self._process_seen, name, alive)))
-        context.sessions[Side.EARTH].serve(CLOCK_SET, lambda query: inbox.put(partial(self._set_rate, query)))
+        context.sessions[Side.EARTH].serve(CLOCK_SET, context.backlog.answering(inbox, CLOCK_SET, self._set_rate))
         self._announce()
         if self._missing:
             context.log.info("mission time waits", for_=", ".join(sorted(self._missing)))

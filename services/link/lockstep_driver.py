@@ -86,8 +86,8 @@ class TimeManagerDriver:
             session.watch_alive(side, self._on_member, MEMBERS)
             session.watch_alive(side, self._on_onlooker, ONLOOKERS)
         earth = context.sessions[Side.EARTH]
-        earth.serve(TIME_CONTROL, lambda query: inbox.put(partial(self._control, query)))
-        earth.serve(TIME_SHOW, lambda query: inbox.put(partial(self._show, query)))
+        earth.serve(TIME_CONTROL, context.backlog.answering(inbox, TIME_CONTROL, self._control))
+        earth.serve(TIME_SHOW, context.backlog.answering(inbox, TIME_SHOW, self._show))
         missing = manager.missing()
         if missing:
             context.log.info("mission time waits", for_=", ".join(missing))

@@ -87,7 +87,8 @@ def judge_claims(context: ProcessContext, reached: Reached = lambda name, at: No
 def _judge_side(context: ProcessContext, holders: RoleHolders, side: Side, reached: Reached) -> None:
     inbox, session = context.inbox, context.sessions[side]
     session.watch_alive(side, lambda name, alive: inbox.put(partial(holders.seen, side, name, alive)), HOLDERS)
-    session.serve(CLAIMS[side], lambda query: inbox.put(partial(_judge, context, holders, side, reached, query)))
+    judge = partial(_judge, context, holders, side, reached)
+    session.serve(CLAIMS[side], context.backlog.answering(inbox, CLAIMS[side], judge))
 
 
 def _judge(context: ProcessContext, holders: RoleHolders, side: Side, reached: Reached, query: IncomingQuery) -> None:

@@ -9,10 +9,18 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from he3.errors import Busy
+from services.runtime.refusals import refusal_of
+
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from schemas.topics import Topic
+    from services.runtime.inbox import Inbox
+    from services.runtime.transport.session import IncomingQuery
 
 MAX_MESSAGES: Final = 50_000
 """Of one topic: a few seconds of work. A link that releases its whole queue after a black-out sends 10,000."""
@@ -46,6 +54,36 @@ class Backlog:
         with self._lock:
             self._messages[topic] -= 1
             self._bytes[topic] -= size
+
+    def receiving(self, inbox: Inbox, topic: Topic, take_in: Callable[[bytes], None]) -> Callable[[bytes, bytes], None]:
+        """For a subscription: `take_in` is called in the main loop with each payload for which there is room."""
+
+        def handle(payload: bytes) -> None:
+            self.leave(topic, len(payload))
+            take_in(payload)
+
+        def on_payload(payload: bytes, _attachment: bytes) -> None:
+            if self.enter(topic, len(payload)):
+                inbox.put(partial(handle, payload))
+
+        return on_payload
+
+    def answering(
+        self, inbox: Inbox, topic: Topic, take_in: Callable[[IncomingQuery], None]
+    ) -> Callable[[IncomingQuery], None]:
+        """For a queryable: `take_in` is called in the main loop with each query; for want of room one is refused."""
+
+        def handle(query: IncomingQuery) -> None:
+            self.leave(topic, 0)
+            take_in(query)
+
+        def on_query(query: IncomingQuery) -> None:
+            if self.enter(topic, 0):
+                inbox.put(partial(handle, query))
+            else:
+                query.refuse(refusal_of(Busy(f"{topic.name}: too many queries wait; ask again later")))
+
+        return on_query
 
     def turned_away(self) -> list[tuple[Topic, int]]:
         """How many messages of which topics were turned away since the last call."""

@@ -10,8 +10,9 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-from schemas.codec import body_of
+from schemas.codec import TooMany, body_of
 from services.runtime.actions import SetAside
+from services.runtime.backlog import Backlog
 from services.runtime.log_limit import LogLimit
 from services.runtime.node import Cause, Finish, Level, LogRecord, PublishSnapshot
 from services.runtime.service_manager import ServiceManager
@@ -116,6 +117,8 @@ class ProcessContext:
     set_aside: SetAsideFile = field(default_factory=lambda: SetAsideFile(None))
     manager: ServiceManager = field(default_factory=ServiceManager)
     """The service manager that started this process, if one did."""
+    backlog: Backlog = field(default_factory=Backlog)
+    """Bounds what waits in the inbox, by topic."""
     log_limit: LogLimit = field(default_factory=LogLimit)
     """Bounds the log lines that others cause."""
     role: ClaimedRole | None = None
@@ -135,6 +138,9 @@ class ProcessContext:
         if self.role is not None:
             self.role.keep(monotonic_s)
         self.heartbeat.beat(monotonic_s, self.clock.latest)
+        for topic, count in self.backlog.turned_away():
+            why = f"{topic.name}: {count} more messages than this process has room for; it cannot keep up"
+            self.refused(topic, TooMany(why), count=count)
         self._write(self.log_limit.due(monotonic_s))
 
     def perform(self, action: Action) -> None:

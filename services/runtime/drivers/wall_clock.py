@@ -12,11 +12,10 @@ from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Protocol
 
-from he3.errors import Busy, InvalidInput
-from schemas.codec import Refused, TooMany, decode
+from he3.errors import InvalidInput
+from schemas.codec import Refused, decode
 from schemas.refusal import Refusal
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
-from services.runtime.backlog import Backlog
 from services.runtime.context import IDLE_S, ProcessContext
 from services.runtime.inbox import DRAINS_FOR_S
 from services.runtime.inputs import Input, MessageArrived, ProcessStarted
@@ -59,7 +58,7 @@ class ClockFollower:
         """Query the clock until it answers; a subscription brings every later change."""
         context = self._context
         session, inbox = context.sessions[self._side], context.inbox
-        session.subscribe(self._topic, lambda payload, _: inbox.put(partial(self._update, payload)))
+        session.subscribe(self._topic, context.backlog.receiving(inbox, self._topic, self._update))
         began_s, asked_at_s, reported = time.monotonic(), -inf, False
 
         def on_end(outcome: Outcome) -> None:
@@ -95,11 +94,9 @@ class ClockFollower:
 class WallClockDriver:
     """Runs one node on the wall clock."""
 
-    def __init__(
-        self, context: ProcessContext, time_source: TimeSource | None = None, backlog: Backlog | None = None
-    ) -> None:
-        """time_source: the mission's clock if None. backlog: bounds what waits; None: the usual bounds."""
-        self._backlog = backlog or Backlog()
+    def __init__(self, context: ProcessContext, time_source: TimeSource | None = None) -> None:
+        """time_source: the mission's clock if None."""
+        self._backlog = context.backlog
         self._context = context
         self._clock = context.clock
         self._inbox = context.inbox
@@ -124,10 +121,7 @@ class WallClockDriver:
             self._inbox.put(partial(self._take_message, MessageArrived(topic, payload), attachment))
 
     def on_query(self, topic: Topic, query: IncomingQuery) -> None:
-        if self._backlog.enter(topic, 0):
-            self._inbox.put(partial(self._take_query, topic, query))
-        else:
-            query.refuse(refusal_of(Busy(f"{topic.name}: too many queries wait; ask again later")))
+        self._backlog.answering(self._inbox, topic, partial(self._take_query, topic))(query)
 
     def _on_outcome(self, query: str, outcome: Outcome) -> None:
         self._inbox.put(partial(self._put, Kind.QUERY, outcome_input(query, outcome)))
@@ -145,7 +139,6 @@ class WallClockDriver:
         self._put(Kind.MESSAGE, given)
 
     def _take_query(self, topic: Topic, query: IncomingQuery) -> None:
-        self._backlog.leave(topic, 0)
         token = self._context.open_queries.next_token()
         try:
             given = query_input(topic, query, token)
@@ -167,7 +160,6 @@ class WallClockDriver:
             self._act_on_due()
             self._inbox.take(self._sleep_s())
             self._drain()
-            self._report_turned_away()
             now_s = time.monotonic()
             self._context.beat(now_s)
             self._time_source.tend(now_s)
@@ -183,11 +175,6 @@ class WallClockDriver:
                 return
             self._act_on_due()
             take_in()
-
-    def _report_turned_away(self) -> None:
-        for topic, count in self._backlog.turned_away():
-            why = TooMany(f"{topic.name}: {count} more messages than this process has room for; it cannot keep up")
-            self._context.refused(topic, why, count=count)
 
     def _act_on_due(self) -> None:
         while not self._inbox.stopped.is_set():

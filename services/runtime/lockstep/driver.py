@@ -49,7 +49,7 @@ class LockstepDriver:
         """Join; the reply has the present virtual time."""
         context, side, inbox = self._context, self._side, self._context.inbox
         session = context.sessions[side]
-        session.subscribe(CLOCKS[side], lambda payload, _: inbox.put(partial(self._take_clock, payload)))
+        session.subscribe(CLOCKS[side], context.backlog.receiving(inbox, CLOCKS[side], self._take_clock))
         grants = grant_to(context.name, side)
         session.subscribe(grants, lambda payload, _: inbox.put(partial(self._take_grant, payload)))
         session.declare_alive(self._io.process_id, side, MEMBERS)

@@ -13,6 +13,7 @@ from he3.errors import InvalidInput
 from schemas.topics import Side
 from services.link.clock_keeper import ClockKeeper
 from services.mission.mission_time import SECOND
+from services.runtime.backlog import Backlog
 from services.runtime.process_clock import ProcessClock
 
 START = 1_893_456_000 * SECOND
@@ -31,7 +32,8 @@ class Link:
         )  # fmt: skip
         self.clock = ProcessClock()
         context: Any = SimpleNamespace(
-            clock=self.clock, inbox=None, mission="m", name="link", sessions=dict.fromkeys(Side, session),
+            clock=self.clock, inbox=None, backlog=Backlog(),
+            mission="m", name="link", sessions=dict.fromkeys(Side, session),
             options=SimpleNamespace(
                 wait_for=wait_for, journal=journal, identity="link.main" if keys else None,
                 scenario=SimpleNamespace(start_ns=START, rate=rate),

@@ -5,9 +5,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+from schemas.codec import Refused
 from schemas.refusal import RefusalCode
-from schemas.topics import EVENT, LINK_SHOW, STATE
+from schemas.topics import EARTH_CLOCK, EVENT, LINK_SHOW, STATE, Topic
 from services.runtime.backlog import Backlog
+from services.runtime.context import ProcessContext
 from services.runtime.drivers.wall_clock import WallClockDriver
 from services.runtime.inbox import Inbox
 
@@ -36,7 +38,6 @@ class Loop:
         self.inbox = Inbox()
         self.beats = 0
         self.put: list[Any] = []
-        self.refused: list[tuple[str, str, int]] = []
         scheduler = SimpleNamespace(
             put=lambda order, given: self.put.append(given),
             run=lambda now, wait: [],
@@ -48,11 +49,10 @@ class Loop:
         )
         context: Any = SimpleNamespace(
             inbox=self.inbox, clock=clock, scheduler=scheduler, incarnation=1, resume=[], beat=self._beat,
-            refused=lambda topic, why, count: self.refused.append((topic.name, why.kind, count)),
-            open_queries=SimpleNamespace(next_token=lambda: 1, add=lambda *_: None),
+            backlog=backlog or Backlog(), open_queries=SimpleNamespace(next_token=lambda: 1, add=lambda *_: None),
         )  # fmt: skip
         time_source: Any = SimpleNamespace(tend=lambda now_s: None, begin=lambda: True)
-        self.driver = WallClockDriver(context, time_source, backlog)
+        self.driver = WallClockDriver(context, time_source)
 
     def _beat(self, monotonic_s: float) -> None:
         self.beats += 1
@@ -72,13 +72,25 @@ def test_a_flood_without_end_does_not_keep_the_main_loop_from_its_heartbeat() ->
 
 
 def test_messages_that_are_turned_away_are_counted_as_refused_and_the_rest_is_handled() -> None:
-    loop = Loop(Backlog(max_messages=2))
+    loop = Loop(backlog := Backlog(max_messages=2))
     for _ in range(7):
         loop.driver.on_message(STATE, b"junk", b"")
     loop.driver.on_message(EVENT, b"junk", b"")
     loop.driver.run()
     assert len(loop.put) == 1 + 2 + 1, "the start, and what had room"
-    assert loop.refused == [("tm/state", "too many", 5)]
+    refused: list[tuple[str, str, int]] = []
+
+    def refuse(topic: Topic, why: Refused, source: str = "", *, count: int) -> list[Any]:
+        refused.append((topic.name, why.kind, count))
+        return []
+
+    quiet: Any = SimpleNamespace(
+        beat=lambda *_: None, host=SimpleNamespace(refuse=refuse), latest=0, write=lambda *_: 0
+    )
+    context = ProcessContext(quiet, loop.inbox, {}, quiet, quiet, quiet, quiet, None, None, backlog=backlog)
+    context.beat(0.0)
+    context.beat(1.0)
+    assert refused == [("tm/state", "too many", 5)]
     loop.driver.on_message(STATE, b"junk", b"")
     assert loop.inbox.take(), "there is room again"
 
@@ -89,3 +101,16 @@ def test_a_query_that_is_turned_away_is_told_to_ask_again() -> None:
     loop.driver.on_query(LINK_SHOW, query)
     loop.driver.on_query(LINK_SHOW, query)
     assert [refusal.code for refusal in refusals] == [RefusalCode.BUSY]
+
+
+def test_what_a_process_takes_in_beside_its_node_is_bounded_alike() -> None:
+    inbox, backlog, taken = Inbox(), Backlog(max_messages=2), []
+    receive = backlog.receiving(inbox, EARTH_CLOCK, taken.append)
+    for number in range(5):
+        receive(b"%d" % number, b"")
+    inbox.take_all()
+    assert taken == [b"0", b"1"]
+    assert backlog.turned_away() == [(EARTH_CLOCK, 3)]
+    receive(b"5", b"")
+    inbox.take_all()
+    assert taken[-1] == b"5"
