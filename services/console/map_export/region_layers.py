@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from he3.errors import He3Error, InvalidInput
-from he3.frames import SiteGrid
-from schemas.maps import RegionLayer
 from services.console.map_export.contents import SIMULATION_ONLY, RasterLayer
-from services.mission.region_folder import file_sha256
+from services.mission.region_identity import is_region
 from services.mission.regions import load_region
 
 if TYPE_CHECKING:
@@ -30,25 +27,13 @@ def loaded_region(account: MapRegion, location: str | None = None) -> Region | s
     place = account.location if location is None else location
     try:
         region = load_region(place, account.field_seed)
-        changed = account.file_sha256 != "" and file_sha256(place) != account.file_sha256
-        if changed or not is_region(region, account):
+        if not is_region(region, account, place):
             raise InvalidInput(f"{place}: expected the mission's region '{account.name}', got another region")
     except He3Error as error:
         if location is not None:
             raise
         return f"elevation, slope, orbital map and reference are left out: {error}"
     return region
-
-
-def is_region(region: Region, account: MapRegion) -> bool:
-    """Whether that is the region of the account, by its name, grid, place and the provenance of its layers."""
-    grid = SiteGrid(account.rows, account.columns, account.resolution_m)
-    layers = tuple(RegionLayer(**asdict(origin)) for origin in region.layers)
-    place = (region.origin_lat_deg, region.origin_lon_deg, region.crs, region.origin_x_m, region.origin_y_m)
-    stated = (account.origin_lat_deg, account.origin_lon_deg, account.crs, account.origin_x_m, account.origin_y_m)
-    return (region.name, region.provenance, region.grid, layers, place) == (
-        account.name, account.provenance, grid, account.layers, stated,
-    )  # fmt: skip
 
 
 def region_layers(region: Region, account: MapRegion, mean_ppb: NDArray[Any], simulated: bool) -> Iterator[RasterLayer]:

@@ -15,10 +15,12 @@ import numpy as np
 
 from he3.errors import NotFound
 from he3.terrain import hillshade
+from services.mission.region_identity import is_region
 from services.mission.regions import load_region
 
 if TYPE_CHECKING:
     from he3.frames import Float32Array
+    from schemas.maps import MapRegion
     from services.ground.map.snapshot import MapSnapshot
 
 _reading = threading.Lock()  # two threads answer; one of them reads
@@ -46,18 +48,17 @@ def region_rasters(snapshot: MapSnapshot) -> RegionRasters:
     if account is None:
         raise NotFound("map: there is no account of the region, and so neither terrain nor reference")
     with _reading:
-        found = _read(account.location, account.field_seed)
-    if found.elevation_m.shape != snapshot.grid.shape:
-        raise NotFound(
-            f"map: expected a region of {snapshot.grid.shape} cells at {account.location}, "
-            f"got {found.elevation_m.shape}: it is not the mission's any more"
-        )
-    return found
+        return _read(account)
 
 
 @lru_cache(maxsize=1)
-def _read(location: str, field_seed: int | None) -> RegionRasters:
-    region = load_region(location, field_seed)
+def _read(account: MapRegion) -> RegionRasters:
+    region = load_region(account.location, account.field_seed)
+    if not is_region(region, account, account.location):
+        raise NotFound(
+            f"map: expected the mission's region '{account.name}' at {account.location}, got one that was built anew "
+            "or changed since"
+        )
     rasters: Final = RegionRasters(
         elevation_m=region.elevation_m.astype(np.float32),
         slope_deg=region.slope_deg.astype(np.float32),

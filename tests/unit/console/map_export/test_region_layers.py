@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from he3.errors import InvalidInput
-from services.console.map_export.region_layers import is_region, loaded_region
+from services.console.map_export.region_layers import loaded_region
 from services.ground.map.region_account import region_account
 from services.mission.region_folder import is_recorded, provenance_of
+from services.mission.region_identity import is_region
 from services.mission.regions import load_region
 from services.mission.scenario import Scenario
 

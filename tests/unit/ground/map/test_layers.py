@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from he3.colour_maps import OF_LAYER, stops
 from he3.errors import NotFound
-from schemas.maps import RASTERS, SIMULATED, TABLES, MapAbout, MapFormat, MapLayer, MapLayerQuery, MapScore
+from schemas.maps import RASTERS, SIMULATED, TABLES, MapAbout, MapFormat, MapLayer, MapLayerQuery, MapRegion, MapScore
 from services.console.__main__ import main
 from services.console.report.pictures import LAYER_LABELS
 from services.ground.map.layers import UNITS, whole_layer
 from services.ground.map.rendering import rendered
 from services.ground.map.snapshot import MapSnapshot
+from services.mission.region_folder import file_sha256
+from services.mission.regions import load_region
 from tests.unit.ground.map.test_service import GRID, REGION, snapshot
 
 ROOT = Path(__file__).parents[4]
@@ -45,7 +47,19 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> MapSnapshot:
     elevation = np.broadcast_to(-0.1 * GRID.x_m, GRID.shape) + 100.0
     he3 = np.full(GRID.shape, 9.0)
     np.savez(path, he3_ppb=he3, resolution_m=2.0, elevation_m=elevation, traversable=np.ones(GRID.shape, dtype=bool))
-    return replace(snapshot(SCORE), region=REGION.model_copy(update={"location": str(path)}))
+    return replace(snapshot(SCORE), region=account_of(path))
+
+
+def account_of(path: Path) -> MapRegion:
+    """The account of the region in that file."""
+    region = load_region(path)
+    return REGION.model_copy(update={
+        "location": str(path), "name": region.name, "title": region.title, "provenance": region.provenance,
+        "rows": region.grid.rows, "columns": region.grid.columns, "resolution_m": region.grid.resolution_m,
+        "origin_lat_deg": region.origin_lat_deg, "origin_lon_deg": region.origin_lon_deg, "crs": region.crs,
+        "origin_x_m": region.origin_x_m, "origin_y_m": region.origin_y_m, "layers": (),
+        "file_sha256": file_sha256(path),
+    })  # fmt: skip
 
 
 @every_raster
@@ -82,8 +96,17 @@ def test_a_mission_without_a_reference_field_tells_neither_reference_nor_error(s
 
 
 def test_a_region_that_is_not_the_missions_any_more_is_not_shown(simulated: MapSnapshot) -> None:
-    with pytest.raises(NotFound, match=r"expected a region of \(40, 50\) cells at t1, got \(500, 500\)"):
+    with pytest.raises(NotFound, match=r"expected the mission's region 'place' at t1, got one that was built anew"):
         values(MapLayer.SLOPE, snapshot())
+
+
+def test_a_region_that_was_built_anew_since_is_not_shown_although_it_has_as_many_cells(tmp_path: Path) -> None:
+    arrays = {"resolution_m": 2.0, "traversable": np.ones(GRID.shape, dtype=bool)}
+    np.savez(tmp_path / "region.npz", he3_ppb=np.full(GRID.shape, 9.0), **arrays)
+    shown = replace(snapshot(SCORE), region=account_of(tmp_path / "region.npz"))
+    np.savez(tmp_path / "region.npz", he3_ppb=np.full(GRID.shape, 8.0), **arrays)
+    with pytest.raises(NotFound, match=r"expected the mission's region .* got one that was built anew or changed"):
+        values(MapLayer.REFERENCE, shown)
 
 
 def unpacked(payload: bytes, about: MapAbout) -> NDArray[Any]:
