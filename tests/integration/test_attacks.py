@@ -65,8 +65,8 @@ from services.console.report.outputs import Outputs
 from services.console.report.progress import progress_for
 from services.mission.mission_time import SECOND
 from services.mission.regions import load_region
-from services.runtime.lockstep.stamp import Stamp
 from services.runtime.log_limit import FIRST
+from services.runtime.stamp import Stamp
 from services.runtime.transport.opening import open_client
 from services.runtime.trust.access_control import Right, allowed_keys
 from services.runtime.trust.identity import Identity, load_identity

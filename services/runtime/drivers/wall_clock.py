@@ -19,10 +19,10 @@ from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyErro
 from services.runtime.context import IDLE_S, ProcessContext
 from services.runtime.inbox import DRAINS_FOR_S
 from services.runtime.inputs import Input, MessageArrived, ProcessStarted
-from services.runtime.lockstep.stamp import read_stamp
 from services.runtime.process_clock import CLOCKS
 from services.runtime.refusals import refusal_of
 from services.runtime.scheduler import Kind
+from services.runtime.stamp import read_stamp
 from services.runtime.transport.inputs import outcome_input, query_input
 from services.runtime.transport.session import IncomingQuery, Outcome, Replied
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Protocol
 from schemas.lockstep import Grant, Join, Joined, StepDone
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.inputs import Input, ProcessStarted
-from services.runtime.lockstep.stamp import Stamp
 from services.runtime.node import Finish
 from services.runtime.scheduler import Kind, NodeScheduler
+from services.runtime.stamp import Stamp
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime

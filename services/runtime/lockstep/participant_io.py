@@ -16,8 +16,8 @@ from schemas.wire import Header
 from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyError
 from services.runtime.inputs import Input, MessageArrived
 from services.runtime.lockstep.participant import Participant
-from services.runtime.lockstep.stamp import Stamp, read_stamp
 from services.runtime.refusals import refusal_of
+from services.runtime.stamp import Stamp, read_stamp
 from services.runtime.transport.inputs import outcome_input, query_input
 
 if TYPE_CHECKING:

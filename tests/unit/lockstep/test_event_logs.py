@@ -20,10 +20,10 @@ from services.runtime.drivers.simulation import Simulation
 from services.runtime.host import Host
 from services.runtime.inputs import Input, MessageArrived, QueryArrived, QueryUnanswered, ReplyArrived
 from services.runtime.lockstep.participant import Participant
-from services.runtime.lockstep.stamp import Stamp, read_stamp
 from services.runtime.lockstep.time_manager import TimeManager
 from services.runtime.node import Node, NoReply
 from services.runtime.scheduler import NodeScheduler
+from services.runtime.stamp import Stamp, read_stamp
 
 _SPEC = importlib.util.spec_from_file_location("chatter", Path(__file__).parents[2] / "chatter.py")
 chatter = importlib.util.module_from_spec(_SPEC)

@@ -15,7 +15,6 @@ from services.runtime.actions import Action, Publish, PutQuery, Reply, ReplyErro
 from services.runtime.host import Host
 from services.runtime.inputs import Input, MessageArrived, QueryUnanswered
 from services.runtime.lockstep.participant import Participant
-from services.runtime.lockstep.stamp import Stamp
 from services.runtime.node import (
     Compute,
     Effect,
@@ -29,6 +28,7 @@ from services.runtime.node import (
     Started,
 )
 from services.runtime.scheduler import InlineExecutor, NodeScheduler
+from services.runtime.stamp import Stamp
 
 
 class Scripted:

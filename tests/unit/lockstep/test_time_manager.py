@@ -8,8 +8,8 @@ from he3.errors import InvalidInput
 from schemas.lockstep import Join, StepDone, TimeControl
 from services.mission.mission_time import SECOND
 from services.runtime.lockstep.pace import CATCHES_UP_S, Pace
-from services.runtime.lockstep.stamp import Stamp, read_stamp
 from services.runtime.lockstep.time_manager import TimeManager
+from services.runtime.stamp import Stamp, read_stamp
 
 NEWS = ("moon/news", "moon")
 MEASURE = ("moon/measure", "moon")
