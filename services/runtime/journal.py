@@ -300,13 +300,15 @@ class JournalReader:
         if not MCAP0_MAGIC.startswith(magic):
             raise JournalDamaged(f"{self._where}: expected a journal of this program, got other content; {_ANEW}")
         self._stream.seek(self._mark.offset or len(magic))
-        while head := self._stream.read(_FRAME.size):
+        # What a running process adds meanwhile is not read: it would be taken for damage where the file ended before.
+        while (left := end - self._stream.tell()) > 0:
+            head = self._stream.read(min(left, _FRAME.size))
             if len(head) == _FRAME.size:
                 opcode, length = _FRAME.unpack(head)
                 if opcode != 0 and length <= end - self._stream.tell():
                     yield opcode, self._stream.read(length)
                     continue
-            tail = head + self._stream.read()
+            tail = head + self._stream.read(end - self._stream.tell())
             if not self._is_torn(tail):
                 raise self._damaged()
 

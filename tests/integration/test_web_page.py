@@ -538,7 +538,7 @@ def test_an_operator_sees_the_mission_commands_it_and_goes_back_in_time(
     until(lambda: browser.find_elements("css selector", f"{alarm}.critical .acknowledge"), "the alarm")
     click(browser, f"{alarm} .acknowledge")
     until(lambda: "acknowledged" in written(browser, f"{alarm} .seen-by"), "the acknowledgement")
-    assert mission.log().entries[-1].text == "safe_mode acknowledged"
+    assert mission.log().entries[-1].text == "safe-mode acknowledged"
 
     # Everything is in the log: what is chosen is what is shown, and what becomes a file.
     until(lambda: "pause op-" in written(browser, "#log"), "the command in the log")
@@ -961,6 +961,7 @@ def test_lines_are_measured_and_samples_compared_with_the_map_by_keyboard(browse
 def test_what_the_map_shows_is_what_the_ground_answers_for_differences_and_layers_of_terrain(
     browser: Any, address: str, mission: MissionClient
 ) -> None:
+    until(lambda: len(mission.history().revisions) > 2, "three revisions of the map")
     past = mission.history().revisions
     now, then = past[-1].revision, past[1].revision
     browser.get("about:blank")

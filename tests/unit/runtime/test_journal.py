@@ -582,3 +582,17 @@ def test_a_reader_yields_every_record_of_a_file(tmp_path: Path) -> None:
     with (tmp_path / "rover-0001.mcap").open("rb") as stream:
         everything = list(JournalReader(stream, {**WHO, "node": "rover"}, "here"))
     assert len(everything) == 6
+
+
+@pytest.mark.parametrize("begun", [0, 1, 20])
+def test_a_reader_yields_what_a_running_process_had_written_when_it_began(tmp_path: Path, begun: int) -> None:
+    path = folder_with(tmp_path, inputs(8))
+    whole = path.read_bytes()
+    ends = _record_ends(tmp_path / "again", inputs(8))
+    path.write_bytes(whole[: ends[3] + begun])  # the process is in the middle of its fifth record
+    with path.open("rb") as stream, path.open("ab") as writing:
+        reading = iter(JournalReader(stream, {**WHO, "node": "rover"}, "here"))
+        read = [next(reading)]
+        writing.write(whole[ends[3] + begun :])
+        writing.flush()
+        assert len(read + list(reading)) == 4
