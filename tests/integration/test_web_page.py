@@ -1291,7 +1291,8 @@ def test_the_rest_of_the_mission_is_rehearsed_on_the_page_against_an_alternative
             code, body = get(f"{own}/api/rehearsal", {**OUR_PAGE, "origin": own}, {"draws": 100})
             assert code == 200
             number = json.loads(body)["number"]
-            script(browser, "document.getElementById('rehearsal-start').click()")
+            # Its button may be off by now, for the page may know already.
+            script(browser, "document.getElementById('rehearsal-form').requestSubmit()")
             until(lambda: "a rehearsal of local is under way" in written(browser, "#rehearsal-failure"), "the refusal")
             until(
                 lambda: not script(browser, "return document.getElementById('rehearsal-stop').hidden"), "its progress"
