@@ -305,7 +305,7 @@ class Host:
         """The input as it is to be kept and handled, and the actions that follow if it is refused (then it is None).
 
         It is asked once about each input, before a journal keeps it: its answer depends on wall time and on the
-        present roster, and what nobody can read must not fill the disk. What it refuses changes nothing.
+        present roster, and messages that cannot be decoded must not fill the disk. What it refuses changes nothing.
         """
         try:
             if self._gate is None:
@@ -335,7 +335,7 @@ class Host:
         return given, []
 
     def _require_form(self, given: Input, now: MissionTime) -> None:
-        """Raise Refused for an input that its topic does not admit, whoever sent it."""
+        """Raise Refused for an input that its topic does not admit from any sender."""
         match given:
             case MessageArrived(topic, payload) if topic not in self._interface.receives_raw:
                 self._decoded(topic, payload, now)

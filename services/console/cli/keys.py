@@ -79,10 +79,7 @@ def issue(
     role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None, json: AsJson = False
 ) -> None:
     """Issue an identity: a folder with a certificate and its key, for one process or person."""
-    from services.runtime.trust.authority import Authority
-    from services.runtime.trust.certificates import subject
-
-    authority, who = Authority(folder), subject(role, name)
+    authority, who = _about(folder, role, name)
     issued = authority.issue(who, timedelta(days=days), tuple(host or ()))
     typer.echo(_document(authority, who) if json else issued)
 
@@ -92,10 +89,7 @@ def renew(
     role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None, json: AsJson = False
 ) -> None:
     """Issue a new certificate for the same key. Running processes use it after a restart."""
-    from services.runtime.trust.authority import Authority
-    from services.runtime.trust.certificates import subject
-
-    authority, who = Authority(folder), subject(role, name)
+    authority, who = _about(folder, role, name)
     renewed = authority.renew(who, timedelta(days=days), tuple(host or ()))
     typer.echo(_document(authority, who) if json else renewed)
 
@@ -103,10 +97,7 @@ def renew(
 @app.command(epilog=EXAMPLES)
 def revoke(role: RoleName, name: PersonName, folder: In = KEYS, json: AsJson = False) -> None:
     """Take all rights from an identity. The routers refuse it as soon as the link is started with the new roster."""
-    from services.runtime.trust.authority import Authority
-    from services.runtime.trust.certificates import subject
-
-    authority, who = Authority(folder), subject(role, name)
+    authority, who = _about(folder, role, name)
     revoked = authority.revoke(who)
     said = f"{revoked.common_name} is revoked; copy {folder}/roster.json to each identity on other machines"
     typer.echo(_document(authority, who) if json else said)
@@ -123,6 +114,14 @@ def list_(folder: In = KEYS, json: AsJson = False) -> None:
         return
     for row in _rows(authority):
         typer.echo(f"{row['common_name']:<28} {row['state']:<8} until {row['expires']}")
+
+
+def _about(folder: Path, role: str, name: str) -> tuple[Authority, Subject]:
+    """The authority in that folder, and the subject of the identity that a command is about."""
+    from services.runtime.trust.authority import Authority
+    from services.runtime.trust.certificates import subject
+
+    return Authority(folder), subject(role, name)
 
 
 def _document(authority: Authority, who: Subject | None = None) -> str:

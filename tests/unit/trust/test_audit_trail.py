@@ -37,7 +37,7 @@ def written(path: Path, topic: Topic, *changes: Wire) -> list[dict[str, Any]]:
 
 
 class FullDisk:
-    """The file of an audit log on a disk that is full until somebody makes room: it takes a part of a line."""
+    """The file of an audit log on a disk that is full until room is made: it takes a part of a line."""
 
     def __init__(self, file: Any) -> None:
         self.file = file

@@ -186,15 +186,21 @@ def test_a_mission_is_silent_once_nothing_has_come_for_long(session: Any, monkey
     assert state.is_silent
 
 
+def that_lost_a_status(session: Any) -> MissionState:
+    """A state that follows a mission and has its status of 5 samples; the ground has sent one of 6 since."""
+    state = MissionState(session.client)
+    state.follow()
+    session.send(GROUND_STATUS, header(START), ground(5))
+    session.kept = {GROUND_STATUS: (header(START + 1), ground(6))}
+    return state
+
+
 def test_a_status_that_was_lost_is_asked_for_while_the_ground_is_alive(
     session: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = time.monotonic()
     monkeypatch.setattr("services.console.client.mission_state.time.monotonic", lambda: now)
-    state = MissionState(session.client)
-    state.follow()
-    session.send(GROUND_STATUS, header(START), ground(5))
-    session.kept = {GROUND_STATUS: (header(START + 1), ground(6))}
+    state = that_lost_a_status(session)
     beat = Presence(name="ground", side="earth", incarnation=1, software="1", pid=1, host="h", refused=0, events=0)
     for later_s, samples in ((1.0, 5), (4.0, 6)):
         now += later_s
@@ -207,10 +213,7 @@ def test_a_status_that_was_lost_is_asked_for_while_the_ground_is_alive(
 def test_a_ground_that_is_silent_is_not_asked_for_its_status(session: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     now = time.monotonic()
     monkeypatch.setattr("services.console.client.mission_state.time.monotonic", lambda: now)
-    state = MissionState(session.client)
-    state.follow()
-    session.send(GROUND_STATUS, header(START), ground(5))
-    session.kept = {GROUND_STATUS: (header(START + 1), ground(6))}
+    state = that_lost_a_status(session)
     now += 60.0
     state.refresh()
     assert state.status == ground(5)
