@@ -60,7 +60,8 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
             others = values[~broken]
             raise InvalidInput(
                 f"covariate {name}: expected values as the others, {others.min():g} to {others.max():g}, got "
-                f"{values[broken][0]:g} in {cells_where(broken)}: they hide what the others show; mend or clip them"
+                f"{values[broken][0]:g} in {cells_where(broken)}: such values hide what the others show; mend or clip "
+                "them"
             )
         layers[number] = values
     return layers

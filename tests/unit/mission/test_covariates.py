@@ -62,7 +62,7 @@ def test_the_gain_of_the_orbital_map_is_known_to_within_a_half_in_the_published_
         (
             "hot.npy",
             np.where(np.add.outer(np.arange(125), 1000 * np.arange(125)) == 4003, 1e6, HILLS),
-            "as the others, 0 to 82.6667, got 1e\\+06 in 1 cell, at row 3, column 4: they hide",
+            "as the others, 0 to 82.6667, got 1e\\+06 in 1 cell, at row 3, column 4: such values hide",
         ),
         ("cold.npy", np.where(np.add.outer(np.arange(125), HILLS[0]) < 1.5, -5e4, HILLS), "got -50000 in 7 cells"),
         ("text.npy", b"no array", "an array that NumPy reads"),
