@@ -1283,10 +1283,13 @@ def test_the_rest_of_the_mission_is_rehearsed_on_the_page_against_an_alternative
             until(lambda: browser.find_element("id", "rehearsal-start").is_enabled(), "the page to allow another")
             write(browser, "#rehearsal-draws", "100" + ENTER)
             until(lambda: "begun by local" in written(browser, "#rehearsal-note"), "another one")
+        until(lambda: written(browser, "#liveness").startswith("page disconnected"), "the loss of the server")
         # A server that is started anew has other numbers, and another reader's rehearsal is not this page's.
         with Served(other, "--port", port) as where:
             until(lambda: "which was started anew" in written(browser, "#rehearsal-failure"), "the end with the server")
             assert "Difference" in written(browser, "#rehearsal-table")
+            # Until its stream is open again, the page sends nothing.
+            until(lambda: not written(browser, "#liveness").startswith("page disconnected"), "the page's connection")
             own = where.rstrip("/")
             code, body = get(f"{own}/api/rehearsal", {**OUR_PAGE, "origin": own}, {"draws": 100})
             assert code == 200
