@@ -35,9 +35,11 @@ def information_gain(covariance: FloatArray, noise_variance: float) -> float:
     return float(information_gains(covariance[None], noise_variance)[0])
 
 
-def information_gains(covariances: FloatArray, noise_variance: float) -> FloatArray:
+def information_gains(covariances: FloatArray, noise_variance: float, shares: FloatArray | None = None) -> FloatArray:
     """Mutual information (...,) [nats] for each of a stack (..., k, k) of covariances: one batched factorisation.
 
+    shares: (..., k), how much of each measurement's information counts, 0 to 1; all of it if None. The information of a
+    measurement is what it adds to that of the measurements before it, so the sum is that of the chain rule.
     Raises InvalidInput as ``information_gain``, and NumericalFailure if a matrix is not a covariance.
     """
     stack = np.asarray(covariances, dtype=np.float64)
@@ -45,6 +47,8 @@ def information_gains(covariances: FloatArray, noise_variance: float) -> FloatAr
         raise InvalidInput(f"expected covariances (..., k, k), got {stack.shape}")
     if not noise_variance > 0:
         raise InvalidInput(f"expected a positive noise variance, got {noise_variance!r}")
+    if shares is not None and shares.shape != stack.shape[:-1]:
+        raise InvalidInput(f"expected shares {stack.shape[:-1]} of the measurements' information, got {shares.shape}")
     if stack.shape[-1] == 0:
         return np.zeros(stack.shape[:-2])
     ratio = stack / noise_variance
@@ -56,7 +60,8 @@ def information_gains(covariances: FloatArray, noise_variance: float) -> FloatAr
         raise NumericalFailure(
             f"expected covariances of a field over k places, got one of {stack.shape} that is not positive definite"
         ) from None
-    gains: FloatArray = np.log(factor[..., diagonal, diagonal]).sum(axis=-1)
+    each = np.log(factor[..., diagonal, diagonal])
+    gains: FloatArray = (each if shares is None else each * shares).sum(axis=-1)
     return gains
 
 

@@ -52,6 +52,17 @@ def test_a_stack_has_the_information_of_each_of_its_members() -> None:
         assert gains[index] == pytest.approx(information_gain(stack[index], NOISE), rel=1e-12)
 
 
+def test_of_each_measurement_counts_its_share_of_what_it_adds_to_those_before_it() -> None:
+    sets = np.random.default_rng(5).uniform(0, 200, (6, 4, 2))
+    stack = GaussianProcess(PRIOR).condition_on_places(places(10, 4)).posterior_covariances(sets)
+    of_first = np.array([[information_gain(each[:k, :k], NOISE) for k in range(5)] for each in stack])
+    shares = np.random.default_rng(6).uniform(0, 1, (6, 4))
+    counted = (shares * np.diff(of_first, axis=1)).sum(axis=1)
+    np.testing.assert_allclose(information_gains(stack, NOISE, shares), counted, rtol=1e-9)
+    np.testing.assert_array_equal(information_gains(stack, NOISE, np.ones((6, 4))), information_gains(stack, NOISE))
+    assert not information_gains(stack, NOISE, np.zeros((6, 4))).any()
+
+
 def test_what_is_not_a_covariance_is_refused() -> None:
     with pytest.raises(InvalidInput, match="expected one covariance"):
         information_gain(np.zeros(3), 0.1)
@@ -59,6 +70,8 @@ def test_what_is_not_a_covariance_is_refused() -> None:
         information_gains(np.zeros((2, 3)), 0.1)
     with pytest.raises(InvalidInput, match="expected a positive noise variance"):
         information_gain(np.eye(2), 0.0)
+    with pytest.raises(InvalidInput, match=r"expected shares \(2, 3\) of the measurements' information, got \(3,\)"):
+        information_gains(np.stack((np.eye(3), np.eye(3))), 0.1, np.ones(3))
     with pytest.raises(NumericalFailure, match="not positive definite"):
         information_gain(-np.eye(2), 0.1)
 

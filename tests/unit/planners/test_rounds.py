@@ -321,6 +321,20 @@ def test_the_fewer_samples_a_mission_has_the_farther_apart_informative_takes_the
     assert few > 1.2 * some > 1.2 * 1.2 * many
 
 
+def test_a_mission_of_few_samples_does_not_take_them_along_the_edge_of_the_site():
+    """Nothing is known: the most uncertain places lie along the edge, where half of a sample is of no use."""
+    mask = np.ones((50, 50), dtype=bool)
+    kernel = Hyperparameters(Matern52(1.0, 60.0), mean_ppb=7.0, scale_ppb=1.5)
+    request = request_over(
+        mask, (250.0, 250.0), grid=SiteGrid(50, 50, 10.0), hyperparameters=kernel, samples=5, samples_left=20,
+        options=PlannerOptions(),
+    )  # fmt: skip
+    for seed in range(4):
+        answer = plan("informative", replace(request, seed=seed))
+        from_edge_m = np.minimum(answer.samples_m, 500.0 - answer.samples_m).min(axis=1)
+        assert from_edge_m.min() > 30.0
+
+
 def test_a_round_through_chosen_places_goes_round_obstacles_and_stops_at_each_in_its_order() -> None:
     mask = np.ones((SIZE, SIZE), dtype=bool)
     mask[4:28, 14] = False  # a wall with a gap in the south

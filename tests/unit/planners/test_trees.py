@@ -12,7 +12,7 @@ from he3.frames import SiteGrid, path_length
 from he3.gp import Hyperparameters
 from he3.kernels import KERNELS, kernel_from
 from services.ground.planners import trees
-from services.ground.planners.informative import places_on_paths, with_least_length_scale
+from services.ground.planners.informative import places_on_paths, shares_inside, with_least_length_scale
 from services.ground.planners.polyline import places_along
 from services.ground.planners.traversability import OpenGround
 from services.ground.planners.trees import GrowthSettings, Tree, exploration_tree, tree_from_parents, tree_path
@@ -182,3 +182,13 @@ def test_a_raised_length_scale_keeps_half_the_correlation_at_the_given_distance(
     correlation = far.of_squared_distance(np.array([0.0, 40.0**2]))
     assert correlation[1] / correlation[0] == pytest.approx(0.5, abs=1e-3)
     assert with_least_length_scale(Hyperparameters(far), 30.0).kernel is far
+
+
+def test_a_sample_at_an_edge_of_the_site_tells_about_it_with_one_half_and_in_a_corner_with_one_quarter():
+    grid = SiteGrid(40, 60, 10.0)  # 600 m east, 400 m north
+    places = np.array(
+        [[[300.0, 200.0], [0.0, 200.0]], [[600.0, 400.0], [25.0, 200.0]], [[50.0, 370.0], [550.0, 200.0]]]
+    )
+    np.testing.assert_allclose(shares_inside(grid, places, 100.0), [[1.0, 0.5], [0.25, 0.75], [0.8, 1.0]])
+    wide = shares_inside(grid, np.array([[300.0, 200.0], [0.0, 200.0], [600.0, 0.0]]), 5000.0)
+    np.testing.assert_allclose(wide, [1.0, 0.5, 0.25])
