@@ -105,7 +105,7 @@ def test_an_earlier_name_of_a_scenario_still_works_and_one_line_gives_the_name_o
 @pytest.mark.parametrize("region", ["t1", "t2"])
 def test_the_scenario_of_a_region_differs_from_the_published_protocol_in_the_ground_alone(region: str) -> None:
     best, paper = choose(region).scenario, choose(f"{region}-paper").scenario
-    assert (best.ground.planner, best.ground.kernel, best.ground.pipeline) == ("tour", "smooth+rough", 2)
+    assert (best.ground.planner, best.ground.kernel, best.ground.pipeline) == ("tour", "auto", 2)
     same = {"name": paper.name, "description": paper.description}
     assert best.changed(top=same, ground=paper.ground.model_dump(mode="json")) == paper
 
