@@ -35,6 +35,10 @@ def child_environment() -> dict[str, str]:
     return environment
 
 
+BAD_INPUT = 2
+"""Exit code of a process whose input was bad: the same command meets it again."""
+
+
 def exit_in_words(code: int) -> str:
     """How a child ended, from its return code: 'exit code 2', 'killed by SIGKILL'."""
     if code >= 0:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 from he3.errors import He3Error, InvalidInput
 from schemas.topics import ONLOOKERS, Side, Topic
 from services.runtime.audit_trail import AuditTrail
+from services.runtime.child import BAD_INPUT
 from services.runtime.context import Driver, ProcessContext
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.drivers.wall_clock import WallClockDriver
@@ -100,7 +101,7 @@ def serve(
         run_process(service, options, inbox, make_driver, open_side)
     except He3Error as error:
         sys.stderr.write(f"he3 {service.name}: {error}\n")
-        return 2 if isinstance(error, InvalidInput) else 1
+        return BAD_INPUT if isinstance(error, InvalidInput) else 1
     return 0
 
 

@@ -261,6 +261,19 @@ def test_services_that_are_up_stay_up_without_a_recorder_that_dies_and_report_on
         assert process.wait() == 130
 
 
+def test_a_service_whose_input_is_bad_ends_its_starter_with_the_exit_code_of_bad_input(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    journals = tmp_path / "journals"
+    journals.mkdir()
+    (journals / "rover-0001.mcap").write_bytes(b"no journal of ours" * 99)
+    done = he3("up", "short", "--rate", "100", "--quiet", "--journal", str(journals), environment=environment)
+    assert (done.returncode, done.stdout) == (2, "")
+    *_, last = done.stderr.splitlines()
+    assert last.startswith("he3: the rover service ended by itself, exit code 2: he3 rover: ")
+    assert "rover-0001.mcap: expected a journal of this program, got other content" in last
+
+
 @pytest.mark.exhaustive
 def test_the_services_do_not_outlive_a_starter_that_was_killed(environment: dict[str, str]) -> None:
     with started("run", "short", "--rate", "100", "--quiet", environment=environment) as process:

@@ -11,12 +11,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from he3.errors import He3Error
+from he3.errors import He3Error, InvalidInput
 from schemas.wire import printable
 from services.console.interruption import uninterrupted
 from services.console.launch.endpoints import Endpoints
 from services.mission.processes import LINK, PROCESSES, RECORDER, VITAL, ProcessSpec, waited_for
-from services.runtime.child import child_environment, exit_in_words, python_command
+from services.runtime.child import BAD_INPUT, child_environment, exit_in_words, python_command
 from services.runtime.files.output import open_output
 
 STOP_WITHIN_S = 1.5
@@ -102,13 +102,14 @@ class Launcher:
                 log.close()
 
     def check(self) -> None:
-        """Raise He3Error, in one line, when a service has ended by itself."""
+        """Raise He3Error, in one line, when a service has ended by itself; InvalidInput if its input was bad."""
         for name in self._processes:
             if (how := self._ended(name)) is not None:
-                raise He3Error(how)
+                raise self._error(name, how)
 
     def check_vital(self) -> list[str]:
-        """Raise He3Error, in one line, when a service has ended without which the mission fails.
+        """Raise He3Error, in one line, when a service has ended without which the mission fails; InvalidInput if its
+        input was bad.
 
         Returns a line for each other service that has ended since the last call: the mission continues without it.
         """
@@ -117,7 +118,7 @@ class Launcher:
             if (how := self._ended(name)) is None:
                 continue
             if name in VITAL:
-                raise He3Error(how)
+                raise self._error(name, how)
             self._left_behind.add(name)
             lines.append(f"{how}; the mission continues without it")
         return lines
@@ -128,6 +129,10 @@ class Launcher:
         if code is None:
             return None
         return f"the {name} service ended by itself, {exit_in_words(code)}{self._last_words(name)}"
+
+    def _error(self, name: str, how: str) -> He3Error:
+        """What to raise for a service that has ended: its exit code tells bad input from a failure."""
+        return (InvalidInput if self._processes[name].returncode == BAD_INPUT else He3Error)(how)
 
     def failure(self, name: str) -> str | None:
         """One line on why that ended service failed; None if its exit code is 0."""
