@@ -20,6 +20,8 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 Place = tuple[float, float]
 """(x, y): metres east and north of the region's south-west corner."""
+ROUNDING_CELLS = 1e-7
+"""A place outside the site by no more than that [cells] counts as on its edge: it is outside by rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +75,16 @@ class SiteGrid:
 
     def contains(self, points_m: FloatArray) -> NDArray[np.bool_]:
         """Whether each of the places (N, 2) [m] lies in the region, edge included, (N,)."""
-        xy = as_points(points_m)
+        (x, y), slack = as_points(points_m).T, ROUNDING_CELLS * self.resolution_m
         inside: NDArray[np.bool_] = (
-            (xy[:, 0] >= 0) & (xy[:, 0] <= self.width_m) & (xy[:, 1] >= 0) & (xy[:, 1] <= self.height_m)
+            (x >= -slack) & (x <= self.width_m + slack) & (y >= -slack) & (y <= self.height_m + slack)
         )
         return inside
 
     def has(self, place_m: Place) -> bool:
         """Whether the place (x, y) [m] lies in the region, edge included."""
-        x_m, y_m = place_m
-        return 0 <= x_m <= self.width_m and 0 <= y_m <= self.height_m
+        (x_m, y_m), slack = place_m, ROUNDING_CELLS * self.resolution_m
+        return -slack <= x_m <= self.width_m + slack and -slack <= y_m <= self.height_m + slack
 
     def cells_of(self, points_m: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns, each (N,), of the cells that contain the places (N, 2) [m].

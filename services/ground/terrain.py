@@ -359,8 +359,9 @@ def along(path_m: Sequence[Place], step_m: float) -> Iterator[Place]:
     yield path_m[0]
     for (ax, ay), (bx, by) in pairwise(path_m):
         steps = max(1, ceil(hypot(bx - ax, by - ay) / step_m))
-        for number in range(1, steps + 1):
+        for number in range(1, steps):
             yield ax + (bx - ax) * number / steps, ay + (by - ay) * number / steps
+        yield bx, by
 
 
 def _footprint(radius_cells: float) -> BoolArray:

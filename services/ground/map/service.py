@@ -60,7 +60,7 @@ def point(request: MapPointQuery, snapshot: MapSnapshot) -> MapPoint:
     """The posterior at the centre of the cell that holds the place; nothing is interpolated."""
     grid = snapshot.grid
     x, y = request.x, request.y
-    if not (0.0 <= x <= grid.width_m and 0.0 <= y <= grid.height_m):
+    if not grid.has((x, y)):
         raise OutsideRegion(
             f"map: expected a place within 0..{grid.width_m:g} m east and 0..{grid.height_m:g} m north, "
             f"got ({x:g}, {y:g})"

@@ -29,6 +29,8 @@ from he3.frames import BoolArray, FloatArray, SiteGrid, as_points
 
 TOUCH = 1e-6
 """Distance within which a leg touches a cell [cells]: a thousand times the rounding of a coordinate."""
+_EDGE = 0.5 * TOUCH
+"""Distance by which a leg may leave the site [cells]: more than ``ROUNDING_CELLS``, and less than ``TOUCH``."""
 MOST_MARGIN = 0.2
 """Greatest distance that legs can keep from closed cells [cells]; a leg then crosses three cells of a slab at most."""
 
@@ -136,7 +138,7 @@ def _march(clearance: NDArray[np.uint8], steep: BoolArray, p: FloatArray, q: Flo
     """
     rows, columns = int(clearance.shape[0]), int(clearance.shape[1])
     n, m = np.where(steep, rows, columns), np.where(steep, columns, rows)
-    inside: BoolArray = (np.minimum(p, q) >= 0.0) & (np.maximum(p, q) <= np.column_stack((n, m)))
+    inside: BoolArray = (np.minimum(p, q) >= -_EDGE) & (np.maximum(p, q) <= np.column_stack((n, m)) + _EDGE)
     free = inside[:, 0] & inside[:, 1]
     forward = (p[:, 0] <= q[:, 0])[:, None]
     low, high = np.where(forward, p, q), np.where(forward, q, p)
@@ -170,7 +172,7 @@ def _march(clearance: NDArray[np.uint8], steep: BoolArray, p: FloatArray, q: Flo
 
 
 def _scalar_check(grid: SiteGrid, by_row: bytes, by_column: bytes, touch: float) -> SegmentCheck:
-    rows, columns, scale = grid.rows, grid.columns, 1.0 / grid.resolution_m
+    rows, columns, scale, edge = grid.rows, grid.columns, 1.0 / grid.resolution_m, _EDGE
 
     def free(ax: float, ay: float, bx: float, by: float) -> bool:
         x0, y0, x1, y1 = ax * scale, ay * scale, bx * scale, by * scale
@@ -181,7 +183,7 @@ def _scalar_check(grid: SiteGrid, by_row: bytes, by_column: bytes, touch: float)
             n, m, clearance = columns, rows, by_column
         if x0 > x1:
             x0, y0, x1, y1 = x1, y1, x0, y0
-        if x0 < 0.0 or x1 > n or y0 < 0.0 or y1 < 0.0 or y0 > m or y1 > m:
+        if x0 < -edge or x1 > n + edge or y0 < -edge or y1 < -edge or y0 > m + edge or y1 > m + edge:
             return False
         slope = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
         slab, last = max(floor(x0 - touch), 0), min(floor(x1 + touch), n - 1)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from he3.errors import InvalidInput, NoRoute, OutsideRegion
 from he3.frames import SiteGrid, path_length
 from services.ground.planners.routes import RouteFinder, shortened_path
+from services.ground.planners.tour.paths import shortest_path
 from services.ground.planners.traversability import MOST_MARGIN, TOUCH, OpenGround
 
 SIZE = 7
@@ -47,7 +48,7 @@ def meets(a, b, row, column, grown):
 def test_a_leg_is_free_exactly_when_every_cell_that_it_touches_or_is_too_near_to_is_traversable(mask, a, b, margin):
     ground = OpenGround(SiteGrid(SIZE, SIZE), mask, margin)
     answer = bool(ground.segments_free(np.array([a]), np.array([b]))[0])
-    inside = all(0 <= v <= SIZE for v in (*a, *b))
+    inside = all(-0.5 * TOUCH <= v <= SIZE + 0.5 * TOUCH for v in (*a, *b))
     closed = [tuple(cell) for cell in np.argwhere(~mask).tolist()]
     if not inside or any(meets(a, b, r, c, margin) for r, c in closed):
         assert not answer
@@ -158,3 +159,37 @@ def test_shortening_a_route_never_makes_it_longer():
         if np.isfinite(routes.distances_from(a)[int(b[1]), int(b[0])]):
             route = routes.route(a, b)
             assert path_length(shortened_path(ground, route)) <= path_length(route) + 1e-9
+
+
+@settings(max_examples=300)
+@given(
+    st.integers(2, 400), st.integers(2, 400), st.floats(0.01, 500.0), st.lists(st.floats(0, 1), min_size=3, max_size=3)
+)
+@example(13, 25, 214.023094, (0.2, 0.5, 0.9))
+def test_places_on_the_far_edges_of_a_site_are_on_it_whatever_the_size_of_its_cells(rows, columns, cell_m, shares):
+    """Rounding puts some of them, divided by the cells' size or seen from another corner, beyond the last cell."""
+    grid = SiteGrid(rows, columns, cell_m)
+    ground = OpenGround(grid, np.ones(grid.shape, dtype=bool))
+    width, height = grid.width_m, grid.height_m
+    along = np.array([[width, share * height] for share in shares] + [[share * width, height] for share in shares])
+    along = np.vstack((along, [[width, height]]))
+    assert grid.contains(along).all()
+    assert ground.is_open(along).all()
+    begins, ends = np.repeat(along, len(along), axis=0), np.tile(along, (len(along), 1))
+    assert ground.segments_free(begins, ends).all()
+    one = ground.segment_check()
+    assert all(one(*begin, *end) for begin, end in zip(begins.tolist(), ends.tolist(), strict=True))
+    for begin, end in zip(begins[::5], ends[::5], strict=True):
+        np.testing.assert_array_equal(shortest_path(ground, begin, end), [begin, end])
+
+
+def test_a_way_along_the_far_edge_of_a_site_leads_round_what_is_closed_there():
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        grid = SiteGrid(*(int(n) for n in rng.integers(60, 90, 2)), float(rng.uniform(0.1, 300.0)))
+        mask = np.ones(grid.shape, dtype=bool)
+        mask[grid.rows // 2, -4:] = False
+        ends = np.array([[grid.width_m, share * grid.height_m] for share in (0.45, 0.55)])
+        path = shortest_path(OpenGround(grid, mask), *ends)
+        np.testing.assert_array_equal(path[[0, -1]], ends)
+        assert len(path) > 2
