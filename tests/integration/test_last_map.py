@@ -13,7 +13,8 @@ import pytest
 
 from services.console.client.mission_client import MissionClient
 from services.console.launch.endpoints import Endpoints, free_endpoints
-from tests.integration.test_web_page import Served, chromium_or_skip, get, script, shown
+from tests.integration.web_page.page import chromium_or_skip, script, shown
+from tests.integration.web_page.server import Served, get
 from tests.processes import he3, start
 from tests.waiting import until
 

@@ -1,4 +1,4 @@
-// Made-up facts through the model of the page's timeline; run in the page by test_web_page.py.
+// Made-up facts through the model of the page's timeline; run in the page by test_timeline.py.
 const done = arguments[0];
 import("/static/timelinemodel.js").then((model) => {
   const at = (minutes) => minutes * 6e10, plan = (round, from, to) => ({ kind: "plan", round, begins_at: at(from), ends_at: at(to), at: 0 });

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from services.console.__main__ import main
-from tests.integration.test_web_page import barriers, chromium_or_skip, script, shown, written
+from tests.integration.web_page.page import barriers, chromium_or_skip, script, shown, written
 from tests.processes import he3, start
 from tests.waiting import until
 
