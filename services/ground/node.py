@@ -208,6 +208,9 @@ class GroundNode:
                 return [SendReply(token, self._previews.of(command, self._status.rover, now))]
             case QueryReceived(topic, _, token) if topic is SHOW_LOG:
                 return [SendReply(token, self._operations.listed())]
+            case QueryReceived(topic, _, token) if topic is FORK and self._director.ended:
+                how = self._status.status.phase.value
+                return [RefuseQuery(token, f"rehearsal: the mission has ended, {how}: nothing of it lies ahead")]
             case QueryReceived(topic, _, token) if topic is FORK:
                 return [SendReply(token, self._forking.fork(self.checkpoint(), self._status.rover, now))]
         effects = list(self._changed_by(event, now))

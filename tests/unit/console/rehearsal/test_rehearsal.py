@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from he3.errors import InvalidInput
+from he3.errors import He3Error, InvalidInput
 from he3.frames import SiteGrid
 from he3.gp import GaussianProcess
 from he3.hyperparameters import Hyperparameters
@@ -147,6 +147,13 @@ def test_copies_leave_no_trace_in_the_mission() -> None:
     asked.mission.run()
     left_alone.mission.run()
     assert asked.lines == left_alone.lines
+
+
+def test_of_a_mission_that_has_ended_nothing_is_rehearsed_and_the_ground_says_so() -> None:
+    live = Live()
+    live.mission.run()
+    with pytest.raises(He3Error, match=r"^rehearsal: the mission has ended, completed: nothing of it lies ahead$"):
+        live.start()
 
 
 def test_a_rehearsal_says_what_it_takes_for_granted() -> None:
