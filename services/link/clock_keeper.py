@@ -59,6 +59,8 @@ class ClockKeeper:
         self._kept = True
         self._anew = False
         """Whether this start of the link has begun mission time, because no earlier one had kept it."""
+        self._fastest = 0.0
+        """Greatest rate before the present one: processes go on at it until they have heard of a change."""
 
     def begin(self) -> bool:
         """Start the clock, or continue the one that an earlier start of this process kept."""
@@ -98,7 +100,8 @@ class ClockKeeper:
         In a mission with keys time is changed by people only, so it stands, and the log says why.
         """
         state = self._clock.anchored_now()
-        if not self._anew or at - state.anchor_mission_ns <= (1.0 + state.rate) * CATCHES_UP_FROM_S * SECOND:
+        rate = max(state.rate, self._fastest)
+        if not self._anew or at - state.anchor_mission_ns <= (1.0 + rate) * CATCHES_UP_FROM_S * SECOND:
             return
         began = f"mission time began anew with this start of the link, which had no saved clock (--journal); {name} has"
         if self._context.options.identity is not None:
@@ -133,6 +136,7 @@ class ClockKeeper:
 
     def _change_rate(self, rate: float) -> None:
         now = self._clock.anchored_now()
+        self._fastest = max(self._fastest, now.rate)
         self._clock.follow(at_rate(now, rate, now.anchor_wall_ns))
         self._announce()
 

@@ -74,6 +74,16 @@ def test_processes_that_have_not_begun_or_are_ahead_by_their_clock_s_error_chang
     assert link.warnings == []
 
 
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_a_process_that_ran_on_at_a_high_rate_until_it_heard_of_the_change_moves_no_time(rate: float) -> None:
+    link = Link(rate=20_000.0)
+    link.keeper._change_rate(rate)
+    link.keeper._reached("rover", link.clock.now() + 2 * HOUR)  # 0.36 s of wall time at the former rate
+    assert link.warnings == []
+    link.keeper._reached("rover", link.clock.now() + 24 * HOUR)
+    assert len(link.warnings) == 1
+
+
 def test_in_a_mission_with_keys_no_process_moves_time_and_the_log_says_once_why_it_stands() -> None:
     link = Link(keys=True)
     for _ in range(3):
