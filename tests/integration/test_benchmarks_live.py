@@ -41,10 +41,18 @@ def test_a_map_query_while_planning_is_measured_beside_a_bare_queryable(tmp_path
     row = json.loads((tmp_path / "query.json").read_text())
     assert row["queries"] == 40
     assert row["plans"] >= 1
+    assert row["missions"] >= 1
     assert 0 < row["point_p50_s"] <= row["point_p99_s"]
     assert 0 < row["bare_p50_s"] <= row["bare_p99_s"]
     assert row["ratio"] < 10, "a plan being computed must never delay a query"
     assert "ratio of the medians" in lines[-1]
+
+
+@pytest.mark.exhaustive
+def test_when_a_mission_ends_before_enough_map_queries_were_asked_the_next_one_starts(tmp_path):
+    row = query_latency.run(queries=4, scenario="short", rate=20_000.0, plans=4, say=[].append)
+    assert (row["queries"], row["plans"]) == (4, 4)
+    assert row["missions"] >= 2, "a mission of three rounds computes two plans after its first"
 
 
 @pytest.mark.exhaustive
