@@ -1,4 +1,4 @@
-"""A journal in memory, with exactly the bytes that a process would write to its files."""
+"""A journal in memory, with exactly the bytes that a process would have on its disk after a power failure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ class SimulatedJournal:
         self.identity = identity
         self._codec = codec
         self._stream = io.BytesIO()
-        self._writer = JournalWriter(self._stream, identity, codec, self._keep)
+        self._on_disk = 0
+        self._writer = JournalWriter(self._stream, identity, codec, self._keep, sync=self._sync)
         self._torn = b""
         self._mark = Mark()
         self._state: bytes | None = None
@@ -46,6 +47,9 @@ class SimulatedJournal:
     def checkpoint(self, state: SavedState) -> None:
         self._writer.checkpoint(state)
 
+    def _sync(self) -> None:
+        self._on_disk = self._stream.tell()
+
     def _keep(self, mark: Mark, _starts: int, state: bytes) -> None:
         self._mark, self._state = mark, state
 
@@ -55,6 +59,6 @@ class SimulatedJournal:
 
     def entries(self, since_checkpoint: bool = False) -> list[tuple[MissionTime, Input]]:
         """The inputs kept, or only those after the last checkpoint, read back from the bytes."""
-        stream = io.BytesIO(self._stream.getvalue() + self._torn)
+        stream = io.BytesIO(self._stream.getvalue()[: self._on_disk] + self._torn)
         reader = JournalReader(stream, self.identity, "journal", self._mark if since_checkpoint else Mark())
         return [(record.now, decode_input(record.channel, record.data, self._codec)) for record in reader]

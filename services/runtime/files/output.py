@@ -10,6 +10,7 @@ import errno
 import os
 import secrets
 import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -40,15 +41,34 @@ def write_output(path: Path, content: bytes) -> None:
 
 
 def replace_output(path: Path, content: bytes) -> None:
-    """Write a file in place of an earlier one, in one step: a reader sees the old file or the new one."""
+    """Write a file in place of an earlier one, in one step: a reader sees the old file or the new one, after a power
+    failure, too.
+    """
     scratch = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
         with open_output(scratch, new=True) as stream:
             stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
         scratch.replace(path)
+        sync_folder(path.parent)
     except BaseException:
         scratch.unlink(missing_ok=True)
         raise
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in that folder, and its own name, safe from a power failure, where the file system can do that.
+
+    A network file system may refuse, and the parent may belong to somebody else: neither is an error.
+    """
+    for each in (folder, folder.parent):
+        with suppress(OSError):
+            descriptor = os.open(each, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
 
 
 def require_own(found: os.stat_result, path: Path) -> None:

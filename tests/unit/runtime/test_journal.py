@@ -331,6 +331,39 @@ def test_a_journal_that_cannot_be_written_is_one_line_and_what_was_written_befor
 
 
 @pytest.mark.parametrize("checkpoints", [False, True])
+def test_what_is_handled_is_on_the_disk_so_that_a_power_failure_does_not_undo_it(
+    checkpoints: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_disk: dict[int, int] = {}
+
+    def synced(descriptor: int) -> None:
+        found = os.fstat(descriptor)
+        on_disk[found.st_ino] = found.st_size
+
+    monkeypatch.setattr(os, "fdatasync", synced)
+    monkeypatch.setattr(os, "fsync", synced)
+    folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
+    writer = folder.begin(folder.history() if checkpoints else None)
+    assert tmp_path.stat().st_ino in on_disk, "the name of the file is on the disk"
+    for now, each in inputs(8):
+        writer.append(now, [each])
+        found = (tmp_path / "rover-0001.mcap").stat()
+        assert on_disk[found.st_ino] == found.st_size
+    ended(writer)
+
+
+def test_an_input_that_the_disk_refuses_is_not_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(_descriptor: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    writer = JournalFolder(tmp_path, "rover", WHO, CODEC).begin()
+    monkeypatch.setattr(os, "fdatasync", refused)
+    with pytest.raises(He3Error, match=r"rover-0001\.mcap: cannot write the journal: Input/output error"):
+        writer.append(1, [TimerElapsed("a")])
+    ended(writer)
+
+
+@pytest.mark.parametrize("checkpoints", [False, True])
 def test_nothing_is_accepted_once_the_journal_was_deleted(tmp_path: Path, checkpoints: bool) -> None:
     folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
     writer = folder.begin(folder.history() if checkpoints else None)

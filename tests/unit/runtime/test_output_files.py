@@ -63,6 +63,17 @@ def test_a_file_put_in_place_of_a_link_leaves_what_the_link_names(link: tuple[Pa
     assert sorted(path.name for path in planted.parent.iterdir()) == ["planted", "victim"]
 
 
+def test_a_file_that_is_put_in_place_of_another_is_on_the_disk_before_and_its_name_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "clock.json"
+    path.write_bytes(b"old")
+    seen: list[tuple[int, bytes]] = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: seen.append((os.fstat(descriptor).st_ino, path.read_bytes())))
+    replace_output(path, b"new")
+    assert seen[:2] == [(path.stat().st_ino, b"old"), (tmp_path.stat().st_ino, b"new")]
+
+
 def test_a_lock_file_with_a_second_name_is_left_alone(tmp_path: Path) -> None:
     victim = tmp_path / "victim"
     victim.write_text("precious")
