@@ -12,7 +12,7 @@ import hashlib
 import json
 import sys
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -70,6 +70,36 @@ def write_checkpoint(path: Path, identity: Mapping[str, str], checkpoint: Checkp
     text = json.dumps(head).encode()
     content = b"".join((len(text).to_bytes(_LENGTH_BYTES, "little"), text, checkpoint.state))
     replace_output(path, zlib.crc32(content).to_bytes(CRC_BYTES, "little") + content)
+
+
+class CheckpointKeeper:
+    """Replaces a checkpoint file. One that cannot be written is reported once, until one is written again.
+
+    The journal alone is the history then, so nothing is lost, and the restart after it takes longer.
+    """
+
+    def __init__(self, path: Path, identity: Mapping[str, str], report: Callable[[str], None]) -> None:
+        """report: is given one line when writing begins to fail, and one when it succeeds again."""
+        self._path = path
+        self._identity = identity
+        self._report = report
+        self._failed = 0
+
+    def keep(self, checkpoint: Checkpoint) -> None:
+        """Write the checkpoint, if the system lets it be written."""
+        try:
+            write_checkpoint(self._path, self._identity, checkpoint)
+        except OSError as error:
+            self._failed += 1
+            if self._failed == 1:
+                self._report(
+                    f"{self._path}: cannot write the checkpoint: {error.strerror or type(error).__name__}; "
+                    "the journal goes on without it, so a restart takes longer"
+                )
+            return
+        if self._failed:
+            self._report(f"{self._path}: the checkpoint is written again; {self._failed} before it were not")
+            self._failed = 0
 
 
 def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapping[str, int]) -> Checkpoint | str:

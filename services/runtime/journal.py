@@ -25,7 +25,6 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from io import SEEK_END, BytesIO
@@ -42,10 +41,10 @@ from he3.errors import He3Error, InvalidInput
 from services.runtime.checkpoint_file import (
     CRC_BYTES,
     Checkpoint,
+    CheckpointKeeper,
     JournalDamaged,
     Mark,
     read_checkpoint,
-    write_checkpoint,
 )
 from services.runtime.files.output import failed, open_output, sync_folder
 from services.runtime.input_codec import decode_input, encode_input
@@ -187,8 +186,11 @@ class JournalFolder:
         except OSError as error:
             raise failed(f"{error.filename or self._folder}: cannot read the journal", error) from None
 
-    def begin(self, history: History | None = None) -> JournalWriter:
-        """The writer of the next file; `history` is what the earlier ones hold, for one that keeps checkpoints."""
+    def begin(self, history: History | None = None, report: Callable[[str], None] = lambda _: None) -> JournalWriter:
+        """The writer of the next file; `history` is what the earlier ones hold, for one that keeps checkpoints.
+
+        report: is given a line when checkpoints can no longer be written, and when they can again.
+        """
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._folder / f"{self._node}-{len(self._files()) + 1:04d}.mcap"
@@ -206,12 +208,10 @@ class JournalFolder:
         if history is None:
             return JournalWriter(stream, self._identity, self._codec, where=str(path), is_there=is_there, sync=sync)
         earlier_starts = history.starts
+        keeper = CheckpointKeeper(self._checkpoint, self._identity, report)
 
         def keep(mark: Mark, starts: int, state: bytes) -> None:
-            checkpoint = Checkpoint(path.name, mark, earlier_starts + starts, state)
-            # On a full disk the journal alone is the history, and the restart after it takes longer.
-            with suppress(OSError):
-                write_checkpoint(self._checkpoint, self._identity, checkpoint)
+            keeper.keep(Checkpoint(path.name, mark, earlier_starts + starts, state))
 
         return JournalWriter(stream, self._identity, self._codec, keep, str(path), is_there, sync)
 

@@ -151,7 +151,7 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
         if service.journals:
             folder = JournalFolder(options.journal, service.name, identity_of(options.scenario), host.codec)
             history = folder.history()
-    scheduler = NodeScheduler(host, executor, None if folder is None else folder.begin(history))
+    scheduler = NodeScheduler(host, executor, None if folder is None else folder.begin(history, log.warning))
 
     def publish(topic: Topic, side: Side, payload: bytes) -> None:
         sessions[side].publish_best_effort(topic, payload)

@@ -408,6 +408,26 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_journal_and_the_earlier_
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rover-0001.mcap", "rover.checkpoint"]
 
 
+def test_checkpoints_that_cannot_be_written_are_reported_once_for_each_spell(tmp_path: Path) -> None:
+    folder = JournalFolder(tmp_path, "rover", WHO, CODEC)
+    lines: list[str] = []
+    writer = folder.begin(folder.history(), lines.append)
+    large = {"large": "x" * 10_000}
+    for spell in (3, 1):
+        with files_no_longer_than(5_000):
+            for _ in range(spell):
+                writer.checkpoint(large)
+        writer.checkpoint(large)
+        writer.checkpoint(large)
+    ended(writer)
+    begins = (
+        f"{tmp_path / 'rover.checkpoint'}: cannot write the checkpoint: File too large; "
+        "the journal goes on without it, so a restart takes longer"
+    )
+    ends = f"{tmp_path / 'rover.checkpoint'}: the checkpoint is written again;"
+    assert lines == [begins, f"{ends} 3 before it were not", begins, f"{ends} 1 before it were not"]
+
+
 def test_a_later_checkpoint_replaces_an_earlier_one(tmp_path: Path) -> None:
     folder = checkpointed(tmp_path, before=7, after=5)
     writer = folder.begin(folder.history())
