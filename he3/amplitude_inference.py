@@ -17,7 +17,7 @@ The member's weight is shared. That of the local one has prior odds of ``ODDS``,
 few samples of a quiet part do not show that it has no peak.
 
 Shapes, odds, power and limits were chosen on sets of samples of quarters of two SRTM pieces, of a part of Walker Lake,
-of six pieces of the lunar LDEM_4, and of heights and slopes of Apollo 17. [measured: docs/scenarios.md]
+of six pieces of the lunar LDEM_4, and of heights and slopes of Apollo 17. [measured: docs/uncertainty.md]
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 PRIOR_WEIGHTS = {"smooth+rough": 1.0, "matern12": 0.6, "matern32": 0.3, "matern52": 0.04, "se": 0.003}
 """1, of each family. The smoother a kernel, the less it leaves unknown between samples, and of what varies there the
 samples say next to nothing unless some of them are close together [chosen on 24 pieces of other fields than the exam's:
-docs/scenarios.md]."""
+docs/uncertainty.md]."""
 POWER = 0.1
 """1, of the samples' densities. With 0.2, now and then a smooth kernel had most of the weight on a rough field, and the
 map was too certain [chosen with the weights]."""
