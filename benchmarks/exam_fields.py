@@ -3,7 +3,7 @@
 A field's values are mapped linearly to 0..20 ppb, because the belief's priors are in ppb; all scores are in units of
 the field's standard deviation and do not depend on that. A raster with more cells than ``MOST_CELLS`` on a side is
 averaged over blocks. A cell without a value is closed ground and is not scored. All other cells are open, but for the
-embedded regions, which keep their terrain.
+embedded regions, which keep their terrain, and an .npz that a user brings, which keeps its obstacles.
 """
 
 from __future__ import annotations
@@ -121,7 +121,8 @@ def load_field(name: str, data: Path | None, noise_share: float | None = None) -
         raise InvalidInput(f"exam: expected fields out of {', '.join(_names_in(data))}; got {name!r}")
     if source is None:
         values, cell_m = _raster(path, "")
-        return _field(path, name, name, values, cell_m or 1.0, None, noise_share)
+        ground = load_region(path).traversable if path.suffix.lower() == ".npz" else None
+        return _field(path, name, name, values, cell_m or 1.0, None, noise_share, ground)
     values, cell_m = _raster(path, source.part, published=True)
     return _field(path, name, source.title, values, source.cell_m or cell_m or 1.0, source.noise, noise_share)
 
@@ -131,9 +132,21 @@ def _file_of(data: Path, source: _Source) -> Path | None:
 
 
 def _field(
-    path: Path, name: str, title: str, values: FloatArray, cell_m: float, noise: float | None, share: float | None
+    path: Path,
+    name: str,
+    title: str,
+    values: FloatArray,
+    cell_m: float,
+    noise: float | None,
+    share: float | None,
+    ground: BoolArray | None = None,
 ) -> ExamField:
-    """The field of a raster, row 0 south, NaN where there is no value. noise: published std in the raster's unit."""
+    """The field of a raster, row 0 south, NaN where there is no value. noise: published std in the raster's unit.
+
+    ground: the raster's cells that are open, all with a value if None. A block of cells is closed where half of them
+    or more are.
+    """
+    opened = None if ground is None else coarser(ground.astype(np.float64), cell_m)[0] > 0.5
     values, cell_m = coarser(values, cell_m)
     if min(values.shape) < LEAST_CELLS:
         raise InvalidInput(f"{path}: expected at least {LEAST_CELLS} x {LEAST_CELLS} cells, got {values.shape}")
@@ -153,8 +166,8 @@ def _field(
     flat = np.zeros(grid.shape)
     region = Region(
         name=name, title=title, provenance=path.name, grid=grid, he3_ppb=he3_ppb,
-        orbital_ppb=orbital_view(he3_ppb, grid), elevation_m=flat, slope_deg=flat.copy(), traversable=known.copy(),
-        known=known,
+        orbital_ppb=orbital_view(he3_ppb, grid), elevation_m=flat, slope_deg=flat.copy(),
+        traversable=known.copy() if opened is None else known & opened, known=known,
     )  # fmt: skip
     return ExamField(name, title, region, known, noise_std_ppb)
 

@@ -33,6 +33,28 @@ def test_cells_without_a_value_are_closed_and_do_not_count(tmp_path):
     assert np.isfinite(field.region.he3_ppb).all()
 
 
+def test_a_region_of_a_user_keeps_its_obstacles(tmp_path):
+    walled = np.ones(SLOPE.shape, dtype=np.bool_)
+    walled[:12, 7] = False
+    unknown = SLOPE.copy()
+    unknown[15, 20] = np.nan
+    np.savez(tmp_path / "wall.npz", he3_ppb=unknown, traversable=walled, resolution_m=2.0)
+    field = load_field("wall.npz", tmp_path)
+    assert (field.region.traversable == (walled & field.known)).all()
+    assert (~field.known).sum() == 1
+    assert field.region.grid.resolution_m == 2.0
+
+
+def test_a_block_of_a_large_region_is_closed_where_half_of_its_cells_are(tmp_path):
+    values = np.add.outer(np.arange(MOST_CELLS + 2.0), np.zeros(40))
+    walled = np.ones(values.shape, dtype=np.bool_)
+    walled[4, 6:8] = walled[10:12, 20] = walled[20, 30] = False
+    np.savez(tmp_path / "large.npz", he3_ppb=values, traversable=walled, resolution_m=2.0)
+    region = load_field("large.npz", tmp_path).region
+    assert region.grid.resolution_m == 4.0
+    assert np.argwhere(~region.traversable).tolist() == [[2, 3], [5, 10]]
+
+
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
 def test_pixels_that_an_alpha_band_hides_have_no_value(dtype, tmp_path):
     rasterio = pytest.importorskip("rasterio")
