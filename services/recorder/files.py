@@ -1,11 +1,13 @@
 """The file of a recording: an earlier recording is kept beside it, and messages survive a disk that is full for a time.
 
 Bytes that the system refuses to write wait in memory and are tried again with each flush, so the file continues exactly
-where it stopped once there is room.
+where it stopped once there is room. A file that is deleted meanwhile is lost with all that it held; `failure` says so.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import Protocol, Self
@@ -16,6 +18,10 @@ from services.runtime.files.output import open_output
 
 BUFFER_BYTES = 65_536
 """Buffered bytes at which the file is written without a flush."""
+
+
+DELETED = "the recording was deleted while it was written"
+"""What `failure` says of a file that has no name any more."""
 
 
 class RawFile(Protocol):
@@ -29,12 +35,17 @@ class RawFile(Protocol):
 class RecordingFile:
     """A binary file whose `write` never fails. Use it in a `with` statement."""
 
-    def __init__(self, path: Path, raw: RawFile, lock: FileLock | None = None) -> None:
-        """lock: released when the file is closed."""
+    def __init__(
+        self, path: Path, raw: RawFile, lock: FileLock | None = None, is_there: Callable[[], bool] = lambda: True
+    ) -> None:
+        """lock: released when the file is closed. is_there: whether the file has a name still, so that it is found."""
         self.path = path
         self._lock = lock
         self.failure: str | None = None
         """Why the system refuses to write; None if it does not."""
+        self.deleted = False
+        """Whether the file was deleted while it was written; then it holds nothing that anybody can read."""
+        self._is_there = is_there
         self._raw = raw
         self._pending = bytearray()
         self._written = 0
@@ -55,6 +66,9 @@ class RecordingFile:
 
     def write(self, data: bytes) -> int:
         """Append the data."""
+        if self.deleted:  # neither memory nor disk is filled for a file that nobody can open
+            self._written += len(data)
+            return len(data)
         self._pending += data
         if self.failure is None and len(self._pending) >= BUFFER_BYTES:
             self.flush()
@@ -68,8 +82,13 @@ class RecordingFile:
                 self._written += taken
                 del self._pending[:taken]
             self.failure = None
+            self._look_for_name()
         except OSError as error:
             self.failure = error.strerror or type(error).__name__
+
+    def _look_for_name(self) -> None:
+        if self.deleted or not self._is_there():
+            self.deleted, self.failure = True, DELETED
 
     def close(self) -> None:
         """Write what waits, if that is possible now, and close the file."""
@@ -97,7 +116,10 @@ def open_recording(path: Path) -> RecordingFile:
     try:
         if path.is_file() and path.stat().st_size > 0:
             path.rename(free_name(path))
-        return RecordingFile(path, open_output(path, buffering=0), lock)
+        raw = open_output(path, buffering=0)
+        if not os.fstat(raw.fileno()).st_nlink:
+            return RecordingFile(path, raw, lock)  # /dev/stdout leads to a file that never had a name
+        return RecordingFile(path, raw, lock, lambda: os.fstat(raw.fileno()).st_nlink > 0)
     except OSError as error:
         lock.release()
         raise He3Error(f"{path}: cannot write the recording: {error.strerror}") from None

@@ -33,6 +33,10 @@ class Sink(Protocol):
         """One line on why messages cannot be written at present; None if they can."""
 
     @property
+    def lost(self) -> bool:
+        """Whether the recording is gone, with all that was written."""
+
+    @property
     def omitted(self) -> int:
         """Messages that were left out, because writing failed for too long."""
 
@@ -59,6 +63,7 @@ class RecorderNode:
         self._flush_after = seconds(flush_s)
         self._flush_pending = False
         self._failure: str | None = None
+        self._lost = False
 
     @property
     def interface(self) -> Interface:
@@ -101,9 +106,12 @@ class RecorderNode:
         return []
 
     def _report_failure(self) -> Iterable[Effect]:
-        """A log record when writing begins to fail and when it succeeds again; otherwise none."""
+        """A log record when writing begins to fail, when it succeeds again, and when the file is gone; else none."""
         failure, before = self._sink.failure, self._failure
         self._failure = failure
+        if self._sink.lost:
+            first, self._lost = not self._lost, True
+            return [LogRecord(Level.ERROR, f"{failure}; the mission goes on without it")] if first else []
         if failure is not None and before is None:
             text = f"{failure}; messages wait in memory, and writing is tried again"
             return [LogRecord(Level.ERROR, text)]

@@ -51,6 +51,11 @@ class RecordingSink:
         return None if cause is None else f"{self._file.path}: {cause}"
 
     @property
+    def lost(self) -> bool:
+        """Whether the file was deleted, so that nothing of the mission is recorded, whatever follows."""
+        return self._file.deleted
+
+    @property
     def omitted(self) -> int:
         """Messages that were not taken because too much waited for the file."""
         return self._omitted
@@ -65,7 +70,7 @@ class RecordingSink:
             if not missing:
                 return None
         else:
-            missing = total - self._recorded
+            missing = total if self._file.deleted else total - self._recorded
         what = f"{missing} of {total} messages are not recorded" if missing else "the summary is missing"
         return f"{self._file.path}: {cause}: {what}"
 

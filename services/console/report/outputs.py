@@ -148,7 +148,8 @@ def write_outcome(
             write_report(report, where.report)
         except He3Error as error:
             report_error = error
-    written = [where.report if report_error is None else None, *pictures, where.recording, events]
+    recording = where.recording if where.recording is not None and where.recording.exists() else None
+    written = [where.report if report_error is None else None, *pictures, recording, events]
     return Written(report, tuple(path for path in written if path is not None), report_error)
 
 

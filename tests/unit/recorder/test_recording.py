@@ -133,6 +133,7 @@ class Kept:
 
     failure = None
     omitted = 0
+    lost = False
 
     def __init__(self) -> None:
         self.written: list[tuple[str, bytes, int, int, int]] = []
