@@ -279,8 +279,14 @@ class AuditLog:
         self._number, self.head = self._number + 1, line_hash(line)
 
     def _write(self, content: bytes) -> None:
-        """Write the content whole, or nothing of it: a line that follows later must not stand behind a part of one."""
-        whole = os.fstat(self._file.fileno()).st_size
+        """Write the content whole, or nothing of it: a line that follows later must not stand behind a part of one.
+
+        A file that was deleted is no place for it: its lines would be on the disk, and nobody could read them.
+        """
+        found = os.fstat(self._file.fileno())
+        if not found.st_nlink:
+            raise He3Error(f"{self.path}: it was deleted while this process wrote it")
+        whole = found.st_size
         try:
             while content:
                 content = content[self._file.write(content) or 0 :]

@@ -73,6 +73,16 @@ def test_after_a_full_disk_the_audit_log_goes_on_whole_and_says_how_many_lines_a
     assert len(reports) == 2
 
 
+def test_an_audit_log_that_is_deleted_while_it_is_written_is_reported_once(tmp_path: Path) -> None:
+    log, reports = AuditLog(tmp_path / "link.jsonl", lambda: AT), []
+    trail = AuditTrail(log, reports.append)
+    log.path.unlink()
+    for _ in range(3):
+        trail.changed(LINK_SET, None, LinkChange(loss=0.2), True, 0)
+    log.close()
+    assert [line.partition(";")[0] for line in reports] == [f"{log.path}: it was deleted while this process wrote it"]
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_is_written_down_with_each_value_that_it_sets_be_it_a_default(tmp_path: Path, name: str) -> None:
     (line,) = written(tmp_path, LINK_SET, LinkChange(conditions=preset(name), by="anna"))
