@@ -1,11 +1,14 @@
 """The covariates of a scenario: layers of its region, and rasters of its cells."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from he3.errors import InvalidInput
+from he3.reference import METRES_PER_DEGREE
+from services.ground.map.geotiff import MODEL_PIXEL_SCALE, MODEL_TIE_POINT, tags
 from services.mission.covariates import covariates, trend_of
 from services.mission.regions import load_region
 from services.mission.scenario import checked_scenario
@@ -99,7 +102,8 @@ def test_a_raster_with_cells_of_its_own_no_data_value_is_no_covariate(number, re
 def test_a_raster_whose_mask_hides_cells_is_no_covariate(inside, region, tmp_path):
     rasterio = pytest.importorskip("rasterio")
     path = tmp_path / "hills.tif"
-    place = {"height": 125, "width": 125, "transform": rasterio.Affine(4.0, 0.0, 0.0, 0.0, -4.0, 500.0)}
+    cell = region.grid.resolution_m
+    place = {"height": 125, "width": 125, "transform": rasterio.Affine(cell, 0.0, 0.0, 0.0, -cell, 125 * cell)}
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=inside),
         rasterio.open(path, "w", driver="GTiff", count=1, dtype="float32", **place) as target,
@@ -155,3 +159,50 @@ def test_a_raster_that_lies_elsewhere_is_no_covariate_of_a_region_with_a_project
     for transform in (rasterio.Affine(4.0, 0.0, 0.0, 0.0, 4.0, 0.0), rasterio.Affine.rotation(30.0)):
         with pytest.raises(InvalidInput, match="expected a raster with row 0 in the north"):
             covariates([written("up.tif", transform)], region)
+
+
+@pytest.mark.parametrize("place", [(60.0, 30.0), (-80.0, 200.0), None])
+def test_a_raster_with_cells_of_another_size_is_no_covariate_of_a_region_without_a_projection(place, region, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    latitude, longitude = place or (None, None)
+    placed = replace(region, origin_lat_deg=latitude, origin_lon_deg=longitude)
+    cell, size = region.grid.resolution_m, region.grid.height_m
+
+    def read(width_m, height_m, west, north, degrees=False):
+        crs = "+proj=longlat +R=1737400" if degrees else "+proj=eqc +R=1737400"
+        shape = {"height": 125, "width": 125, "count": 1, "dtype": "float32", "crs": crs}
+        transform = rasterio.Affine(width_m, 0.0, west, 0.0, -height_m, north)
+        with rasterio.open(tmp_path / "one.tif", "w", driver="GTiff", transform=transform, **shape) as target:
+            target.write(HILLS.astype("float32"), 1)
+        return covariates([str(tmp_path / "one.tif")], placed)[0]
+
+    assert read(cell, cell, 5.0, 700.0) == pytest.approx(HILLS[::-1])
+    for width_m, height_m in ((2.0 * cell, 2.0 * cell), (cell, 1.1 * cell), (1.0, 1.0)):
+        with pytest.raises(InvalidInput, match=rf"region's own cells, of {cell:g} m, got cells of "):
+            read(width_m, height_m, 5.0, 700.0)
+    if place is None:
+        return
+    middle = math.radians(latitude + size / 2 / METRES_PER_DEGREE)
+    high = cell / METRES_PER_DEGREE
+    wide, north = high / math.cos(middle), latitude + size / METRES_PER_DEGREE
+    assert read(wide, high, longitude, north, degrees=True) == pytest.approx(HILLS[::-1])
+    assert read(wide, high, longitude - 360.0, north, degrees=True) == pytest.approx(HILLS[::-1])
+    for west, top in ((longitude + wide, north), (longitude, north + high), (-longitude, north)):
+        with pytest.raises(InvalidInput, match=r"expected a raster whose north-west corner lies at "):
+            read(wide, high, west, top, degrees=True)
+    with pytest.raises(InvalidInput, match=rf"region's own cells, of {cell:g} m, got cells of "):
+        read(1 / 512, 1 / 512, longitude, north, degrees=True)
+
+
+@pytest.mark.parametrize("place", [(60.0, 30.0), (-80.0, 200.0), None])
+def test_a_layer_that_was_saved_from_the_map_is_a_covariate(place, region, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    latitude, longitude = place or (None, None)
+    placed = replace(region, origin_lat_deg=latitude, origin_lon_deg=longitude)
+    saved = tags(place, region.grid.height_m, 0.0, region.grid.height_m, region.grid.resolution_m)
+    (width, height, _), (_, _, _, west, north, _) = saved[MODEL_PIXEL_SCALE][1], saved[MODEL_TIE_POINT][1]
+    shape = {"height": 125, "width": 125, "count": 1, "dtype": "float32", "crs": "+proj=eqc +R=1737400"}
+    transform = rasterio.Affine(width, 0.0, west, 0.0, -height, north)
+    with rasterio.open(tmp_path / "saved.tif", "w", driver="GTiff", transform=transform, **shape) as target:
+        target.write(HILLS.astype("float32"), 1)
+    assert covariates([str(tmp_path / "saved.tif")], placed)[0] == pytest.approx(HILLS[::-1])
