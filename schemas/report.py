@@ -58,11 +58,11 @@ class ClosedGroundReport(Wire):
     """Shares of the site that are closed to the rover, each cell under its first reason, and the share cut off."""
 
     too_steep: float
-    """Steeper than the rover, the planners or the region's rule admit."""
+    """Steeper than the rover, the planners or the region's rule admit, and not unknown."""
     rough: float
     """Not traversable in the region for another reason: steps, roughness or rocks, or by the paper's rule of relief."""
     unknown: float = 0.0
-    """Without a value of the reference field, which only a simulated Moon has."""
+    """Without a value of the reference field, which only a simulated Moon has, whatever else closes such a cell."""
     keep_outs: float
     margin: float
     """So near to closed ground that the rover's footprint would touch it."""

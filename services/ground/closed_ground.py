@@ -24,13 +24,13 @@ class ClosedGround:
     """Shares of the site; the first five reasons add up to what is closed."""
 
     too_steep: float
-    """Steeper than the rover, the planners or the region's rule admit."""
+    """Steeper than the rover, the planners or the region's rule admit, and not unknown."""
     rough: float
     """Not traversable in the region, and not too steep: steps, roughness or rocks, relief by the paper's rule, or
     closed in the file of the region for reasons that it does not say.
     """
     unknown: float
-    """Without a value of the reference field, and not too steep."""
+    """Without a value of the reference field, whatever its slope: the map is not scored there."""
     keep_outs: float
     """In a keep-out, and open otherwise."""
     margin: float
@@ -42,8 +42,9 @@ class ClosedGround:
 def closed_ground(region: Region, terrain: GroundTerrain, start_m: Place, slope_limit_deg: float) -> ClosedGround:
     """The account of a region's ground as the ground station knows it. slope_limit_deg: of rover and planners."""
     impassable = ~region.traversable
+    unknown = np.zeros_like(impassable) if region.known is None else ~region.known
     steep = (region.slope_deg > slope_limit_deg) | (impassable & (region.slope_deg > ROVER_SLOPE_NOMINAL_DEG))
-    unknown = np.zeros_like(steep) if region.known is None else ~region.known & ~steep
+    steep &= ~unknown
     rough = impassable & ~steep & ~unknown
     kept_out = np.zeros_like(steep)
     for area in terrain.areas.values():

@@ -37,6 +37,11 @@ def test_each_cell_is_closed_for_one_reason_and_what_lies_behind_is_cut_off() ->
     part = replace(region, known=known, traversable=traversable & known)
     account = closed_ground(part, GroundTerrain(GRID, part.traversable, 0.0, keep_out), (4.5, 4.5), 20.0)
     assert (account.unknown, account.rough) == (0.03, 0.0)
+    known = known.copy()
+    known[9] = False
+    steep_too = replace(region, known=known, traversable=traversable & known, slope_deg=np.full(GRID.shape, 19.0))
+    account = closed_ground(steep_too, GroundTerrain(GRID, steep_too.traversable, 0.0, keep_out), (4.5, 4.5), 18.0)
+    assert (account.unknown, account.too_steep) == (0.13, 0.87)
     wide = closed_ground(region, GroundTerrain(GRID, region.traversable, 0.5, keep_out), (4.5, 4.5), 20.0)
     assert wide.margin > 0.2
     assert wide.too_steep == 0.1
