@@ -3,8 +3,8 @@
 One kernel, the hyperparameters' own, has its exact posterior on every cell. The kernels of the mixture have theirs,
 exact too, on a coarser grid of at most ``MOST_CELLS`` cells over the same site. There the mixture's mean differs from
 that of the one kernel, and its standard deviation is in some ratio to that of the one kernel. Both change from sample
-to sample rather than from cell to cell: near a sample all kernels agree, far from it they do not. So they are
-interpolated bilinearly on the cells, and correct the one kernel's map:
+to sample rather than from cell to cell, but for the few cells at a sample itself (docs/uncertainty.md has figures). So
+they are interpolated bilinearly on the cells, and correct the one kernel's map:
 
     mean = mean_one + (mean_mixture - mean_one),      std = std_one (std_mixture / std_one)
 
