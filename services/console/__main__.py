@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 # Everything else is imported inside `main`, so that Ctrl-C during the start is one line as well.
@@ -113,7 +114,8 @@ def _say(message: str, code: int) -> int:
     from services.console.interruption import note_last_line
 
     first, *rest = message.splitlines() or [""]
-    sys.stderr.write(f"he3: {printable(first)}{' ...' if rest else ''}\n")
+    with suppress(OSError):  # nobody reads it: the exit code tells as much
+        sys.stderr.write(f"he3: {printable(first)}{' ...' if rest else ''}\n")
     if code in (INTERRUPTED, TERMINATED):
         note_last_line()
     return code

@@ -7,9 +7,10 @@ and import the rest inside a function. This module itself imports only what the 
 
 from __future__ import annotations
 
+import io
 import os
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from services.runtime.instructions import common_instructions
 
@@ -25,6 +26,7 @@ _PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
 
 def prepare_process() -> None:
     """Set the environment that numpy reads at import, and let this process end with its parent."""
+    open_standard_streams()
     # One BLAS thread, unless the user asked for more. It counts only before numpy is first imported. The matrices of
     # the belief are small: on cores that other processes use too, OpenBLAS's own threads wait for one another and take
     # 50 times as long as one thread. Where a second thread pays, on the map, he3.posterior.grid shares out the cells
@@ -45,6 +47,40 @@ def prepare_service() -> None:
     forget_working_directory()
     end_on_signals()
     prepare_process()
+
+
+def open_standard_streams() -> None:
+    """Open /dev/null in place of each standard stream that this process was started without.
+
+    A service manager may close them, and a shell does with `>&-`. The next file that is opened would get the number of
+    the missing stream: what is printed would go into the recording.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: that one
+            os.set_inheritable(number, True)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+    if sys.stderr is sys.__stderr__ and isinstance(sys.stderr, io.TextIOWrapper):
+        messages = io.BufferedWriter(_Messages(2, "w", closefd=False))
+        sys.stderr = io.TextIOWrapper(messages, sys.stderr.encoding, sys.stderr.errors, line_buffering=True)
+
+
+class _Messages(io.FileIO):
+    """Standard error, on which a message is lost where a full disk does not take it: that ends no mission.
+
+    The end of a reader is another matter, and still an error.
+    """
+
+    def write(self, message: Any, /) -> int:
+        try:
+            return super().write(message)
+        except BrokenPipeError:
+            raise
+        except OSError:
+            return len(message)
 
 
 def forget_working_directory() -> None:
