@@ -27,7 +27,7 @@ from services.runtime.child import BAD_INPUT
 from services.runtime.context import Driver, ProcessContext
 from services.runtime.custody.endpoint import custody_config
 from services.runtime.drivers.wall_clock import WallClockDriver
-from services.runtime.event_log import EventLog
+from services.runtime.event_log import open_event_log
 from services.runtime.files.lock import lock_beside
 from services.runtime.heartbeat import Heartbeat
 from services.runtime.host import Host
@@ -134,7 +134,7 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
     if query_process is not None:
         stack.callback(query_process.close)
     node = service.build(options)
-    events = stack.enter_context(closing(EventLog(options.events))) if options.events else None
+    events = stack.enter_context(open_event_log(options.events)) if options.events else None
     host = Host(
         node,
         options.scenario.name,

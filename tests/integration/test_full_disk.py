@@ -38,6 +38,22 @@ def test_a_mission_whose_recording_and_pictures_cannot_be_written_has_its_report
     assert pictures == [f"{out / name}: cannot write the picture: File too large" for name in ("map.png", "rmse.png")]
 
 
+@pytest.mark.parametrize("driver", ["--in-process", pytest.param("--lockstep", marks=pytest.mark.exhaustive)])
+def test_an_event_log_that_cannot_be_written_is_one_line_and_takes_no_event_from_the_mission(
+    driver: str, tmp_path: Path
+) -> None:
+    short = ("--set", "rounds=1", "--set", "samples_per_round=2")
+    flags = ("--report", str(tmp_path / "r.json"), "--events", "/dev/full")
+    done = run(he3("run", "short", driver, "-q", *flags, *short))
+    assert done.returncode == 0, done.stderr
+    report = MissionReport.model_validate_json((tmp_path / "r.json").read_bytes())
+    assert report.samples == 2
+    (problem,) = report.output_problems
+    assert problem.startswith("/dev/full: ")
+    assert done.stderr == f"he3: {problem}\n"
+    assert "/dev/full" not in done.stdout
+
+
 def test_a_report_that_cannot_be_written_is_one_line_and_exit_code_1_and_the_summary_is_printed(
     tmp_path: Path,
 ) -> None:

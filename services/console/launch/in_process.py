@@ -17,7 +17,7 @@ from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, write_outcome
 from services.console.report.progress import Moment, Progress, moment_of
 from services.mission.in_process import RECORDING_FLUSH_S, InProcessMission, build_nodes
-from services.runtime.event_log import EventLog, merge_event_logs
+from services.runtime.event_log import EventLog, lacks_of_merged
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -63,6 +63,7 @@ def _run_in_process(
 
     began = time.monotonic()
     sink: RecordingSink | None = None
+    problems: list[str] = []
     link = next(node for node in nodes if isinstance(node, LinkNode))
     with ExitStack() as stack:
         if where.recording is not None:
@@ -76,7 +77,7 @@ def _run_in_process(
         mission.run(lambda: progress.show(lambda: _moment(mission, link)))
         if log is not None and events is not None:
             log.close()  # the queries for the report are no part of the mission
-            merge_event_logs([events], events)
+            problems += lacks_of_merged([events], events, [] if log.problem is None else [log.problem])
         assert mission.status is not None, "the run ends only after the ground has reported its status"
         wall_time_s = time.monotonic() - began
         run = Run(
@@ -89,7 +90,9 @@ def _run_in_process(
             *terrain_facts(scenario, region),
         )
         outcome = gather(_Asked(mission), scenario, mission.status, run)
-    return outcome, [] if sink is None or sink.problem is None else [sink.problem]
+    if sink is not None and sink.problem is not None:
+        problems.append(sink.problem)
+    return outcome, problems
 
 
 class _Asked:

@@ -23,9 +23,9 @@ from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, make_folder, write_outcome
 from services.console.report.progress import Progress, moment_now
 from services.mission.in_process import build_nodes
-from services.mission.processes import GROUND, LINK, PROCESSES, ROVER, VITAL
+from services.mission.processes import GROUND, LINK, PROCESSES, RECORDER, ROVER, VITAL
 from services.mission.regions import load_region
-from services.runtime.event_log import merge_event_logs
+from services.runtime.event_log import lacks_of_merged
 from services.runtime.files.output import replace_output
 
 if TYPE_CHECKING:
@@ -53,18 +53,19 @@ def run_separate(
     region = checked_region(chosen.scenario)
     with claimed(where, events):
         if events is None:
-            outcome, problems = _run_separate(chosen, region, where, progress, lockstep, None)
+            outcome, problems, _ = _run_separate(chosen, region, where, progress, lockstep, None)
         else:
             with tempfile.TemporaryDirectory(prefix="he3-events-") as parts:
-                outcome, problems = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
-                merge_event_logs(Path(parts).iterdir(), events)
+                outcome, problems, lacks = _run_separate(chosen, region, where, progress, lockstep, Path(parts))
+                lacks = [f"{events}: not written, as a part of it is not whole: {each}" for each in lacks]
+                problems += lacks_of_merged(Path(parts).iterdir(), events, lacks)
         return write_outcome(outcome, region, where, events, problems)
 
 
 def _run_separate(
     chosen: Chosen, region: Region, where: Outputs, progress: Progress, lockstep: bool, events: Path | None
-) -> tuple[Outcome, list[str]]:
-    """The outcome of the mission, and one line on each output that its services could not write."""
+) -> tuple[Outcome, list[str], list[str]]:
+    """The outcome of the mission, and one line on a recording and on each event log that could not be written whole."""
     scenario = chosen.scenario
     began = time.monotonic()
     wanted = endpoints_of(chosen)
@@ -88,9 +89,13 @@ def _run_separate(
             finally:
                 launcher.tell_to_end()  # they end while this session closes, which takes a second without a router
     problem = launcher.failure("recorder")
-    if problem is None:
-        return outcome, []
-    return outcome, [problem if str(where.recording) in problem else f"{where.recording}: not complete: {problem}"]
+    problems = []
+    if problem is not None:
+        problems = [problem if str(where.recording) in problem else f"{where.recording}: not complete: {problem}"]
+    if events is None:
+        return outcome, problems, []
+    failures = [launcher.failure(each.name) for each in PROCESSES if each is not RECORDER]
+    return outcome, problems, [each for each in failures if each is not None]
 
 
 def outcome_of(

@@ -148,9 +148,10 @@ def write_outcome(
             write_report(report, where.report)
         except He3Error as error:
             report_error = error
-    recording = where.recording if where.recording is not None and where.recording.exists() else None
-    written = [where.report if report_error is None else None, *pictures, recording, events]
-    return Written(report, tuple(path for path in written if path is not None), report_error)
+    whole = None if any(line.startswith(f"{events}: ") for line in problems) else events
+    there = [path for path in (where.recording, whole) if path is not None and path.exists()]
+    written = [*([where.report] if report_error is None and where.report is not None else []), *pictures, *there]
+    return Written(report, tuple(written), report_error)
 
 
 def _pictures(outcome: Outcome, region: Region, folder: Path) -> Iterator[tuple[Path, Callable[[Path], None]]]:
