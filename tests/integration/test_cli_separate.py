@@ -48,6 +48,12 @@ def he3(*words: str, environment: dict[str, str]) -> subprocess.CompletedProcess
     return run([*HE3, *words], env=environment)
 
 
+def on_free_ports() -> list[str]:
+    """Flags for `he3 up`, which listens where its scenario says: on a shared machine a mission may be there already."""
+    ports = zip(("moon", "earth"), free_ports(), strict=True)
+    return [word for side, port in ports for word in ("--set", f'network.{side}="tcp/127.0.0.1:{port}"')]
+
+
 def services_of(process: subprocess.Popen[str], environment: dict[str, str]) -> dict[str, int]:
     """Process ids of the services, once they are announced."""
     folder = Path(environment["XDG_RUNTIME_DIR"]) / "he3-seeker"
@@ -99,9 +105,7 @@ def test_a_mission_in_five_processes_ends_by_itself_with_every_sample_and_leaves
 
 @pytest.mark.exhaustive
 def test_the_rest_of_a_running_mission_is_rehearsed_from_the_command_line(environment: dict[str, str]) -> None:
-    moon, earth = free_ports()
-    network = ("--set", f'network.moon="tcp/127.0.0.1:{moon}"', "--set", f'network.earth="tcp/127.0.0.1:{earth}"')
-    with started("up", "short", "--rate", "20", "--quiet", *network, environment=environment) as process:
+    with started("up", "short", "--rate", "20", "--quiet", *on_free_ports(), environment=environment) as process:
         services_of(process, environment)
         until_answered(environment, "map", "score")  # the ground is up
         against = ("--against", "abort-round; planner tour")
@@ -113,10 +117,7 @@ def test_the_rest_of_a_running_mission_is_rehearsed_from_the_command_line(enviro
 
 
 def test_a_running_mission_answers_its_operator(tmp_path: Path, environment: dict[str, str], coarse_t1: Path) -> None:
-    network = [
-        f'network.{side}="tcp/127.0.0.1:{port}"' for side, port in zip(("moon", "earth"), free_ports(), strict=True)
-    ]
-    settings = [word for setting in (*network, f"region={coarse_t1}") for word in ("--set", setting)]
+    settings = [*on_free_ports(), "--set", f"region={coarse_t1}"]
     with started("up", "short", "--rate", "20", "--quiet", *settings, environment=environment) as process:
         pids = services_of(process, environment)
         until_answered(environment, "map", "score")  # the ground is up
@@ -230,11 +231,8 @@ def test_a_mission_goes_on_without_a_recorder_that_dies_and_says_so(
 def test_services_that_are_up_stay_up_without_a_recorder_that_dies_and_report_on_the_mission_when_it_is_over(
     tmp_path: Path, environment: dict[str, str]
 ) -> None:
-    network = [
-        f'network.{side}="tcp/127.0.0.1:{port}"' for side, port in zip(("moon", "earth"), free_ports(), strict=True)
-    ]
-    changes = (*network, "rounds=1", "samples_per_round=2", "ground.approval=operator")
-    settings = [word for setting in changes for word in ("--set", setting)]
+    changes = ("rounds=1", "samples_per_round=2", "ground.approval=operator")
+    settings = [*on_free_ports(), *(word for setting in changes for word in ("--set", setting))]
     out = tmp_path / "out"
     with started(
         "up", "short", "--rate", "500", "--quiet", "--out", str(out), *settings, environment=environment
@@ -267,8 +265,9 @@ def test_a_service_whose_input_is_bad_ends_its_starter_with_the_exit_code_of_bad
     journals = tmp_path / "journals"
     journals.mkdir()
     (journals / "rover-0001.mcap").write_bytes(b"no journal of ours" * 99)
-    done = he3("up", "short", "--rate", "100", "--quiet", "--journal", str(journals), environment=environment)
-    assert (done.returncode, done.stdout) == (2, "")
+    flags = (*on_free_ports(), "--rate", "100", "--quiet", "--journal", str(journals))
+    done = he3("up", "short", *flags, environment=environment)
+    assert (done.returncode, done.stdout) == (2, ""), done.stderr
     *_, last = done.stderr.splitlines()
     assert last.startswith("he3: the rover service ended by itself, exit code 2: he3 rover: ")
     assert "rover-0001.mcap: expected a journal of this program, got other content" in last
