@@ -51,7 +51,7 @@ def run(
     with TemporaryDirectory() as scratch:
         root = Path(scratch) if out is None else out
         flights = [
-            (data, root, place, size, planner, rounds, seed, shared, cost, hyperparameters)
+            (data, root, place, size, planner, rounds, seed, shared, cost, hyperparameters, "smooth+rough")
             for place in places
             for planner in planners
             for cost in costs

@@ -5,7 +5,7 @@ of a stand-in is laid over it; where it has FeO alone, OMAT is assumed; each rep
 one process: field, rover, link and ground. Its path is then held against the slopes of the original raster. They are
 computed here with rasterio and NumPy alone, and the path is placed on the raster by the region's corner and formulas
 of its own: nothing of the code that builds regions takes part. RMSE is against the region that was built, as the true
-field is not known.
+field is not known: over all cells, and over the ground that the rover can reach, where samples can come from.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,9 @@ from services.mission.region_build.recipe import Recipe
 from services.mission.region_folder import checked
 from services.mission.regions import load_region
 from services.mission.scenario import RoverConfig, checked_scenario
+
+if TYPE_CHECKING:
+    from schemas.report import MissionReport
 
 Row = dict[str, Any]
 
@@ -181,11 +184,11 @@ def _outcome(flight: tuple[Path, Path, str, str, str, int, int, Conditions]) -> 
 
 def fly(
     data: Path, root: Path, name: str, size: str, planner: str, rounds: int, seed: int, shared: Conditions,
-    cost: str = "distance", hyperparameters: str = "",
+    cost: str = "distance", hyperparameters: str = "", kernel: str = "",
 ) -> Row:  # fmt: skip
     """Build the region, fly one mission over it, and return its row.
 
-    cost, hyperparameters: of the ground; empty for its default.
+    cost, hyperparameters, kernel: of the ground; empty for its default.
     """
     from services.console.launch.in_process import run_in_process
     from services.console.report.outputs import outputs
@@ -196,14 +199,14 @@ def fly(
     build_region(recipe_of(place, size, name), data, folder / "region")
     region = load_region(folder / "region")
     expect_open(region, shared.start_m)
-    kernel = "smooth+rough" if planner == "tour" else "matern52"
     period_s = min(_LONGEST_PERIOD_S, _PERIOD_S * max(1.0, region.grid.resolution_m))
     scenario = checked_scenario({
         "name": f"{name}-{size}", "region": str(folder / "region"), "seed": seed, "rounds": rounds,
         "start_m": shared.start_m or start_of(region),
         "field": {"noise_std_ppb": shared.noise_std_ppb},
-        "ground": {"planner": planner, "kernel": kernel, "status_period_s": period_s, "cost": cost,
+        "ground": {"planner": planner, "status_period_s": period_s, "cost": cost,
                    **({"hyperparameters": hyperparameters} if hyperparameters else {}),
+                   **({"kernel": kernel} if kernel else {}),
                    **({"budget_m": shared.budget_m} if isfinite(shared.budget_m) else {})},
         "rover": {"state_period_s": period_s},
     }, "places")  # fmt: skip
@@ -223,7 +226,7 @@ def fly(
         "coverage_68": report.coverage_68, "coverage_95": report.coverage_95, "steepest_deg": steepest,
         "closed": region.untraversable_fraction, "reached": reached_share(region, scenario.start_m),
         "mission_time_h": report.mission_time_s / 3600.0, "wall_time_s": time.monotonic() - began,
-        "provenance": region.provenance, "problem": problem,
+        "provenance": region.provenance, "problem": problem, **_within_reach(region, scenario.start_m, report),
     }  # fmt: skip
 
 
@@ -236,6 +239,13 @@ def reached_share(region: Region, start_m: tuple[float, float]) -> float:
     """Share of the ground on which the rover may be that it can reach from its start [m]."""
     ground = _ground(region)
     return float(reachable(ground, region.grid, start_m).sum() / ground.sum())
+
+
+def _within_reach(region: Region, start_m: tuple[float, float], report: MissionReport) -> Row:
+    """RMSE and the field's standard deviation [ppb] over the ground that the rover can reach from its start [m]."""
+    rmse_ppb = report.rmse_ppb if report.within_reach is None else report.within_reach.rmse_ppb
+    reached = reachable(_ground(region), region.grid, start_m)
+    return {"rmse_within_reach_ppb": rmse_ppb, "std_within_reach_ppb": float(region.he3_ppb[reached].std())}
 
 
 def start_of(region: Region) -> tuple[float, float]:
@@ -323,8 +333,9 @@ def steepest_deg(place: Place, data: Path, region: Region, path_m: FloatArray) -
 def table(rows: Sequence[Row]) -> list[str]:
     """The rows as aligned lines."""
     head = (
-        f"{'place':<16} {'size':<5} {'planner':<8} {'width':>8} {'samples':>7} {'RMSE ppb':>9} {'std ppb':>8} "
-        f"{'driven m':>9} {'68 %':>6} {'95 %':>6} {'steepest':>9} {'closed':>7} {'reached':>8}"
+        f"{'place':<16} {'size':<5} {'planner':<8} {'width':>8} {'samples':>7} {'RMSE ppb':>9} {'of std':>6} "
+        f"{'in reach':>8} {'of std':>6} {'driven m':>9} {'68 %':>6} {'95 %':>6} {'steepest':>9} {'closed':>7} "
+        f"{'reached':>8}"
     )
     return [head, "-" * len(head), *map(_line, rows)]
 
@@ -332,7 +343,9 @@ def table(rows: Sequence[Row]) -> list[str]:
 def _line(row: Row) -> str:
     return (
         f"{row['place']:<16} {row['size']:<5} {row['planner']:<8} {row['width_m']:>7.0f}m {row['samples']:>7} "
-        f"{_number(row['rmse_ppb'], '9.4f')} {row['std_ppb']:>8.3f} {row['path_length_m']:>9.0f} "
+        f"{_number(row['rmse_ppb'], '9.4f')} {_share(row['rmse_ppb'], row['std_ppb'])} "
+        f"{_number(row['rmse_within_reach_ppb'], '8.4f')} "
+        f"{_share(row['rmse_within_reach_ppb'], row['std_within_reach_ppb'])} {row['path_length_m']:>9.0f} "
         f"{_number(row['coverage_68'], '6.1%')} {_number(row['coverage_95'], '6.1%')} {row['steepest_deg']:>8.2f}° "
         f"{row['closed']:>7.1%} {row['reached']:>8.1%}"
     )
@@ -341,6 +354,11 @@ def _line(row: Row) -> str:
 def _number(value: float | None, form: str) -> str:
     """The number in that form, or a dash of its width."""
     return format(value, f">{form}") if value is not None else "-".rjust(int(form.split(".")[0]))
+
+
+def _share(error: float | None, std: float) -> str:
+    """The error in standard deviations of the field, in the width of its column."""
+    return _number(None if error is None else error / std, "6.2f")
 
 
 def sources(rows: Sequence[Row]) -> list[str]:

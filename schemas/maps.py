@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from schemas.wire import Count, MissionTimeNs, PositionM, Provenance, Text, Wire
+from schemas.wire import Count, MissionTimeNs, PositionM, Provenance, Text, Wire, is_none
 
 MAX_CELLS: Final = 4_000_000
 """Most cells of a region, and of an answer: 16 MB of float32, a site of 2 km at 1 m."""
@@ -177,6 +177,16 @@ class MapAbout(Wire):
     threshold_ppb: float | None = None
 
 
+class ReachScore(Wire):
+    """The belief compared with the reference field over the ground that the rover can reach from its start."""
+
+    share: Annotated[float, Field(gt=0, le=1)]
+    """Of the cells that are compared."""
+    rmse_ppb: Annotated[float, Field(ge=0)]
+    coverage_68: Annotated[float, Field(ge=0, le=1)]
+    coverage_95: Annotated[float, Field(ge=0, le=1)]
+
+
 class MapScore(Wire):
     """The belief compared with the reference field over all cells, which only a simulated Moon provides."""
 
@@ -189,6 +199,8 @@ class MapScore(Wire):
     revision: Count
     samples: Count
     mission_time_ns: MissionTimeNs
+    within_reach: ReachScore | None = Field(default=None, exclude_if=is_none)
+    """The same over the ground within reach; None where that is every cell, or none."""
 
 
 class MapTrackQuery(Wire):

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from schemas.ground import GoalStatus
 from schemas.link import DirectionCounts
-from schemas.maps import MapScore, RegionLayer
+from schemas.maps import MapScore, ReachScore, RegionLayer
 from schemas.wire import Count, Provenance, Text, Wire, is_none
 
 
@@ -121,6 +121,8 @@ class MissionReport(Wire):
     """One entry per round."""
     coverage_68: float | None
     coverage_95: float | None
+    within_reach: ReachScore | None = Field(default=None, exclude_if=is_none)
+    """RMSE and coverages over the ground that the rover can reach; None where that is all, or without a reference."""
     path_length_m: float
     driving: DrivingReport | None = None
     closed_ground: ClosedGroundReport | None = None

@@ -51,9 +51,15 @@ def closed_ground(region: Region, terrain: GroundTerrain, start_m: Place, slope_
         kept_out |= area & ~steep & ~rough & ~unknown
     open_cells = terrain.traversable
     margin = ~open_cells & ~steep & ~rough & ~unknown & ~kept_out
-    reached = reachable(terrain.open_from(start_m), region.grid, start_m) & open_cells
+    reached = within_reach(terrain, start_m)
     shares = (float(cells.mean()) for cells in (steep, rough, unknown, kept_out, margin, open_cells & ~reached))
     return ClosedGround(*shares)
+
+
+def within_reach(terrain: GroundTerrain, start_m: Place) -> BoolArray:
+    """The open cells (rows, columns) that can be reached from the start [m]."""
+    reached: BoolArray = reachable(terrain.open_from(start_m), terrain.grid, start_m) & terrain.traversable
+    return reached
 
 
 def enclosure(terrain: GroundTerrain, start_m: Place) -> str:
@@ -67,7 +73,7 @@ def enclosure(terrain: GroundTerrain, start_m: Place) -> str:
             f"the start ({start_m[0]:g}, {start_m[1]:g}) m is on closed ground, which the rover may be unable to "
             f"leave; the nearest open ground is at ({x:g}, {y:g}) m"
         )
-    reached = reachable(terrain.open_from(start_m), grid, start_m) & open_cells
+    reached = within_reach(terrain, start_m)
     total, count = int(np.count_nonzero(open_cells)), int(np.count_nonzero(reached))
     if count >= _ENOUGH_REACHED * total:
         return ""

@@ -40,7 +40,7 @@ from schemas.topics import (
 from services.ground.authority import CommandAuthority
 from services.ground.belief import Belief
 from services.ground.budget import Budget
-from services.ground.closed_ground import enclosure
+from services.ground.closed_ground import enclosure, within_reach
 from services.ground.command_history import CommandHistory
 from services.ground.director import REPLAN_TIMER, Director
 from services.ground.driving_costs import DrivingCosts
@@ -411,7 +411,9 @@ def build_node(
     director = Director(
         scenario, belief, terrain, round_log, execution, refits, planning, budget, costs, interests, goal
     )
-    scorer = Scorer(region.he3_ppb, region.known) if ground.score else None
+    scorer = None
+    if ground.score:
+        scorer = Scorer(region.he3_ppb, region.known, within_reach(terrain, scenario.start_m))
     lat, lon = region.origin_lat_deg, region.origin_lon_deg
     origin = None if lat is None or lon is None else (lat, lon)
     publisher = MapPublisher(

@@ -22,7 +22,7 @@ from schemas.authority import AuthorityState
 from schemas.commands import CommandStatus, Telecommand
 from schemas.ground import GoalForecast, GoalStatus, InterestArea, KeepOutArea, MissionPhase
 from schemas.link import LinkConditions
-from schemas.maps import MapRegion, MapScore
+from schemas.maps import MapRegion, MapScore, ReachScore
 from schemas.mission_log import HeardEvent, LogEntry, ModeChange
 from schemas.plans import RoundPlan
 from schemas.telemetry import RoverState, SampleReport
@@ -67,6 +67,7 @@ STATE_TYPES: Final[tuple[type, ...]] = (
     PlanningTask,
     PosteriorMap,
     ProposedRound,
+    ReachScore,
     RoundPlan,
     RoverState,
     SampleReport,

@@ -47,6 +47,8 @@ def fly(arguments: Mapping[str, Any]) -> dict[str, Any]:
     digest = hashlib.sha256(mean.tobytes() + std.tobytes())
     digest.update("\n".join(sample.model_dump_json() for sample in report.sample_table).encode())
     figures = {name: getattr(report, name) for name in _TAKEN}
+    if report.within_reach is not None:
+        figures["rmse_within_reach_ppb"] = report.within_reach.rmse_ppb
     if report.goal is not None:
         figures["goal_holds"] = report.goal.holds
     figures["mean_std_ppb"] = float(std.mean(dtype="float64"))

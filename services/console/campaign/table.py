@@ -40,6 +40,7 @@ class Kind:
 
 KINDS: Final = {
     "rmse_ppb": Kind("map RMSE", "ppb"),
+    "rmse_within_reach_ppb": Kind("map RMSE within reach", "ppb"),
     "path_length_m": Kind("path length", "m"),
     "mission_time_s": Kind("mission time", "h", 3600.0),
     "coverage_68": Kind("coverage of 68.3 % intervals", high_is_bad=False),

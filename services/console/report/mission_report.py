@@ -137,6 +137,7 @@ def build_report(
         rmse_history=track.score_history,
         coverage_68=None if score is None else score.coverage_68,
         coverage_95=None if score is None else score.coverage_95,
+        within_reach=None if score is None else score.within_reach,
         path_length_m=status.driven_m,
         driving=_driving(scenario, run, track),
         closed_ground=None if run.closed is None else ClosedGroundReport(**asdict(run.closed)),

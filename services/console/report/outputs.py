@@ -187,6 +187,8 @@ def _title(region: Region, report: MissionReport) -> str:
 def caption(report: MissionReport) -> str:
     """One line under a picture: what it shows, of which mission, on which data."""
     error = "" if report.rmse_ppb is None else f"RMSE {report.rmse_ppb:.4f} ppb, "
+    if report.within_reach is not None:
+        error = f"{error[:-2]} ({report.within_reach.rmse_ppb:.4f} ppb within the rover's reach), "
     return (
         f"{report.scenario}, seed {report.seed}, kernel {report.kernel}: {error}"
         f"{report.path_length_m:,.0f} m driven, one-way light time {report.one_way_light_time_s:g} s. "

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from services.console.client.time_format import duration
 
 if TYPE_CHECKING:
+    from schemas.maps import ReachScore
     from schemas.report import MissionReport
 
 
@@ -88,7 +89,16 @@ def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
     within = f"{one} within the intervals of 68.3 %, {two} within those of 95.4 %"
     unknown = report.closed_ground is not None and report.closed_ground.unknown > 0
     cells = "all cells with a reference" if unknown else "all cells"
-    return [("RMSE", f"{report.rmse_ppb:.4f} ppb over {cells}"), ("coverage", within)]
+    lines = [("RMSE", f"{report.rmse_ppb:.4f} ppb over {cells}"), ("coverage", within)]
+    return lines if report.within_reach is None else [*lines, ("within reach", in_words(report.within_reach))]
+
+
+def in_words(score: ReachScore) -> str:
+    """The figures of the ground that the rover can reach, in one line."""
+    return (
+        f"{score.rmse_ppb:.4f} ppb over the {score.share:.1%} of these cells that the rover can reach; "
+        f"{score.coverage_68:.1%} and {score.coverage_95:.1%} within the intervals"
+    )
 
 
 def _mixed(report: MissionReport) -> list[tuple[str, str]]:

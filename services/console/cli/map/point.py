@@ -11,6 +11,7 @@ from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.options import AsOf, Threshold
 from services.console.cli.options import AsJson
 from services.console.cli.session import Session
+from services.console.report.summary import in_words
 
 if TYPE_CHECKING:
     from schemas.maps import MapPoint
@@ -67,4 +68,6 @@ def score(
         f"coverage    {figures.coverage_68:.1%} within the intervals of 68.3 %, "
         f"{figures.coverage_95:.1%} within those of 95.4 %"
     )
+    if figures.within_reach is not None:
+        typer.echo(f"in reach    {in_words(figures.within_reach)}")
     typer.echo(f"map         revision {figures.revision}, {figures.samples} samples")

@@ -19,7 +19,7 @@ from schemas.ground import (
     WeightedKernel,
 )
 from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
-from schemas.maps import MapLayer, MapRaster, MapScore
+from schemas.maps import MapLayer, MapRaster, MapScore, ReachScore
 from schemas.report import MissionReport
 from schemas.telemetry import SampleReport
 from services.console.report.learned import kernel_weights, learned
@@ -70,7 +70,9 @@ def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True, sa
     return reported(status(phase, samples), scored=scored)
 
 
-def reported(found: GroundStatus, scenario: Scenario = SCENARIO, *, scored: bool = True) -> MissionReport:
+def reported(
+    found: GroundStatus, scenario: Scenario = SCENARIO, *, scored: bool = True, within_reach: ReachScore | None = None
+) -> MissionReport:
     track = MissionTrack(
         samples=(sample(1), sample(2)),
         driven_path_m=((25.0, 25.0), (10.0, 5.0), (20.0, 5.0)),
@@ -78,7 +80,8 @@ def reported(found: GroundStatus, scenario: Scenario = SCENARIO, *, scored: bool
         score_history=(score(2),),
     )
     run = Run("in-process", None, "made up", 123.5, 0.25)
-    return build_report(scenario, run, found, track, link(), score(2) if scored else None)
+    final = score(2).model_copy(update={"within_reach": within_reach})
+    return build_report(scenario, run, found, track, link(), final if scored else None)
 
 
 def test_the_report_says_what_the_mission_did() -> None:
@@ -125,6 +128,17 @@ def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None
     assert (made.rmse_ppb, made.coverage_68, made.coverage_95) == (None, None, None)
     assert any("not known" in line for line in summary_lines(made))
     assert "RMSE" not in caption(made)
+
+
+def test_where_the_rover_cannot_go_everywhere_the_error_within_its_reach_is_told_too() -> None:
+    reached = ReachScore(share=0.754, rmse_ppb=0.25, coverage_68=0.65, coverage_95=0.94)
+    made = reported(status(MissionPhase.COMPLETED), within_reach=reached)
+    told = "0.2500 ppb over the 75.4% of these cells that the rover can reach; 65.0% and 94.0% within the intervals"
+    assert made.within_reach == reached
+    assert f"within reach  {told}" in summary_lines(made)
+    assert "RMSE 0.5000 ppb (0.2500 ppb within the rover's reach)" in caption(made)
+    assert "reach" not in caption(report())
+    assert not any(line.startswith("within reach") for line in summary_lines(report()))
 
 
 def kernel(noise_ppb: float, *alternatives: WeightedKernel) -> KernelParameters:

@@ -217,6 +217,29 @@ def test_cells_without_a_reference_are_not_scored() -> None:
     assert got.mean_std_ppb == pytest.approx(float(shown.std_ppb[known].mean()), rel=1e-6)
 
 
+def test_the_ground_within_reach_has_a_score_of_its_own() -> None:
+    shown, random = snapshot(), np.random.default_rng(5)
+    truth = shown.mean_ppb + random.normal(0.0, 1.0, shown.mean_ppb.shape)
+    known, reach = random.random(truth.shape) < 0.9, random.random(truth.shape) < 0.6
+    got = Scorer(truth, known, reach).score(shown.mean_ppb, shown.std_ppb, 3, 11, 99)
+    everywhere = Scorer(truth, known).score(shown.mean_ppb, shown.std_ppb, 3, 11, 99)
+    assert got.model_copy(update={"within_reach": None}) == everywhere
+    assert got.within_reach is not None
+    both = known & reach
+    miss, std = np.abs(shown.mean_ppb - truth)[both], shown.std_ppb[both]
+    assert got.within_reach.share == pytest.approx(both.sum() / known.sum())
+    assert got.within_reach.rmse_ppb == pytest.approx(float(np.sqrt((miss**2).mean())), rel=1e-5)
+    assert got.within_reach.coverage_68 == pytest.approx(float((miss <= std).mean()), abs=1e-3)
+    assert got.within_reach.coverage_95 == pytest.approx(float((miss <= 2 * std).mean()), abs=1e-3)
+
+
+@pytest.mark.parametrize("all_or_none", [True, False])
+def test_where_every_cell_or_none_is_within_reach_there_is_no_second_score(all_or_none: bool) -> None:
+    shown = snapshot()
+    scorer = Scorer(np.zeros(GRID.shape), within_reach=np.full(GRID.shape, all_or_none))
+    assert scorer.score(shown.mean_ppb, shown.std_ppb, 3, 11, 99).within_reach is None
+
+
 def test_a_score_of_maps_of_another_shape_is_refused() -> None:
     with pytest.raises(InvalidInput, match="expected maps of shape"):
         Scorer(np.zeros((3, 3))).score(np.zeros((4, 4), np.float32), np.zeros((4, 4), np.float32), 1, 0, 0)
