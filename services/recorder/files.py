@@ -12,9 +12,8 @@ from itertools import count
 from pathlib import Path
 from typing import Protocol, Self
 
-from he3.errors import He3Error
 from services.runtime.files.lock import FileLock, lock_beside
-from services.runtime.files.output import open_output
+from services.runtime.files.output import failed, open_output
 
 BUFFER_BYTES = 65_536
 """Buffered bytes at which the file is written without a flush."""
@@ -110,7 +109,7 @@ class RecordingFile:
 def open_recording(path: Path) -> RecordingFile:
     """An empty file of that name, its folder made; an earlier recording is kept beside it as mission-1.mcap, -2, ...
 
-    Raises He3Error if it cannot be made, InvalidInput if another process writes that recording.
+    Raises InvalidInput if another process writes that recording, and as `failed` if it cannot be made.
     """
     lock = lock_beside(path, f"{path}: expected a recording that no other process writes")
     try:
@@ -122,7 +121,7 @@ def open_recording(path: Path) -> RecordingFile:
         return RecordingFile(path, raw, lock, lambda: os.fstat(raw.fileno()).st_nlink > 0)
     except OSError as error:
         lock.release()
-        raise He3Error(f"{path}: cannot write the recording: {error.strerror}") from None
+        raise failed(f"{path}: cannot write the recording", error) from None
 
 
 def free_name(path: Path) -> Path:

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Final
 
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
-from he3.errors import He3Error, InvalidInput
+from he3.errors import InvalidInput
 from schemas.topics import BY_NAME
 from services.recorder.files import free_name
 from services.recorder.reader import Recording
 from services.recorder.recovery import read_records
 from services.recorder.writer import CHANNEL_RECORD, PROFILE, REPAIR_RECORD, mcap_writer, register
 from services.runtime.files.lock import lock_beside
-from services.runtime.files.output import open_output
+from services.runtime.files.output import failed, open_output
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -78,7 +78,7 @@ def repair(path: Path) -> Repair:
                 kept.hardlink_to(path)  # the recording keeps its name at every moment
             scratch.replace(path)
         except OSError as error:
-            raise He3Error(f"{path}: cannot write the repaired recording: {error.strerror}") from None
+            raise failed(f"{path}: cannot write the repaired recording", error) from None
         finally:
             scratch.unlink(missing_ok=True)
     return Repair(path, copied, (*damaged, *ends), lost, kept)

@@ -18,7 +18,7 @@ from he3.frames import FloatArray
 from services.console.campaign.statistics import distinct
 from services.console.campaign.store import Row
 from services.console.campaign.task import DONE, canonical
-from services.runtime.files.output import open_output, write_output
+from services.runtime.files.output import failed, open_output, write_output
 
 SCENARIO, SEED = "scenario", "seed"
 
@@ -189,7 +189,7 @@ def write_csv(table: Table, path: Path) -> None:
     try:
         write_output(path, text.getvalue().encode())
     except OSError as error:
-        raise He3Error(f"{path}: cannot write the rows: {error.strerror}") from None
+        raise failed(f"{path}: cannot write the rows", error) from None
 
 
 def write_parquet(table: Table, path: Path) -> None:
@@ -212,4 +212,4 @@ def write_parquet(table: Table, path: Path) -> None:
         with open_output(path) as stream:
             parquet.write_table(pyarrow.table(columns), stream)
     except OSError as error:
-        raise He3Error(f"{path}: cannot write the rows: {error.strerror}") from None
+        raise failed(f"{path}: cannot write the rows", error) from None

@@ -164,11 +164,10 @@ def report(
     """Report on the rows of a store, also while a campaign still writes it."""
     import json as json_format
 
-    from he3.errors import He3Error
     from services.console.campaign.findings import findings_of
     from services.console.campaign.store import Store
     from services.console.campaign.table import shown_figures, table_of, write_csv, write_parquet
-    from services.runtime.files.output import write_output
+    from services.runtime.files.output import failed, write_output
 
     with Store(store, write=False) as rows:
         name, about = rows.about("study") or store.stem, rows.about("description")
@@ -188,7 +187,7 @@ def report(
         try:
             write_output(out, page_of(found, name, about, facts).encode())
         except OSError as error:
-            raise He3Error(f"{out}: cannot write the page: {error.strerror}") from None
+            raise failed(f"{out}: cannot write the page", error) from None
     if json:
         typer.echo(json_format.dumps({"study": name, **dict(facts), **found.document()}, indent=2))
         return

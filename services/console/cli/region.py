@@ -186,9 +186,9 @@ def _progress(line: str) -> None:
 def _build_file(region: str, out: Path, field_seed: int | None, *, json: bool) -> None:
     import numpy as np
 
-    from he3.errors import He3Error, InvalidInput
+    from he3.errors import InvalidInput
     from services.mission.regions import MAX_PROVENANCE
-    from services.runtime.files.output import open_output
+    from services.runtime.files.output import failed, open_output
 
     if out.suffix != ".npz":
         raise InvalidInput(f"--out {out}: expected a file name that ends in .npz")
@@ -210,7 +210,7 @@ def _build_file(region: str, out: Path, field_seed: int | None, *, json: bool) -
                 **origin,
             )
     except OSError as error:
-        raise He3Error(f"{out}: cannot write the region: {error.strerror}") from None
+        raise failed(f"{out}: cannot write the region", error) from None
     if json:
         _print_written(out, loaded)
         return

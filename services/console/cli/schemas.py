@@ -20,9 +20,8 @@ def schemas(
     """The JSON Schema of every message on the wire, and of the mission report."""
     import json as json_format
 
-    from he3.errors import He3Error
     from schemas.__main__ import json_schemas
-    from services.runtime.files.output import write_output
+    from services.runtime.files.output import failed, write_output
 
     documents = json_schemas()
     if folder is None:
@@ -33,5 +32,5 @@ def schemas(
         for name, document in documents.items():
             write_output(folder / f"{name}.schema.json", f"{json_format.dumps(document, indent=2)}\n".encode())
     except OSError as error:
-        raise He3Error(f"{folder}: cannot write the schemas: {error.strerror}") from None
+        raise failed(f"{folder}: cannot write the schemas", error) from None
     typer.echo(f"written to {folder}: {len(documents)} schemas")

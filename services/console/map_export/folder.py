@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from he3.errors import He3Error, InvalidInput
+from he3.errors import InvalidInput
 from services.console.map_export.catalogue import Asset, stac_item, tags_of
 from services.console.map_export.pds4 import write_pds4
 from services.console.map_export.placement import placed
@@ -21,7 +21,7 @@ from services.console.map_export.styles import qgis_style
 from services.console.map_export.vectors import as_csv, feature_tables, geojson, write_geopackage
 from services.mission.region_build.geo import pyogrio, pyproj, pystac, rasterio
 from services.runtime.files.lock import FileLock
-from services.runtime.files.output import write_output
+from services.runtime.files.output import failed, write_output
 
 if TYPE_CHECKING:
     from services.console.map_export.contents import MapContents
@@ -75,7 +75,7 @@ class ExportFolder:
             files = (*(asset.file for asset in assets), ITEM)
             self._put_in_place(scratch, files)
         except OSError as error:
-            raise He3Error(f"{self.folder}: cannot write the map: {error.strerror or error}") from None
+            raise failed(f"{self.folder}: cannot write the map", error) from None
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
         notes = contents.notes if placement.crs is not None else (*contents.notes, NO_PLACE)
@@ -113,7 +113,7 @@ def export_folder(folder: Path) -> Iterator[ExportFolder]:
             )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise He3Error(f"{folder}: cannot make the folder: {error.strerror}") from None
+        raise failed(f"{folder}: cannot make the folder", error) from None
     try:
         with FileLock(folder / _LOCK, f"{folder}: expected a folder that no other export writes to"):
             yield ExportFolder(folder)

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.errors import He3Error
 from he3.frames import SiteGrid
 from schemas.maps import MapLayer
-from services.runtime.files.output import open_output
+from services.runtime.files.output import failed, open_output
 
 if TYPE_CHECKING:
     from schemas.telemetry import SampleReport
@@ -81,7 +80,7 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise He3Error(f"{path}: cannot write the map: {error.strerror}") from None
+        raise failed(f"{path}: cannot write the map", error) from None
 
 
 WRITERS: Final[Mapping[str, Callable[[Export, Path], None]]] = {".npz": write_npz, ".csv": write_csv}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from he3.errors import He3Error, InvalidInput
 from services.runtime.files.lock import FileLock, lock_beside
+from services.runtime.files.output import failed
 
 if TYPE_CHECKING:
     from he3.reference import Region
@@ -67,11 +68,11 @@ def _check_writable(flag: str, path: Path) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """The folder, made if it does not exist; raises He3Error if it cannot be made."""
+    """The folder, made if it does not exist; raises as `failed` if it cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise He3Error(f"{folder}: cannot make the folder: {error.strerror}") from None
+        raise failed(f"{folder}: cannot make the folder", error) from None
     return folder
 
 
@@ -108,7 +109,7 @@ def _remove_stale(where: Outputs, events: Path | None) -> None:
             try:
                 path.unlink()
             except OSError as error:
-                raise He3Error(f"{path}: cannot remove what an earlier mission left: {error.strerror}") from None
+                raise failed(f"{path}: cannot remove what an earlier mission left", error) from None
 
 
 @dataclass(frozen=True, slots=True)

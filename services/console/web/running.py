@@ -15,7 +15,7 @@ from services.console.web.access import READ, Access, Caller, no_certificates
 from services.console.web.address import is_loopback, listening, own_names, urls_of
 from services.console.web.hub import Hub
 from services.console.web.identity import Tls, certified_by, tls_of
-from services.runtime.files.output import replace_output
+from services.runtime.files.output import failed, replace_output
 from services.runtime.service_manager import ServiceManager
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ def _announce(
         try:
             replace_output(options.login_file, text.encode())
         except OSError as error:
-            raise He3Error(f"--login-file {options.login_file}: cannot write: {error.strerror}") from None
+            raise failed(f"--login-file {options.login_file}: cannot write", error) from None
         say(f"{what_of} '{mission}' at {', '.join(urls)}, logins in {options.login_file}; Ctrl-C stops it")
         return
     for path, what in lines:

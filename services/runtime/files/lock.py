@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from he3.errors import He3Error, InvalidInput
-from services.runtime.files.output import require_own
+from he3.errors import InvalidInput
+from services.runtime.files.output import failed, require_own
 
 
 class FileLock:
@@ -24,7 +24,7 @@ class FileLock:
     def __init__(self, path: Path, expected: str) -> None:
         """path: the lock file. expected: the beginning of the error message, such as "expected a folder that ...".
 
-        Raises InvalidInput, naming the owner, if another process holds the lock; He3Error if the file cannot be made.
+        Raises InvalidInput, naming the owner, if another process holds the lock, and as `failed` if it cannot be made.
         """
         self._path = path
         self._descriptor = _locked(path, expected)
@@ -55,7 +55,7 @@ def lock_beside(path: Path, expected: str) -> FileLock:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise He3Error(f"{path.parent}: cannot make the folder: {error.strerror}") from None
+        raise failed(f"{path.parent}: cannot make the folder", error) from None
     return FileLock(path.with_name(f".{path.name}.lock"), expected)
 
 
@@ -65,12 +65,12 @@ def _locked(path: Path, expected: str) -> int | None:
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
         except OSError as error:
-            raise He3Error(f"{path}: cannot make the lock file: {error.strerror}") from None
+            raise failed(f"{path}: cannot make the lock file", error) from None
         try:
             require_own(os.fstat(descriptor), path)
         except OSError as error:
             os.close(descriptor)
-            raise He3Error(f"{path}: cannot use the lock file: {error.strerror}") from None
+            raise failed(f"{path}: cannot use the lock file", error) from None
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if _is_at(descriptor, path):

@@ -27,7 +27,7 @@ from cryptography.exceptions import InvalidSignature
 from he3.errors import He3Error, InvalidInput
 from schemas.wire import printable
 from services.runtime.files.lock import FileLock, lock_beside
-from services.runtime.files.output import open_output, require_own
+from services.runtime.files.output import failed, open_output, require_own
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -267,7 +267,7 @@ class AuditLog:
             require_own(os.fstat(self._file.fileno()), self.path)
             ends_a_line = self.path.stat().st_size == 0 or _last_byte(self.path) == b"\n"
         except OSError as error:
-            raise He3Error(f"{self.path}: cannot write: {error.strerror}") from None
+            raise failed(f"{self.path}: cannot write", error) from None
         self._before = b"" if ends_a_line else b"\n"  # written with the next line, in one piece
         self.add(AuditKind.OPENED, torn=line_hash(verdict.rest) if verdict.rest else None, process=os.getpid())
 

@@ -10,7 +10,8 @@ import secrets
 import stat
 from pathlib import Path
 
-from he3.errors import He3Error, InvalidInput
+from he3.errors import InvalidInput
+from services.runtime.files.output import failed
 
 MAX_BYTES = 8_388_608
 """Longest file that this system writes; a longer one is refused."""
@@ -20,7 +21,7 @@ _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 def make_private_folder(path: Path) -> Path:
     """The folder, made for its owner alone if it does not exist; its parents are made as usual.
 
-    Raises InvalidInput if it exists and others may enter it, He3Error if it cannot be made.
+    Raises InvalidInput if it exists and others may enter it, and as `failed` if it cannot be made.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -28,7 +29,7 @@ def make_private_folder(path: Path) -> Path:
     except FileExistsError:
         raise InvalidInput(f"{path}: expected a folder, got a file") from None
     except OSError as error:
-        raise He3Error(f"{path}: cannot make the folder: {error.strerror}") from None
+        raise failed(f"{path}: cannot make the folder", error) from None
     require_private_folder(path)
     return path
 
@@ -47,7 +48,7 @@ def require_private_folder(path: Path) -> None:
 def write_private(path: Path, content: bytes) -> None:
     """Write that file, mode 0600, in place of an earlier one; a reader sees the old file or the new one.
 
-    Raises He3Error if it cannot be written.
+    Raises as `failed` if it cannot be written.
     """
     scratch = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
@@ -62,7 +63,7 @@ def write_private(path: Path, content: bytes) -> None:
             scratch.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise He3Error(f"{path}: cannot write: {error.strerror}") from None
+        raise failed(f"{path}: cannot write", error) from None
 
 
 def read_private(path: Path) -> bytes:

@@ -47,13 +47,12 @@ def form_of(file: Path) -> str:
 
 def written(file: Path, payload: bytes) -> str:
     """Write the file; returns a line that reports it. Raises He3Error if it cannot be written."""
-    from he3.errors import He3Error
-    from services.runtime.files.output import write_output
+    from services.runtime.files.output import failed, write_output
 
     try:
         write_output(file, payload)
     except OSError as error:
-        raise He3Error(f"{file}: cannot write: {error.strerror}") from None
+        raise failed(f"{file}: cannot write", error) from None
     return f"written to {file}: {len(payload):,} bytes"
 
 
