@@ -63,7 +63,8 @@ def score(
     if json:
         typer.echo(figures.model_dump_json(indent=2))
         return
-    typer.echo(f"RMSE        {figures.rmse_ppb:.4f} ppb over all cells, mean std {figures.mean_std_ppb:.4f} ppb")
+    typer.echo(f"RMSE        {figures.rmse_ppb:.4f} ppb over all cells with a reference")
+    typer.echo(f"mean std    {figures.mean_std_ppb:.4f} ppb")
     typer.echo(
         f"coverage    {figures.coverage_68:.1%} within the intervals of 68.3 %, "
         f"{figures.coverage_95:.1%} within those of 95.4 %"
