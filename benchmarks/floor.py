@@ -111,6 +111,7 @@ def floor(
 ) -> Floor:
     """The floor of a region for a number of samples, within a budget of metres if one is given.
 
+    Errors are over the cells whose reference is known, as those of missions; designs are for all cells.
     start_m: where the missions begin that it is compared with; ``start_of`` the region if None.
     """
     begun = time.perf_counter()
@@ -120,7 +121,8 @@ def floor(
     site = reachable_site(region.grid, terrain.traversable, terrain.margin_m, start_m, field_nodes(region.grid, None))
     none = np.zeros((0, 2))
     coarse = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, site.nodes, none)
-    nodes = field_nodes(region.grid, None, NODES)
+    scored = None if region.known is None else region.known.astype(np.float64)
+    nodes = field_nodes(region.grid, scored, NODES)
     fine = AverageVariance(truth.kernel.of_squared_distance, truth.noise_variance, nodes, none)
     rng = np.random.default_rng(seed)
     found: list[tuple[float, FloatArray]] = []
@@ -138,7 +140,7 @@ def floor(
     alike = [places for value, places in found if sqrt(value / least) <= ALIKE]
     achieved = [_rmse(region, truth, places, noise_std_ppb, s) for places in alike for s in range(NOISE_SEEDS)]
     expected = truth.scale_ppb * sqrt(truth.kernel.prior_variance * fine(best))
-    bound = lowest_rmse(truth, field_nodes(region.grid, None, BOUND_NODES), samples)
+    bound = lowest_rmse(truth, field_nodes(region.grid, scored, BOUND_NODES), samples)
     rmse_ppb = float(np.mean(achieved))
     return Floor(
         region=region.name,
@@ -163,7 +165,8 @@ def true_covariance(
 ) -> Hyperparameters:
     """The maximum-likelihood covariance of the reference field, for a belief with the given noise."""
     rng = np.random.default_rng(seed)
-    seen = rng.choice(region.he3_ppb.size, min(cells, region.he3_ppb.size), replace=False)
+    known = region.of_known(np.arange(region.he3_ppb.size).reshape(region.grid.shape))
+    seen = known[rng.choice(known.size, min(cells, known.size), replace=False)]
     places, values = region.grid.points()[seen], region.he3_ppb.ravel()[seen]
     extent_m = max(region.grid.width_m, region.grid.height_m)
 
@@ -211,7 +214,7 @@ def _rmse(region: Region, truth: Hyperparameters, places: FloatArray, noise_std_
     rows, columns = region.grid.cells_of(places)
     noise = [sample_noise(seed, f"floor{k}", noise_std_ppb) for k in range(len(places))]
     belief = GridPosterior.build(region.grid, truth, places, region.he3_ppb[rows, columns] + np.array(noise))
-    return rmse(region.he3_ppb, belief.mean_ppb)
+    return rmse(region.of_known(region.he3_ppb), region.of_known(belief.mean_ppb))
 
 
 def _place(text: str) -> tuple[float, float]:

@@ -222,7 +222,7 @@ def fly(
         "cost": cost, "driving": None if report.driving is None else report.driving.model_dump(),
         "place": name, "size": size, "planner": planner, "cells": region.grid.columns * region.grid.rows,
         "width_m": region.grid.width_m, "samples": report.samples, "rmse_ppb": report.rmse_ppb,
-        "std_ppb": float(region.he3_ppb.std()), "path_length_m": report.path_length_m,
+        "std_ppb": float(region.of_known(region.he3_ppb).std()), "path_length_m": report.path_length_m,
         "coverage_68": report.coverage_68, "coverage_95": report.coverage_95, "steepest_deg": steepest,
         "closed": region.untraversable_fraction, "reached": reached_share(region, scenario.start_m),
         "mission_time_h": report.mission_time_s / 3600.0, "wall_time_s": time.monotonic() - began,

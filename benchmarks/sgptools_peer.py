@@ -19,6 +19,7 @@ from benchmarks.missions import FOOTPRINT_RADIUS_M, Mission, start_of
 from benchmarks.peer_environments import SGPTOOLS, packed, unpacked
 from he3.frames import FloatArray, path_length
 from he3.hyperparameters import DEFAULT_NOISE_STD_PPB, Hyperparameters
+from he3.information import rmse
 from he3.measurement import sample_noise
 from he3.reference import Region
 from services.ground.belief import Belief
@@ -140,7 +141,9 @@ def fly_sgptools(
     values = region.he3_ppb[region.grid.cells_of(places)] + noise[: len(places)]
     belief = belief_of(region, places, values, kernel, seed, noise_std_ppb)
     shown, count = belief.map, len(places)
-    score = Scorer(region.he3_ppb).score(shown.mean_ppb, shown.std_ppb, count, count, 0, belief.interval_ends())
+    score = Scorer(region.he3_ppb, region.known).score(
+        shown.mean_ppb, shown.std_ppb, count, count, 0, belief.interval_ends()
+    )
     own, _ = map_of_sgptools(region, places, values)
     row = {
         "region": region.name,
@@ -151,7 +154,7 @@ def fly_sgptools(
         "seed": seed,
         "samples": len(places),
         "rmse_ppb": score.rmse_ppb,
-        "rmse_own_gp_ppb": float(np.sqrt(np.mean((own - region.he3_ppb) ** 2))),
+        "rmse_own_gp_ppb": _rmse(region, own),
         "path_length_m": path_length(path),
         "blocked_legs": blocked,
         "coverage_68": score.coverage_68,
@@ -163,9 +166,14 @@ def fly_sgptools(
 
 
 def own_gp_rmse(region: Region, mission: Mission) -> float:
-    """RMSE [ppb] over all cells of our samples under the peers' Gaussian process, fitted their way."""
+    """RMSE [ppb] over all known cells of our samples under the peers' Gaussian process, fitted their way."""
     field, _ = map_of_sgptools(region, mission.samples_m, mission.values_ppb)
-    return float(np.sqrt(np.mean((field - region.he3_ppb) ** 2)))
+    return _rmse(region, field)
+
+
+def _rmse(region: Region, map_ppb: FloatArray) -> float:
+    """RMSE [ppb] of a map (rows, columns) over the cells whose reference is known."""
+    return rmse(region.of_known(region.he3_ppb), region.of_known(map_ppb))
 
 
 def noise_of(seed: int, samples: int, std_ppb: float) -> FloatArray:

@@ -155,8 +155,8 @@ def fly(trial: Trial) -> Row:
         "planner": trial.planner,
         "hyperparameters": trial.hyperparameters,
         "start": trial.start,
-        "field_std_ppb": float(region.he3_ppb.std()),
-        "map_std_ppb": float(mission.std_ppb.mean(dtype=np.float64)),
+        "field_std_ppb": float(region.of_known(region.he3_ppb).std()),
+        "map_std_ppb": float(region.of_known(mission.std_ppb).mean(dtype=np.float64)),
         "reached_share": float(reachable(open_cells, region.grid, start).sum() / open_cells.sum()),
         "ended": mission.ended,
     }

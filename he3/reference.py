@@ -15,8 +15,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from he3 import constants
 from he3.errors import InvalidInput
@@ -123,6 +125,11 @@ class Region:
                 raise InvalidInput(f"{self.name}: expected no traversable cell without a reference")
             self.known.flags.writeable = False
         object.__setattr__(self, "untraversable_fraction", float(1.0 - self.traversable.mean()))
+
+    def of_known(self, values: NDArray[np.generic]) -> NDArray[Any]:
+        """Those of the values (rows, columns) that lie where the reference field is known, (k,): what is scored."""
+        known: NDArray[Any] = values.ravel() if self.known is None else values[self.known]
+        return known
 
 
 def reference(

@@ -100,7 +100,7 @@ def _figures(region: Region) -> dict[str, Any]:
 
     import numpy as np
 
-    field = region.he3_ppb if region.known is None else region.he3_ppb[region.known]
+    field = region.of_known(region.he3_ppb)
     terrain = bool(region.elevation_m.any())  # without heights they are 0 everywhere
     return {
         "name": region.name,

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -73,6 +74,19 @@ def test_on_a_large_region_the_floor_is_one_and_no_mission_comes_below_it_or_its
 def test_a_floor_from_a_pocket_of_the_ground_is_left_out_and_says_so(wide):
     lowest = floor(wide, samples=10, designs=1, steps=2, cells=40, start_m=(1100.0, 1100.0))
     assert lowest.why_not.startswith("only 1.4% of the open ground can be reached from the start")
+
+
+def test_what_fills_cells_without_a_reference_has_no_part_in_the_floor(wide):
+    known = np.ones(wide.grid.shape, dtype=bool)
+    known[60:90, 40:80] = False
+    ground = wide.traversable & known
+    filled = [np.where(known, wide.he3_ppb, value) for value in (0.0, 90.0)]
+    regions = [replace(wide, he3_ppb=field, known=known, traversable=ground) for field in filled]
+    one, other = (
+        floor(each, samples=20, designs=1, steps=4, cells=60, start_m=(10_100.0, 10_100.0)) for each in regions
+    )
+    assert replace(one, seconds=0.0) == replace(other, seconds=0.0)
+    assert one.rmse_ppb < 2.0 * wide.he3_ppb.std()
 
 
 def test_independent_cells_leave_exactly_what_is_not_measured():

@@ -37,6 +37,14 @@ def test_ground_that_cannot_be_reached_is_told() -> None:
     )
 
 
+def test_cells_without_a_reference_have_no_part_in_the_field_s_own_deviation(tmp_path: Path) -> None:
+    field = 8.0 + np.add.outer(np.zeros(40), np.arange(40.0)) / 10.0
+    field[:, 30:] = np.nan
+    np.savez(tmp_path / "holes", he3_ppb=field, traversable=np.isfinite(field), resolution_m=10.0)
+    row = trap.fly(trap.Trial(str(tmp_path / "holes.npz"), "tour", "ml", 1, 1, "matern12", (25.0, 25.0)))
+    assert row["field_std_ppb"] == pytest.approx(field[:, :30].std())
+
+
 @pytest.mark.exhaustive
 def test_no_mission_with_uncertain_hyperparameters_is_trapped(tmp_path: Path) -> None:
     rows = trap.run(
