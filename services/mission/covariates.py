@@ -39,7 +39,8 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
     A name is one of ``REGION_LAYERS``, or a raster of the region's cells: .npy with row 0 south, or .tif with row 0
     north. Raises InvalidInput, in one line, for a name that is neither, and for a raster of another shape or with cells
     without a value: not finite, the file's no-data value, or a number that marks missing values in any unit; also for
-    one with a few cells far beyond all others, which would be all that the layer shows. A .tif that says where it lies
+    one with a few cells far beyond all others, which would be all that the layer shows, and for one that has one value
+    everywhere, as the heights of a region that has none. A .tif that says where it lies
     has to lie on these cells, as far as the region says where it lies itself: by its projection, by latitude and
     longitude for a raster in degrees, else by the size of a cell.
     """
@@ -65,6 +66,10 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
                 f"covariate {name}: expected values as the others, {others.min():g} to {others.max():g}, got "
                 f"{values[broken][0]:g} in {cells_where(broken)}: such values hide what the others show; mend or clip "
                 "them"
+            )
+        if values.size and values.min() == values.max():
+            raise InvalidInput(
+                f"covariate {name}: expected values that differ from cell to cell, got {values.flat[0]:g} on all cells"
             )
         layers[number] = values
     return layers

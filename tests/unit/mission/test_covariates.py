@@ -26,6 +26,7 @@ def scenario(quarter, **ground):
 
 
 def test_layers_of_the_region_and_rasters_become_one_trend(region, quarter_of_t1, tmp_path):
+    region = replace(region, elevation_m=HILLS.copy())
     raster = np.arange(region.he3_ppb.size, dtype=np.int16).reshape(region.grid.shape)
     np.save(tmp_path / "ramp.npy", raster)
     names = ["elevation_m", str(tmp_path / "ramp.npy")]
@@ -206,3 +207,12 @@ def test_a_layer_that_was_saved_from_the_map_is_a_covariate(place, region, tmp_p
     with rasterio.open(tmp_path / "saved.tif", "w", driver="GTiff", transform=transform, **shape) as target:
         target.write(HILLS.astype("float32"), 1)
     assert covariates([str(tmp_path / "saved.tif")], placed)[0] == pytest.approx(HILLS[::-1])
+
+
+def test_a_layer_with_one_value_everywhere_is_no_covariate(region, tmp_path):
+    level = np.zeros(region.grid.shape)
+    np.save(tmp_path / "level.npy", level + 3.0)
+    flat = replace(region, elevation_m=level, slope_deg=level.copy())
+    for name, value in ((str(tmp_path / "level.npy"), 3), ("elevation_m", 0), ("slope_deg", 0)):
+        with pytest.raises(InvalidInput, match=rf"expected values that differ from cell to cell, got {value} on all"):
+            covariates([name], flat)
