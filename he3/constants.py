@@ -34,6 +34,7 @@ TITANIUM_INTERCEPT: Final = -0.54  # dex of wt %, PAPER; a fit to Apollo 17 soil
 HELIUM3_GAIN_PPB: Final = 0.56  # ppb per (wt % of TiO2 x flux / OMAT), FA-JIN
 HELIUM3_OFFSET_PPB: Final = 1.62  # ppb, FA-JIN
 HELIUM3_MAX_PPB: Final = 1e6  # ppb, a thousandth of the soil's mass; anything above is a mistake, ASSUMED
+HELIUM3_LEAST_PPB: Final = 0.05  # ppb, highest of a site, or it is in another unit: soils hold 1 to 30, ASSUMED
 IRON_MIN_WT: Final = 1e-3  # wt %, FeO that no product resolves; 0 or less marks missing values, ASSUMED
 IRON_MAX_WT: Final = 40.0  # wt %, FeO of no soil; lunar ones hold up to 25, ASSUMED
 TITANIUM_MAX_WT: Final = 35.0  # wt %, TiO2 of no soil; lunar ones hold up to 14, ilmenite itself 53, ASSUMED

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from he3.constants import ELEVATION_MAX_M, ELEVATION_MIN_M, HELIUM3_MAX_PPB
+from he3.constants import ELEVATION_MAX_M, ELEVATION_MIN_M, HELIUM3_LEAST_PPB, HELIUM3_MAX_PPB
 from he3.errors import InvalidInput
 from he3.frames import FloatArray, SiteGrid
 from he3.nodata import cells_where, expect_measured, expect_no_walls, filled_with_nearest
@@ -144,6 +144,10 @@ def _region(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Region:
     he3 = _layer(path, arrays, "he3_ppb", None, (0.0, HELIUM3_MAX_PPB), "ppb")
     if he3 is None:
         raise InvalidInput(f"{path}: expected key he3_ppb, got {', '.join(sorted(arrays)) or 'no keys'}")
+    if 0.0 < (highest := float(he3.max())) < HELIUM3_LEAST_PPB:
+        raise InvalidInput(
+            f"{path}: key he3_ppb: expected helium-3 in ppb, got at most {highest:.4g}, as in ppm or as a fraction"
+        )
     resolution_m = _resolution_m(path, arrays)
     grid = SiteGrid(he3.shape[0], he3.shape[1], resolution_m)
     if max(grid.width_m, grid.height_m) > MAX_POSITION_M:

@@ -45,7 +45,7 @@ def expect_no_marks(name: str, layer: str, raw: NDArray[Any], missing: BoolArray
 def expect_plausible(name: str, layer: str, values: FloatArray, unit: str) -> None:
     """Raises InvalidInput if values (rows, columns) in the layer's unit, NaN where missing, are not possible there.
 
-    unit: that of the recipe or the file; without one, FeO as a fraction and radii in km are refused as well.
+    unit: that of the recipe or the file; without one, FeO as a fraction, helium-3 in ppm and radii in km are refused.
     """
     known = np.isfinite(values)
     if not known.any():
@@ -61,6 +61,10 @@ def expect_plausible(name: str, layer: str, values: FloatArray, unit: str) -> No
     if layer == "iron_wt" and not unit and highest <= constants.IRON_MAX_WT / 100.0:
         raise InvalidInput(
             f'{name}: layer {layer}: expected FeO in wt %, got at most {highest:.4g}: give unit = "fraction" or "wt%"'
+        )
+    if layer == "he3_ppb" and not unit and 0.0 < highest < constants.HELIUM3_LEAST_PPB:
+        raise InvalidInput(
+            f'{name}: layer {layer}: expected helium-3 in ppb, got at most {highest:.4g}: give unit = "ppm" or "ppb"'
         )
     if layer == "elevation_m" and not unit and _RADII_KM[0] <= lowest and highest <= _RADII_KM[1]:
         raise InvalidInput(

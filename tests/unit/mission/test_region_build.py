@@ -446,6 +446,7 @@ def test_a_number_that_no_ground_has_is_refused_as_the_raster_has_it_and_not_sme
         ("iron_wt", 1.0, "fraction", r"expected 0 to 40 wt %, got 1[34]\d\d"),
         ("iron_wt", 0.01, None, r'expected FeO in wt %, got at most 0\.14: give unit = "fraction" or "wt%"'),
         ("titanium_wt", 100.0, None, r"expected -1 to 35 wt %, got 3\d\d"),
+        ("he3_ppb", 0.001, None, r'expected helium-3 in ppb, got at most 0\.005: give unit = "ppm" or "ppb"'),
         ("maturity", 100.0, None, r"expected 0 to 2, got 2\d"),
         (
             "radius_km",
@@ -459,7 +460,7 @@ def test_values_in_another_unit_are_refused(
     tmp_path: Path, layer: str, factor: float, unit: str | None, said: str
 ) -> None:
     document = chemistry_of_levels(tmp_path)
-    levels = {"iron_wt": 14.0, "titanium_wt": 3.0, "maturity": 0.2, "radius_km": 1734.8}
+    levels = {"iron_wt": 14.0, "titanium_wt": 3.0, "maturity": 0.2, "he3_ppb": 5.0, "radius_km": 1734.8}
     values = levels[layer] * (1.0 + 1e-6 * np.arange(96)) + np.zeros((96, 1))
     layer = {"radius_km": "elevation_m"}.get(layer, layer)
     plain(tmp_path, factor * values, name=f"{layer}.tif")

@@ -251,6 +251,7 @@ HOLE[7, 9] = np.nan
             "to 1e+06 ppb, got -1 in 1200 cells, the first at row 0, column 0",
         ),
         ({"he3_ppb": np.full((30, 40), 1e9)}, "he3_ppb", "expected 0 to 1e+06 ppb, got 1e+09 in 1200 cells"),
+        ({"he3_ppb": np.full((30, 40), 0.012)}, "he3_ppb", "expected helium-3 in ppb, got at most 0.012, as in ppm or"),
         ({"provenance": "x" * 501}, "provenance", "expected up to 500 printable characters, got 501: 'xxx"),
         ({"provenance": "two\nlines"}, "provenance", "expected up to 500 printable characters, got 9"),
         ({"provenance": 7.0}, "provenance", "got dtype float64"),
