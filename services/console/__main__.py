@@ -61,7 +61,6 @@ def _run(words: list[str]) -> int:
     from he3.errors import He3Error, InvalidInput
     from services.console.cli.app import build
     from services.console.interruption import told_to_end
-    from services.runtime.files.output import MAY_PASS
 
     # typer carries its own copy of click and exports only the leaves of its exception tree.
     usage_error: Any = typer.BadParameter.__bases__[0]
@@ -82,9 +81,7 @@ def _run(words: list[str]) -> int:
         if told_to_end() is not None or os.environ.get(TRACEBACK):
             raise
         what = error.strerror or type(error).__name__
-        if not error.filename:
-            return _say(f"the system refused: {what}", FAILED)
-        return _say(f"{error.filename}: {what}", FAILED if error.errno in MAY_PASS else BAD_INPUT)
+        return _say(f"{error.filename}: {what}" if error.filename else f"the system refused: {what}", FAILED)
     except SystemExit as end:  # typer has seen it first
         if not isinstance(end.__context__, BrokenPipeError):
             raise

@@ -46,21 +46,24 @@ def outputs(folder: Path | None, report: Path | None, events: Path | None = None
     Raises InvalidInput for a folder that is a file, or a place without permission to write.
     """
     if folder is not None:
+        _check_writable("--out", folder)
         if folder.exists() and not folder.is_dir():
             raise InvalidInput(f"--out {folder}: expected a folder, got a file")
-        _check_writable("--out", folder)
     for flag, file in (("--report", report), ("--events", events)):
         if file is not None:
+            _check_writable(flag, file)
             if file.is_dir():
                 raise InvalidInput(f"{flag} {file}: expected a file, got a folder")
-            _check_writable(flag, file)
     return Outputs(folder, report if report is not None or folder is None else folder / "report.json")
 
 
 def _check_writable(flag: str, path: Path) -> None:
     place = path
-    while not place.exists():
-        place = place.parent
+    try:
+        while not place.exists():
+            place = place.parent
+    except OSError as error:  # a folder on the way may not be entered
+        raise failed(f"{flag} {path}: expected a place to write to", error) from None
     if place != path and not place.is_dir():
         raise InvalidInput(f"{flag} {path}: expected a folder at {place}, got a file")
     if not os.access(place, os.W_OK):
