@@ -31,8 +31,11 @@ _came: list[int] = []
 def ending_on_signals() -> Iterator[None]:
     """Within this context SIGTERM unwinds the main thread as Ctrl-C does; Ctrl-C works even if the shell ignores it."""
     _came.clear()
-    with _handlers({signal.SIGINT: _interrupt, signal.SIGTERM: _terminate}):
-        yield
+    try:
+        with _handlers({signal.SIGINT: _interrupt, signal.SIGTERM: _terminate}):
+            yield
+    finally:
+        _came.clear()
 
 
 def told_to_end() -> int | None:
@@ -42,6 +45,17 @@ def told_to_end() -> int | None:
     that is raised inside one of its callbacks.
     """
     return _came[0] if _came else None
+
+
+def end_if_told() -> None:
+    """Raise KeyboardInterrupt or Terminated if a signal has told this process to end; for each pass of a long loop.
+
+    The exception of the handler may not have come through: Python drops one that is raised in the callback of a weak
+    reference, which the collection of garbage calls anywhere.
+    """
+    told = told_to_end()
+    if told is not None:
+        raise KeyboardInterrupt if told == signal.SIGINT else Terminated
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from schemas.commands import NoParameters
 from schemas.link import LinkStatus
 from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
 from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
+from services.console.interruption import end_if_told
 from services.console.launch.terrain_facts import terrain_facts
 from services.console.report.mission_report import Outcome, Run, gather
 from services.console.report.outputs import Outputs, Written, claimed, write_outcome
@@ -74,7 +75,12 @@ def _run_in_process(
         log = None if events is None else stack.enter_context(closing(EventLog(events)))
         mission = InProcessMission(scenario, executor, log, nodes)
         stack.enter_context(progress)
-        mission.run(lambda: progress.show(lambda: _moment(mission, link)))
+
+        def watch() -> None:
+            end_if_told()
+            progress.show(lambda: _moment(mission, link))
+
+        mission.run(watch)
         if log is not None and events is not None:
             log.close()  # the queries for the report are no part of the mission
             problems += lacks_of_merged([events], events, [] if log.problem is None else [log.problem])

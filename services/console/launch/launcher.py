@@ -13,7 +13,7 @@ from typing import Self
 
 from he3.errors import He3Error, InvalidInput
 from schemas.wire import printable
-from services.console.interruption import uninterrupted
+from services.console.interruption import end_if_told, uninterrupted
 from services.console.launch.endpoints import Endpoints
 from services.mission.processes import LINK, PROCESSES, RECORDER, VITAL, ProcessSpec, waited_for
 from services.runtime.child import BAD_INPUT, child_environment, exit_in_words, python_command
@@ -103,6 +103,7 @@ class Launcher:
 
     def check(self) -> None:
         """Raise He3Error, in one line, when a service has ended by itself; InvalidInput if its input was bad."""
+        end_if_told()
         for name in self._processes:
             if (how := self._ended(name)) is not None:
                 raise self._error(name, how)
@@ -113,6 +114,7 @@ class Launcher:
 
         Returns a line for each other service that has ended since the last call: the mission continues without it.
         """
+        end_if_told()
         lines = []
         for name in self._processes.keys() - self._left_behind:
             if (how := self._ended(name)) is None:

@@ -8,13 +8,25 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Self
 
 import pytest
 
 from he3.errors import He3Error
 from services.console import __main__ as entry
 from services.console.cli import app
-from services.console.interruption import ENDS_WITHIN_S, Terminated, ending_in_time, ending_on_signals, told_to_end
+from services.console.interruption import (
+    ENDS_WITHIN_S,
+    Terminated,
+    end_if_told,
+    ending_in_time,
+    ending_on_signals,
+    told_to_end,
+)
+from services.console.launch.in_process import run_in_process
+from services.console.launch.scenarios import choose
+from services.console.report.outputs import outputs
 from tests.waiting import PATIENCE_S, expect_within
 
 ENDS = [(signal.SIGINT, 130, "he3: interrupted\n"), (signal.SIGTERM, 143, "he3: terminated\n")]
@@ -115,6 +127,41 @@ def test_a_command_that_is_over_leaves_signals_as_they_were() -> None:
 def gone(thread: threading.Thread) -> bool:
     thread.join(10.0)
     return not thread.is_alive()
+
+
+@pytest.mark.parametrize(("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])
+def test_a_signal_whose_exception_was_dropped_ends_the_next_pass_of_a_loop(
+    number: signal.Signals, kind: type[BaseException]
+) -> None:
+    def loop() -> None:
+        with ending_on_signals():
+            end_if_told()
+            with suppress(kind):  # as in the callback of a weak reference
+                signal.raise_signal(number)
+            end_if_told()
+
+    with pytest.raises(kind):
+        loop()
+    end_if_told()
+
+
+class Dropping:
+    """A progress display in which Ctrl-C arrives once, at a place where its exception is dropped."""
+
+    def show(self, now: object) -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_a_mission_in_one_process_ends_upon_a_ctrl_c_whose_exception_was_dropped() -> None:
+    with pytest.raises(KeyboardInterrupt), ending_on_signals():
+        run_in_process(choose("short").scenario, outputs(None, None), Dropping(), scores_rounds=False)
 
 
 def test_an_error_without_a_signal_is_a_defect_and_a_signal_of_an_earlier_command_is_forgotten(
