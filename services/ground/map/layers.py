@@ -54,6 +54,8 @@ class Cells:
     y_min_m: float
     """South edge of the first row."""
     threshold_ppb: float | None
+    known: NDArray[np.bool_] | None = None
+    """Of reference and error: where the reference is known, (rows, columns). None where all values are."""
 
     @property
     def unit(self) -> str:
@@ -81,7 +83,8 @@ def whole_layer(request: MapLayerQuery, snapshot: MapSnapshot) -> Cells:
     part = (slice(None, None, step), slice(None, None, step))
     values = _values(request.layer, request.threshold, snapshot, part)
     edge = 0.5 * (1 - step) * cell_m
-    return Cells(request.layer, values, cell_m * step, edge, edge, request.threshold)
+    known = _known(request.layer, snapshot, part)
+    return Cells(request.layer, values, cell_m * step, edge, edge, request.threshold, known)
 
 
 def box(request: MapBoxQuery, snapshot: MapSnapshot) -> Cells:
@@ -122,7 +125,8 @@ def box(request: MapBoxQuery, snapshot: MapSnapshot) -> Cells:
         cell_indices(centres(x[0], columns, resolution), grid.columns, grid.resolution_m),
     )
     values = _values(request.layer, request.threshold, snapshot, part)
-    return Cells(request.layer, values, resolution, x[0], y[0], request.threshold)
+    known = _known(request.layer, snapshot, part)
+    return Cells(request.layer, values, resolution, x[0], y[0], request.threshold, known)
 
 
 def information_nats(std_ppb: Any, noise_std_ppb: float) -> Any:
@@ -173,6 +177,11 @@ def _region(layer: MapLayer, snapshot: MapSnapshot) -> RegionRasters:
     if layer in TERRAIN and not found.has_terrain:
         raise NotFound(f"map: there is no layer {layer.value}: the region has no elevation")
     return found
+
+
+def _known(layer: MapLayer, snapshot: MapSnapshot, part: Any) -> NDArray[np.bool_] | None:
+    known = _region(layer, snapshot).known if layer in SIMULATED else None
+    return None if known is None else known[part]
 
 
 def _values(layer: MapLayer, threshold_ppb: float | None, snapshot: MapSnapshot, part: Any) -> NDArray[Any]:

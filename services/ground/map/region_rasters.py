@@ -19,7 +19,7 @@ from services.mission.region_identity import is_region
 from services.mission.regions import load_region
 
 if TYPE_CHECKING:
-    from he3.frames import Float32Array
+    from he3.frames import BoolArray, Float32Array
     from schemas.maps import MapRegion
     from services.ground.map.snapshot import MapSnapshot
 
@@ -35,6 +35,8 @@ class RegionRasters:
     shade: Float32Array
     """Brightness of the relief, 0 to 1."""
     reference_ppb: Float32Array
+    known: BoolArray | None
+    """Where the reference is known; it is that of the nearest such cell elsewhere. None where it is everywhere."""
 
     @property
     def has_terrain(self) -> bool:
@@ -64,6 +66,7 @@ def _read(account: MapRegion) -> RegionRasters:
         slope_deg=region.slope_deg.astype(np.float32),
         shade=hillshade(region.elevation_m, region.grid.resolution_m).astype(np.float32),
         reference_ppb=region.he3_ppb.astype(np.float32),
+        known=region.known,
     )
     for raster in (rasters.elevation_m, rasters.slope_deg, rasters.shade, rasters.reference_ppb):
         raster.setflags(write=False)

@@ -6,6 +6,7 @@ import io
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from schemas.wire import Wire
     from services.ground.map.snapshot import MapSnapshot
 
+NO_DATA = 42113  # TIFF tag, GDAL's
+_FIGURES = (MapFormat.NPY, MapFormat.TIFF, MapFormat.CSV)
 MEDIA_TYPES = {
     MapFormat.JSON: "application/json",
     MapFormat.NPY: "application/x-npy",
@@ -76,8 +79,15 @@ class Renderer:
 
 
 def rendered(cells: Cells, form: MapFormat, snapshot: MapSnapshot) -> Encoded:
-    """The cells in that format, with a description as the attachment."""
+    """The cells in that format, with a description as the attachment.
+
+    In formats from which figures are computed, cells without a reference have no value: NaN. Pictures have one
+    everywhere.
+    """
+    if form in _FIGURES and cells.known is not None:
+        cells = replace(cells, values=np.where(cells.known, cells.values, np.float32(np.nan)))
     values = cells.values
+    shown = values if cells.known is None else values[np.isfinite(values)]
     about = MapAbout(
         layer=cells.layer,
         format=form,
@@ -87,8 +97,8 @@ def rendered(cells: Cells, form: MapFormat, snapshot: MapSnapshot) -> Encoded:
         x_min_m=cells.x_min_m,
         y_min_m=cells.y_min_m,
         unit=cells.unit,
-        low=float(values.min()),
-        high=float(values.max()),
+        low=float(shown.min()) if shown.size else 0.0,
+        high=float(shown.max()) if shown.size else 0.0,
         revision=snapshot.revision,
         samples=len(snapshot.samples),
         mission_time_ns=snapshot.mission_time_ns,
@@ -141,6 +151,9 @@ def tiff(cells: Cells, snapshot: MapSnapshot) -> bytes:
         f"He-3 map, layer {cells.layer.value} [{cells.unit}], revision {snapshot.revision}, "
         f"{len(snapshot.samples)} samples"
     )
+    if cells.known is not None:
+        directory.tagtype[NO_DATA] = TiffTags.ASCII
+        directory[NO_DATA] = "nan"
     stream = io.BytesIO()
     image = Image.fromarray(np.ascontiguousarray(cells.values[::-1]))
     image.save(stream, format="TIFF", tiffinfo=directory)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import zlib
@@ -12,15 +13,28 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from he3.colour_maps import OF_LAYER, stops
 from he3.errors import NotFound
-from schemas.maps import RASTERS, SIMULATED, TABLES, MapAbout, MapFormat, MapLayer, MapLayerQuery, MapRegion, MapScore
+from schemas.maps import (
+    RASTERS,
+    SIMULATED,
+    TABLES,
+    MapAbout,
+    MapBoxQuery,
+    MapFormat,
+    MapLayer,
+    MapLayerQuery,
+    MapRegion,
+    MapScore,
+)
 from services.console.__main__ import main
 from services.console.report.pictures import LAYER_LABELS
-from services.ground.map.layers import UNITS, whole_layer
-from services.ground.map.rendering import rendered
+from services.ground.map.layers import UNITS, box, whole_layer
+from services.ground.map.rendering import NO_DATA, rendered
 from services.ground.map.snapshot import MapSnapshot
+from services.ground.scoring import Scorer
 from services.mission.region_folder import file_sha256
 from services.mission.regions import load_region
 from tests.unit.ground.map.test_service import GRID, REGION, snapshot
@@ -107,6 +121,35 @@ def test_a_region_that_was_built_anew_since_is_not_shown_although_it_has_as_many
     np.savez(tmp_path / "region.npz", he3_ppb=np.full(GRID.shape, 8.0), **arrays)
     with pytest.raises(NotFound, match=r"expected the mission's region .* got one that was built anew or changed"):
         values(MapLayer.REFERENCE, shown)
+
+
+def test_files_of_reference_and_error_have_no_value_where_the_reference_has_none(tmp_path: Path) -> None:
+    field, nothing = np.full(GRID.shape, 9.0), np.zeros(GRID.shape, dtype=bool)
+    field[:3, 5:] = np.nan
+    nothing[:3, 5:] = True
+    np.savez(tmp_path / "region.npz", he3_ppb=field, resolution_m=2.0, traversable=np.ones(GRID.shape, dtype=bool))
+    shown = replace(snapshot(SCORE), region=account_of(tmp_path / "region.npz"))
+    for layer in SIMULATED:
+        cells = whole_layer(MapLayerQuery(layer=layer), shown)
+        assert np.isfinite(cells.values).all()
+        read = np.load(io.BytesIO(rendered(cells, MapFormat.NPY, shown).payload))
+        np.testing.assert_array_equal(np.isnan(read), nothing)
+        np.testing.assert_array_equal(read[~nothing], cells.values[~nothing])
+        with Image.open(io.BytesIO(rendered(cells, MapFormat.TIFF, shown).payload)) as tiff:
+            np.testing.assert_array_equal(np.isnan(np.asarray(tiff))[::-1], nothing)
+            assert tiff.tag_v2[NO_DATA] == "nan"
+        table = rendered(cells, MapFormat.CSV, shown).payload.decode().splitlines()[1:]
+        assert [line.endswith(",nan") for line in table] == nothing.ravel().tolist()
+        about = MapAbout.model_validate_json(rendered(cells, MapFormat.CSV, shown).about)
+        assert (about.low, about.high) == (cells.values[~nothing].min(), cells.values[~nothing].max())
+    score = read[~nothing].astype(np.float64)
+    assert np.sqrt(np.mean(score**2)) == pytest.approx(Scorer(field, ~nothing).score(
+        shown.mean_ppb, shown.std_ppb, 0, 0, 0, None
+    ).rmse_ppb)  # fmt: skip
+    corner = box(MapBoxQuery(layer=MapLayer.ERROR, x_min=12, y_min=0, x_max=16, y_max=4), shown)
+    assert np.isnan(np.load(io.BytesIO(rendered(corner, MapFormat.NPY, shown).payload))).all()
+    mean = rendered(whole_layer(MapLayerQuery(layer=MapLayer.MEAN), shown), MapFormat.NPY, shown)
+    assert np.isfinite(np.load(io.BytesIO(mean.payload))).all()
 
 
 def unpacked(payload: bytes, about: MapAbout) -> NDArray[Any]:
