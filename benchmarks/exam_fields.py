@@ -253,6 +253,7 @@ def _geotiff(path: Path, part: str, published: bool = False) -> tuple[FloatArray
             masked[hidden_by_mask(raster, band)] = np.ma.masked
             _expect_no_marks(path, masked.data, ~np.ma.getmaskarray(masked))
             values = masked.astype(np.float64).filled(np.nan)
+            upright = raster.transform.is_identity or raster.transform.e <= 0.0  # row 0 north, also where none is said
             if published:  # as in the figures of the documentation: squares as high as the pixels
                 degrees = raster.crs is not None and raster.crs.is_geographic
                 cell_m = abs(raster.transform.e) * (math.radians(1.0) * MOON_RADIUS_M if degrees else 1.0)
@@ -260,4 +261,4 @@ def _geotiff(path: Path, part: str, published: bool = False) -> tuple[FloatArray
                 cell_m = ground_pixel_m(path, raster)
     except rasterio.errors.RasterioError as error:
         raise InvalidInput(f"{path}: expected a raster that GDAL reads, got {error}") from None
-    return values[::-1], cell_m
+    return values[::-1] if upright else values, cell_m

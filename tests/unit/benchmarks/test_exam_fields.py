@@ -68,6 +68,21 @@ def test_pixels_that_an_alpha_band_hides_have_no_value(dtype, tmp_path):
     assert field.region.grid.resolution_m == 2.0
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("row_0", ["north", "south", "not said"])
+def test_the_south_of_a_raster_is_that_of_its_field_whichever_row_comes_first(row_0, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    transforms = {"north": rasterio.Affine(2.0, 0.0, 0.0, 0.0, -2.0, 40.0), "south": rasterio.Affine.scale(2.0)}
+    place = {"height": 20, "width": 30, "count": 1, "dtype": "float32"}
+    if row_0 in transforms:
+        place |= {"transform": transforms[row_0], "crs": "+proj=eqc +R=1737400"}
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", **place) as target:
+        target.write((SLOPE if row_0 == "south" else SLOPE[::-1]).astype("float32"), 1)
+    field = load_field("a.tif", tmp_path).region.he3_ppb
+    assert (field[0] == 0.0).all()
+    assert (field[-1] == SPAN_PPB).all()
+
+
 def test_a_large_raster_is_averaged_over_blocks_and_keeps_its_size_in_metres():
     values = np.add.outer(np.arange(2.0 * MOST_CELLS + 1), np.zeros(10))
     values[0, 0] = np.nan
