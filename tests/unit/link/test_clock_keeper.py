@@ -27,6 +27,7 @@ class Link:
         self, *, keys: bool = False, rate: float = 1.0, wait_for: tuple[str, ...] = (), journal: Path | None = None
     ) -> None:
         self.warnings: list[str] = []
+        self.infos: list[str] = []
         session = SimpleNamespace(
             serve=lambda *_: None, publish=lambda *_: None, watch_alive=lambda *_: None,
         )  # fmt: skip
@@ -38,7 +39,7 @@ class Link:
                 wait_for=wait_for, journal=journal, identity="link.main" if keys else None,
                 scenario=SimpleNamespace(start_ns=START, rate=rate),
             ),
-            log=SimpleNamespace(warning=self.warnings.append, info=lambda *_, **__: None),
+            log=SimpleNamespace(warning=self.warnings.append, info=lambda text, **_: self.infos.append(text)),
         )  # fmt: skip
         self.keeper = ClockKeeper(context)
         self.keeper.begin()
@@ -108,6 +109,12 @@ def test_a_saved_clock_that_cannot_be_read_ends_the_start_and_is_left_as_it_is(
     if file.is_file():
         assert file.read_bytes() == content
         assert ("remove it" in str(refusal.value)) is not keys, "with keys no process moves mission time"
+
+
+def test_a_link_that_continues_says_that_changes_of_its_conditions_are_not_kept(tmp_path: Path) -> None:
+    assert Link(journal=tmp_path).infos == []
+    (line,) = Link(journal=tmp_path).infos
+    assert "conditions are those of the scenario" in line
 
 
 def test_the_clock_of_another_mission_in_the_folder_ends_the_start(tmp_path: Path) -> None:
