@@ -308,6 +308,8 @@ def test_every_map_command_prints_text_and_json(running: tuple[Launcher, Endpoin
         ("map", "plan"),
         ("map", "history"),
         ("map", "save", "mean", str(tmp_path / "mean.tif")),
+        ("map", "show", "mean", "--png", str(tmp_path / "mean.png")),
+        ("map", "box", "mean", "0", "0", "100", "100", "--out", str(tmp_path / "box.csv")),
     ):
         for flags in ((), ("--json",)):
             done = he3(endpoints, *words, *flags)

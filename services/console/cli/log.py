@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from services.console.cli.flag_groups import with_flags
-from services.console.cli.options import AsJson, checked, one_of
+from services.console.cli.options import AsJson, check_one_format, checked, one_of
 from services.console.cli.session import Session
 
 EXAMPLES = """\b
@@ -56,6 +56,7 @@ def log(
     """Show the log: events, commands with their stages, plans, the link, interests, authority, alarms."""
     import json as json_format
 
+    check_one_format(csv, json)
     from schemas.mission_log import MissionLog
     from services.console.cli.alarms import alarms_of
     from services.console.client.log_lines import as_csv, chosen, documents, log_lines

@@ -55,6 +55,14 @@ def checked(check: Callable[[str], Any]) -> Callable[[Any], Any]:
     return callback
 
 
+def check_one_format(csv: bool, json: bool) -> None:
+    """Raise InvalidInput if both formats are asked for: one would be printed where the other is read."""
+    from he3.errors import InvalidInput
+
+    if csv and json:
+        raise InvalidInput("expected one of --csv and --json, got both")
+
+
 def _scenarios(incomplete: str) -> list[str]:
     """Names of shipped scenarios that begin so, for tab completion; the shell completes files by itself."""
     from services.mission.deployment import shipped_scenarios

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json as json_format
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +12,7 @@ import typer
 from services.console.cli.coordinates import XMax, XMin, YMax, YMin
 from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.files import form_of, indented, written
-from services.console.cli.map.options import AsOf, LayerName, Threshold, Width, check_threshold
+from services.console.cli.map.options import MIN_WIDTH, AsOf, LayerName, Threshold, Width, check_threshold
 from services.console.cli.options import MAX_POSITION_M, AsJson, within
 from services.console.cli.session import Session
 
@@ -25,12 +27,12 @@ def show(
     png: Annotated[
         Path | None, typer.Option("--png", metavar="FILE", help="Write a picture with samples and paths instead.")
     ] = None,
-    width: Width = 72,
+    width: Width = None,
     threshold: Threshold = None,
     as_of: AsOf = None,
     json: AsJson = False,
 ) -> None:
-    """A whole layer in the terminal; with --png as a picture, with --json as the reply itself."""
+    """A whole layer in the terminal; with --png as a picture, with --json as the reply itself, or what was written."""
     check_threshold(layer, threshold)
     with session.join() as client:
         raster = client.raster(layer, threshold=threshold, as_of=as_of)
@@ -39,11 +41,12 @@ def show(
         from services.console.report.pictures import layer_figure, save
 
         save(layer_figure(raster, track), png)
-        typer.echo(f"written to {png}")
+        done = {"written": str(png), "layer": layer, "revision": raster.revision, "samples": raster.samples}
+        typer.echo(json_format.dumps(done, indent=2) if json else f"written to {png}")
     elif json:
         typer.echo(raster.model_dump_json(indent=2))
     else:
-        _draw(raster, width)
+        _draw(raster, width or usual_width(72))
 
 
 @with_flags
@@ -62,26 +65,32 @@ def box(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="File to write: .npy, .png, .tif or .csv.")
     ] = None,
-    width: Width = 60,
+    width: Width = None,
     threshold: Threshold = None,
     as_of: AsOf = None,
     json: AsJson = False,
 ) -> None:  # fmt: skip
-    """A part of a layer in the terminal, as a file, or as the reply itself."""
+    """A part of a layer in the terminal, as a file, or with --json as the reply itself, of a file its description."""
     from schemas.maps import MapRaster
 
     check_threshold(layer, threshold)
     form = "json" if out is None else form_of(out)
     with session.join() as client:
-        payload, _ = client.box_picture(
+        payload, about = client.box_picture(
             layer, (x_min, x_max), (y_min, y_max), form, resolution_m=resolution, threshold=threshold, as_of=as_of
         )
     if out is not None:
-        typer.echo(written(out, payload))
+        line = written(out, payload)
+        typer.echo(indented(about) if json else line)
     elif json:
         typer.echo(indented(payload))
     else:
-        _draw(MapRaster.model_validate_json(payload), width)
+        _draw(MapRaster.model_validate_json(payload), width or usual_width(60))
+
+
+def usual_width(most: int) -> int:
+    """Characters across a layer: what a terminal has room for, `MIN_WIDTH` at least and `most` at most."""
+    return max(MIN_WIDTH, min(most, shutil.get_terminal_size((most, 24)).columns))
 
 
 def _draw(raster: MapRaster, width: int) -> None:

@@ -51,9 +51,12 @@ AsOf = Annotated[
     typer.Option("--as-of", metavar="WHEN", help="An earlier map: a revision, or a time as 2030-01-01T06:00:00Z.",
                  callback=checked(_as_of)),
 ]  # fmt: skip
+MIN_WIDTH = 10
 Width = Annotated[
-    int, typer.Option("--width", metavar="N", help="Characters across (10 to 250).", callback=within(10, 250))
-]
+    int | None,
+    typer.Option("--width", metavar="N", help="Characters across (10 to 250), instead of as many as there is room for.",
+                 callback=within(MIN_WIDTH, 250)),
+]  # fmt: skip
 AsCsv = Annotated[bool, typer.Option("--csv", help="Print comma-separated values.")]
 
 

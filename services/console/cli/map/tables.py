@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json as json_format
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.files import indented
 from services.console.cli.map.options import AsCsv, AsOf
-from services.console.cli.options import AsJson
+from services.console.cli.options import AsJson, check_one_format
 from services.console.cli.session import Session
-
-if TYPE_CHECKING:
-    from services.console.client.mission_client import MissionClient
 
 
 @with_flags
@@ -27,7 +24,7 @@ def samples(
     """The samples: where each was taken, and what it holds."""
     from services.console.client.time_format import utc
 
-    document = _table(session.join(), "samples", csv, as_of, json)
+    document = _table(session, "samples", csv, as_of, json)
     if document is None:
         return
     typer.echo(f"{'sample':<10} {'round':>5} {'east m':>8} {'north m':>8} {'ppb':>8}  measured")
@@ -50,7 +47,7 @@ def plan(
 
     from he3.frames import path_length
 
-    paths = _table(session.join(), "plan", csv, as_of, json)
+    paths = _table(session, "plan", csv, as_of, json)
     if paths is None:
         return
     for name, key in (("driven", "driven_path_m"), ("planned", "planned_path_m")):
@@ -77,9 +74,10 @@ def history(
         typer.echo(f"{each.revision:>8} {each.samples:>8} {each.mean_std_ppb:>13.4f}  {utc(each.mission_time_ns)}")
 
 
-def _table(mission: MissionClient, layer: str, csv: bool, as_of: str | None, json: bool) -> dict[str, Any] | None:
+def _table(session: Session, layer: str, csv: bool, as_of: str | None, json: bool) -> dict[str, Any] | None:
     """The table as a document; None if it was already printed for --csv or --json."""
-    with mission as client:
+    check_one_format(csv, json)
+    with session.join() as client:
         payload = client.table(layer, "csv" if csv else "json", as_of=as_of)
     if csv or json:
         typer.echo(payload.decode().rstrip() if csv else indented(payload))
