@@ -292,7 +292,9 @@ def cells_inside(grid: SiteGrid, polygon_m: Sequence[Place]) -> BoolArray:
     for bx, by in polygon_m:
         if ay != by:
             spans = (ay > y) != (by > y)
-            covered ^= spans & (x < ax + (y - ay) / (by - ay) * (bx - ax))
+            # From its southern end, so that an edge that two areas share is rounded alike in both.
+            (px, py), (qx, qy) = ((ax, ay), (bx, by)) if ay < by else ((bx, by), (ax, ay))
+            covered ^= spans & (x < px + (y - py) / (qy - py) * (qx - px))
         ax, ay = bx, by
     return covered
 

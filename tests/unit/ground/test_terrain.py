@@ -39,6 +39,16 @@ def test_the_order_of_corners_does_not_matter_and_a_hole_is_left_by_the_even_odd
     assert cells_inside(GRID, bow_tie_twice)[7, 15]
 
 
+@pytest.mark.parametrize("far", [(450.0, 450.0), (700.0, 450.0), (352.5, 450.0), (449.9, 447.3)])
+def test_areas_that_share_an_edge_share_no_cell_and_leave_none_between_them(far: tuple[float, float]) -> None:
+    grid = SiteGrid(90, 140, 5.0)
+    west = cells_inside(grid, ((0.0, 0.0), far, (0.0, 450.0)))
+    east = cells_inside(grid, ((0.0, 0.0), (700.0, 0.0), far))
+    whole = cells_inside(grid, ((0.0, 0.0), (700.0, 0.0), far, (0.0, 450.0)))
+    assert not (west & east).any()
+    assert np.array_equal(west | east, whole)
+
+
 def test_an_area_too_thin_to_hold_a_cell_centre_still_closes_the_cells_it_crosses() -> None:
     sliver = ((5.0, 8.1), (30.0, 8.1), (30.0, 8.2))
     assert not cells_inside(GRID, sliver).any()
