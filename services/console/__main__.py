@@ -62,6 +62,7 @@ def _run(words: list[str]) -> int:
     from services.console.cli.app import build
     from services.console.interruption import told_to_end
 
+    _give_matplotlib_a_place()
     # typer carries its own copy of click and exports only the leaves of its exception tree.
     usage_error: Any = typer.BadParameter.__bases__[0]
     try:
@@ -89,6 +90,21 @@ def _run(words: list[str]) -> int:
     if result == INTERRUPTED:  # typer has seen it first
         return _say("interrupted", INTERRUPTED)
     return result if isinstance(result, int) else 0
+
+
+def _give_matplotlib_a_place() -> None:
+    """Name a folder for matplotlib's cache where there is no home: else it advises to do so in lines of its own, and
+    leaves a folder among the temporary files each time.
+    """
+    from pathlib import Path
+
+    from he3.errors import He3Error
+    from services.console.client.run_file import folder
+
+    with suppress(He3Error, OSError, RuntimeError):
+        home = os.environ.get("HOME")
+        if "MPLCONFIGDIR" not in os.environ and not os.access(home or Path.home(), os.W_OK):
+            os.environ["MPLCONFIGDIR"] = str(folder() / "matplotlib")
 
 
 def _enough_read() -> int:

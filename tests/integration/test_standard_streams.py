@@ -52,6 +52,17 @@ def test_a_mission_whose_progress_goes_to_a_full_disk_runs_to_its_end(tmp_path: 
     assert (tmp_path / "r.json").exists()
 
 
+def test_a_mission_of_a_user_without_a_home_prints_no_line_of_a_library_and_leaves_only_its_own_folder(
+    tmp_path: Path,
+) -> None:
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    away = {"HOME": "/proc/none", "XDG_RUNTIME_DIR": "", "XDG_CACHE_HOME": "", "TMPDIR": str(temporary)}
+    done = run(he3("run", "short", "--in-process", "-q", *SHORT, "--out", str(tmp_path / "out")), env=away)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [path.name for path in temporary.iterdir()] == [f"he3-seeker-{os.getuid()}"]
+
+
 def test_what_is_printed_on_a_full_disk_is_a_failure_in_one_line() -> None:
     with Path("/dev/full").open("wb") as full:
         done = run(he3("--version"), stdout=full)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -15,6 +17,8 @@ from services.runtime.files.output import replace_output
 
 MAX_FILE_BYTES = 65_536
 MAX_PORT = 65_535
+_NO_HOME = (errno.ENOENT, errno.ENOTDIR, errno.EACCES, errno.EPERM, errno.EROFS)
+"""Errors of the system where a home does not exist or may not be written."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,47}")
 _ENDPOINT = re.compile(r"(?:tcp|tls|quic)/[^\s/]+:\d{1,5}(?:[?#]\S*)?|unixsock-stream/\S+")
 
@@ -41,22 +45,25 @@ class RunningMission:
 
 
 def folder() -> Path:
-    """The folder of the run files, which only this user may enter: in XDG_RUNTIME_DIR, else in the user's cache.
+    """The folder of the run files, which only this user may enter: in XDG_RUNTIME_DIR, else in the user's cache, else,
+    for a user without a home, in the folder of temporary files.
 
     Raises He3Error if it is another user's, open to others, or no folder.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    if runtime and Path(runtime).is_dir():
-        place = Path(runtime) / "he3-seeker"
-    else:
-        cache = os.environ.get("XDG_CACHE_HOME")
-        place = (Path(cache) if cache and Path(cache).is_absolute() else _home() / ".cache") / "he3-seeker"
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.mkdir(mode=0o700, exist_ok=True)
-        found = place.lstat()
-    except OSError as error:
-        raise He3Error(f"{place}: cannot make the folder of the run files: {error.strerror}") from None
+        place = Path(runtime) / "he3-seeker" if runtime and Path(runtime).is_dir() else _cache() / "he3-seeker"
+        found = _made(place)
+    except (OSError, RuntimeError) as error:
+        if isinstance(error, OSError) and error.errno not in _NO_HOME:
+            raise He3Error(f"{error.filename}: cannot make the folder of the run files: {error.strerror}") from None
+        place = Path(tempfile.gettempdir()) / f"he3-seeker-{os.getuid()}"
+        try:
+            found = _made(place)
+        except OSError as other:
+            raise He3Error(
+                f"{place}: cannot make the folder of the run files: {other.strerror}; XDG_RUNTIME_DIR names another"
+            ) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
         raise He3Error(f"{place}: expected a folder of this user, got a link, a file or another user's folder")
     if found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
@@ -64,11 +71,17 @@ def folder() -> Path:
     return place
 
 
-def _home() -> Path:
-    try:
-        return Path.home()
-    except RuntimeError:
-        raise He3Error("expected a home folder or XDG_RUNTIME_DIR for run files, got neither") from None
+def _cache() -> Path:
+    """The user's cache; raises RuntimeError for a user without a home."""
+    cache = os.environ.get("XDG_CACHE_HOME")
+    return Path(cache) if cache and Path(cache).is_absolute() else Path.home() / ".cache"
+
+
+def _made(place: Path) -> os.stat_result:
+    """What that folder is, made for its owner alone if it does not exist."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.mkdir(mode=0o700, exist_ok=True)
+    return place.lstat()
 
 
 @contextmanager

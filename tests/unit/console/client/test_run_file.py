@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -90,6 +91,27 @@ def test_without_a_runtime_folder_the_user_s_cache_has_it(tmp_path: Path, monkey
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     assert folder() == tmp_path / "cache" / "he3-seeker"
+
+
+@pytest.mark.parametrize("home", ["/proc/none", "/dev/null/home"])
+def test_a_user_without_a_home_has_it_among_the_temporary_files(
+    home: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", home)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    place = folder()
+    assert place == tmp_path / f"he3-seeker-{os.getuid()}"
+    assert place.stat().st_mode & 0o077 == 0
+    place.rmdir()
+    (tmp_path / "planted").mkdir()
+    place.symlink_to(tmp_path / "planted")
+    with pytest.raises(He3Error, match="expected a folder of this user, got a link"):
+        folder()
+    monkeypatch.setattr(tempfile, "tempdir", "/proc/none")
+    with pytest.raises(He3Error, match="XDG_RUNTIME_DIR names another"):
+        folder()
 
 
 def test_a_folder_that_is_a_link_or_open_to_others_or_another_user_s_is_refused(
