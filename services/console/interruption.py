@@ -15,12 +15,14 @@ from typing import Any
 
 ENDS_WITHIN_S = 1.6
 """Time from a signal to the forced end of the process; the documentation promises 2 s."""
-EXIT_CODES = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "terminated")}
+EXIT_CODES = {
+    signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "terminated"), signal.SIGHUP: (143, "terminated"),
+}  # fmt: skip
 """Exit code and last line of a process that a signal ends."""
 
 
 class Terminated(BaseException):
-    """Raised on SIGTERM; like KeyboardInterrupt, it is caught only in the process's entry point."""
+    """Raised on SIGTERM, and on SIGHUP; like KeyboardInterrupt, it is caught only in the process's entry point."""
 
 
 _came: list[int] = []
@@ -29,17 +31,23 @@ _came: list[int] = []
 
 @contextmanager
 def ending_on_signals() -> Iterator[None]:
-    """Within this context SIGTERM unwinds the main thread as Ctrl-C does; Ctrl-C works even if the shell ignores it."""
+    """Within this context SIGTERM unwinds the main thread as Ctrl-C does; Ctrl-C works even if the shell ignores it.
+
+    So does SIGHUP, the end of the terminal, unless it is ignored, as under `nohup`.
+    """
     _came.clear()
+    wanted: dict[signal.Signals, Any] = {signal.SIGINT: _interrupt, signal.SIGTERM: _terminate}
+    if signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
+        wanted[signal.SIGHUP] = _terminate
     try:
-        with _handlers({signal.SIGINT: _interrupt, signal.SIGTERM: _terminate}):
+        with _handlers(wanted):
             yield
     finally:
         _came.clear()
 
 
 def told_to_end() -> int | None:
-    """The signal, SIGINT or SIGTERM, that told this process to end; None if none has arrived.
+    """The signal, SIGINT, SIGTERM or SIGHUP, that told this process to end; None if none has arrived.
 
     It is stored because KeyboardInterrupt or Terminated may not reach the caller: a C library may replace an exception
     that is raised inside one of its callbacks.
@@ -60,8 +68,8 @@ def end_if_told() -> None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Within this context Ctrl-C and SIGTERM are ignored, for clean-up."""
-    with _handlers({signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_IGN}):
+    """Within this context Ctrl-C, SIGTERM and SIGHUP are ignored, for clean-up."""
+    with _handlers(dict.fromkeys((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), signal.SIG_IGN)):
         yield
 
 

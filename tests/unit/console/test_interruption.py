@@ -29,7 +29,11 @@ from services.console.launch.scenarios import choose
 from services.console.report.outputs import outputs
 from tests.waiting import PATIENCE_S, expect_within
 
-ENDS = [(signal.SIGINT, 130, "he3: interrupted\n"), (signal.SIGTERM, 143, "he3: terminated\n")]
+ENDS = [
+    (signal.SIGINT, 130, "he3: interrupted\n"),
+    (signal.SIGTERM, 143, "he3: terminated\n"),
+    (signal.SIGHUP, 143, "he3: terminated\n"),
+]
 
 
 def command_is(monkeypatch: pytest.MonkeyPatch, body: Callable[[], None]) -> None:
@@ -68,6 +72,16 @@ def test_a_signal_that_arrives_as_some_other_error_still_ends_the_command_as_tol
     command_is(monkeypatch, body)
     assert entry.main([]) == code
     assert capsys.readouterr().err == line
+
+
+def test_the_end_of_the_terminal_does_not_end_a_command_under_nohup(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        command_is(monkeypatch, lambda: signal.raise_signal(signal.SIGHUP))
+        assert entry.main([]) == 0
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 IN_FOREIGN_CODE = """
