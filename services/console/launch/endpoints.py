@@ -83,8 +83,16 @@ def require_free(endpoints: Endpoints) -> None:
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 raise He3Error(
-                    f"cannot listen as the {side} router at {endpoint}: the address is in use by another program"
+                    f"cannot listen as the {side} router at {endpoint}: the address is in use by another program; "
+                    f"choose another, as in --set network.{side}={endpoint.rpartition(':')[0]}:{_free_port()}"
                 ) from None
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
 
 
 def _bind(host: str, port: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import socket
 import threading
 import time
@@ -195,4 +196,7 @@ class _Stopped(Exception):
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0].split(" at /")[0]
+    """What the system said, if it did: Zenoh wraps that in its own words, with half a bracket. Else Zenoh's words."""
+    line = str(error).splitlines()[0].split(" at /")[0]
+    found = re.search(r"([A-Z][^:\[\]]*) \(os error \d+\)", line)
+    return line if found is None else found[1]
