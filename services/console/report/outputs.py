@@ -177,6 +177,7 @@ def _pictures(outcome: Outcome, region: Region, folder: Path) -> Iterator[tuple[
         path_m=path,
         samples_m=samples,
         start_m=tuple(path[0]) if len(path) else (0.0, 0.0),
+        keep_outs_m=[area.polygon_m for area in outcome.track.keep_outs],
     )
     yield folder / "map.png", lambda path: save(map_figure(picture), path)
     title = f"Error of the map · {region.title}"

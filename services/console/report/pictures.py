@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from matplotlib import rc_context
@@ -84,6 +84,8 @@ class MapPicture:
     samples_m: NDArray[np.float64]
     """(N, 2) drilled [m]; may be empty."""
     start_m: tuple[float, float]
+    keep_outs_m: Sequence[Sequence[tuple[float, float]]] = ()
+    """Corners [m] of each area that was closed to the rover at the end."""
 
 
 def map_figure(picture: MapPicture) -> Figure:
@@ -119,6 +121,7 @@ def _legend(picture: MapPicture) -> list[Any]:
         *([driven] if len(picture.path_m) else []),
         *([drilled] if len(picture.samples_m) else []),
         *([] if picture.traversable is None or picture.traversable.all() else [closed]),
+        *([Line2D([], [], **_KEEP_OUT, label="keep-out")] if picture.keep_outs_m else []),
     ]
 
 
@@ -205,8 +208,15 @@ def _draw_panel(
     bar.outline.set_linewidth(0.5)
 
 
+_KEEP_OUT: Final[dict[str, Any]] = {"color": "#ff8f3f", "lw": 1.5, "ls": (0, (4, 1.5))}
+
+
 def _mark_obstacles(axis: Any, picture: MapPicture) -> None:
-    """Hatch the ground that the rover may not enter: shading would be read as abundance."""
+    """Hatch the ground that the rover may not enter: shading would be read as abundance. Keep-outs are outlined."""
+    halo = [withStroke(linewidth=2.8, foreground=INK, alpha=0.6)]
+    for corners in picture.keep_outs_m:
+        x, y = np.array([*corners, corners[0]]).T
+        axis.plot(x, y, **_KEEP_OUT, path_effects=halo, zorder=4)
     if picture.traversable is None or picture.traversable.all():
         return
     closed = ~picture.traversable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,15 @@ def test_the_path_is_drawn_on_the_mean_and_the_samples_on_mean_and_standard_devi
     for axis in (mean, std):
         assert any(np.array_equal(dots.get_offsets(), SAMPLES) for dots in axis.collections)
     assert not any(np.array_equal(line.get_xydata(), PATH) for line in truth.lines)
+
+
+def test_keep_outs_are_outlined_on_every_panel_and_named() -> None:
+    corners = ((2.0, 2.0), (8.0, 2.0), (5.0, 9.0))
+    figure = map_figure(replace(picture(), keep_outs_m=(corners,)))
+    for axis in panels(figure):
+        assert any(np.array_equal(line.get_xydata(), [*corners, corners[0]]) for line in axis.lines)
+    assert "keep-out" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "keep-out" not in [text.get_text() for text in map_figure(picture()).legends[0].get_texts()]
 
 
 def test_without_a_reference_the_map_stands_alone() -> None:
