@@ -187,9 +187,21 @@ def test_a_command_is_sent_only_when_its_preview_was_read_and_enter_pressed(
 ) -> None:
     before = len(mission.commands())
     script(browser, "document.activeElement.blur()")
+    # The answer is held, so that the key comes before it however long the browser takes.
+    script(
+        browser,
+        "const given = window.fetch;"
+        "const held = new Promise((release) => {"
+        "  window.letGo = () => { window.fetch = given; release(); };"
+        "});"
+        "window.fetch = async (...words) => { await held; return given(...words); };",
+    )
     click(browser, "[data-command=return_to_start]")
-    assert script(browser, "return document.getElementById('preview-send').disabled")
+    assert written(browser, "#preview-said") == "Asking the ground …"
     browser.switch_to.active_element.send_keys(ENTER)  # too early: it was not read yet
+    assert script(browser, "return document.getElementById('preview-send').disabled")
+    assert script(browser, "return document.getElementById('preview').open")
+    script(browser, "letGo()")
     text = until(lambda: "word back" in written(browser, "#preview") and written(browser, "#preview"), "the preview")
     assert all(word in text for word in ("the rover drives back", "drive", "energy", "rounds", "on rover"))
     where = "return JSON.stringify(document.getElementById('preview-send').getBoundingClientRect())"
