@@ -130,7 +130,7 @@ def _say(message: str, code: int) -> int:
     from services.console.interruption import note_last_line
 
     first, *rest = message.splitlines() or [""]
-    with suppress(OSError):  # nobody reads it: the exit code tells as much
+    with suppress(OSError):  # standard error is closed or full: the exit code tells as much
         sys.stderr.write(f"he3: {printable(first)}{' ...' if rest else ''}\n")
     if code in (INTERRUPTED, TERMINATED):
         note_last_line()

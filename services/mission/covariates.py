@@ -40,9 +40,9 @@ def covariates(names: Sequence[str], region: Region) -> FloatArray:
     north. Raises InvalidInput, in one line, for a name that is neither, and for a raster of another shape or with cells
     without a value: not finite, the file's no-data value, or a number that marks missing values in any unit; also for
     one with a few cells far beyond all others, which would be all that the layer shows, and for one that has one value
-    everywhere, as the heights of a region that has none. A .tif that says where it lies
-    has to lie on these cells, as far as the region says where it lies itself: by its projection, by latitude and
-    longitude for a raster in degrees, else by the size of a cell.
+    everywhere, as the heights of a region that has none. A .tif that says where it lies has to lie on these cells, as
+    far as the region says where it lies itself: by its projection, by latitude and longitude for a raster in degrees,
+    else by the size of a cell.
     """
     layers = np.empty((len(names), *region.grid.shape))
     for number, name in enumerate(names):

@@ -43,7 +43,7 @@ class RecordingFile:
         self.failure: str | None = None
         """Why the system refuses to write; None if it does not."""
         self.deleted = False
-        """Whether the file was deleted while it was written; then it holds nothing that anybody can read."""
+        """Whether the file was deleted while it was written; then no program can open it."""
         self._is_there = is_there
         self._raw = raw
         self._pending = bytearray()
@@ -65,7 +65,7 @@ class RecordingFile:
 
     def write(self, data: bytes) -> int:
         """Append the data."""
-        if self.deleted:  # neither memory nor disk is filled for a file that nobody can open
+        if self.deleted:  # neither memory nor disk is filled for a file that no program can open
             self._written += len(data)
             return len(data)
         self._pending += data

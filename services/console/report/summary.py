@@ -90,10 +90,10 @@ def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
     unknown = report.closed_ground is not None and report.closed_ground.unknown > 0
     cells = "all cells with a reference" if unknown else "all cells"
     lines = [("RMSE", f"{report.rmse_ppb:.4f} ppb over {cells}"), ("coverage", within)]
-    return lines if report.within_reach is None else [*lines, ("within reach", in_words(report.within_reach))]
+    return lines if report.within_reach is None else [*lines, ("within reach", reach_in_words(report.within_reach))]
 
 
-def in_words(score: ReachScore) -> str:
+def reach_in_words(score: ReachScore) -> str:
     """The figures of the ground that the rover can reach, in one line."""
     return (
         f"{score.rmse_ppb:.4f} ppb over the {score.share:.1%} of these cells that the rover can reach; "

@@ -60,7 +60,7 @@ def replace_output(path: Path, content: bytes) -> None:
 def sync_folder(folder: Path) -> None:
     """Make the names in that folder, and its own name, safe from a power failure, where the file system can do that.
 
-    A network file system may refuse, and the parent may belong to somebody else: neither is an error.
+    A network file system may refuse, and the parent folder may belong to another user: neither is an error.
     """
     for each in (folder, folder.parent):
         with suppress(OSError):

@@ -281,7 +281,7 @@ class AuditLog:
     def _write(self, content: bytes) -> None:
         """Write the content whole, or nothing of it: a line that follows later must not stand behind a part of one.
 
-        A file that was deleted is no place for it: its lines would be on the disk, and nobody could read them.
+        A file that was deleted is no place for it: its lines would be on the disk, and no program could open them.
         """
         found = os.fstat(self._file.fileno())
         if not found.st_nlink:

@@ -32,6 +32,19 @@ def test_the_columns_of_a_wide_site_have_the_levels_covariance() -> None:
     assert np.sqrt(np.mean((columns @ columns.T - exact)[far] ** 2)) < 0.03 * 4.0
 
 
+@pytest.mark.parametrize(
+    ("width_m", "least", "mean"), [(3000.0, 0.95, 0.98), (10_000.0, 0.90, 0.95), (51_000.0, 0.70, 0.85)]
+)
+def test_the_variance_of_the_level_is_as_much_too_small_as_is_documented(
+    width_m: float, least: float, mean: float
+) -> None:
+    axis = (np.arange(60) + 0.5) / 60 * width_m
+    places = np.column_stack([each.ravel() for each in np.meshgrid(axis, axis)])
+    share = (UnknownLevel(1.0, width_m).basis(places, 1.0) ** 2).sum(axis=1)
+    assert share.max() < 1.0
+    assert (share.min(), share.mean()) == (pytest.approx(least, abs=0.005), pytest.approx(mean, abs=0.005))
+
+
 def test_equal_samples_in_a_corner_leave_distant_ground_as_uncertain_as_soils_are() -> None:
     corner = PLACES[:80] / 5.0
     fitted = infer_hyperparameters(corner, np.full(80, 3.0), "matern52", Hyperprior(WIDE_M), noise_std_ppb=0.1)

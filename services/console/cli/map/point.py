@@ -11,7 +11,7 @@ from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.options import AsOf, Threshold
 from services.console.cli.options import AsJson
 from services.console.cli.session import Session
-from services.console.report.summary import in_words
+from services.console.report.summary import reach_in_words
 
 if TYPE_CHECKING:
     from schemas.maps import MapPoint
@@ -70,5 +70,5 @@ def score(
         f"{figures.coverage_95:.1%} within those of 95.4 %"
     )
     if figures.within_reach is not None:
-        typer.echo(f"in reach    {in_words(figures.within_reach)}")
+        typer.echo(f"in reach    {reach_in_words(figures.within_reach)}")
     typer.echo(f"map         revision {figures.revision}, {figures.samples} samples")
