@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import isfinite
+from math import isfinite, sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
@@ -242,10 +242,20 @@ def reached_share(region: Region, start_m: tuple[float, float]) -> float:
 
 
 def _within_reach(region: Region, start_m: tuple[float, float], report: MissionReport) -> Row:
-    """RMSE and the field's standard deviation [ppb] over the ground that the rover can reach from its start [m]."""
-    rmse_ppb = report.rmse_ppb if report.within_reach is None else report.within_reach.rmse_ppb
+    """RMSE within and out of the rover's reach from its start [m], and the field's standard deviation there [ppb].
+
+    The error out of reach follows from that over all cells; None where every cell is within reach.
+    """
+    score, rmse_ppb, beyond_ppb = report.within_reach, report.rmse_ppb, None
+    if score is not None and report.rmse_ppb is not None:
+        rmse_ppb = score.rmse_ppb
+        beyond_ppb = sqrt(max(0.0, report.rmse_ppb**2 - score.share * score.rmse_ppb**2) / (1.0 - score.share))
     reached = reachable(_ground(region), region.grid, start_m)
-    return {"rmse_within_reach_ppb": rmse_ppb, "std_within_reach_ppb": float(region.he3_ppb[reached].std())}
+    return {
+        "rmse_within_reach_ppb": rmse_ppb,
+        "rmse_out_of_reach_ppb": beyond_ppb,
+        "std_within_reach_ppb": float(region.he3_ppb[reached].std()),
+    }
 
 
 def start_of(region: Region) -> tuple[float, float]:

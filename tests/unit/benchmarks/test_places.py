@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from benchmarks import places
 from benchmarks.places import PLACES, run, start_of, steepest_deg
 from he3.errors import InvalidInput
+from he3.terrain import reachable
+from schemas.maps import ReachScore
 from services.mission.region_build.build import build_region
 from services.mission.region_build.recipe import Recipe
 from services.mission.region_folder import checked
@@ -45,6 +49,22 @@ def test_a_path_is_held_against_the_slopes_of_the_original_raster(tmp_path: Path
     assert region.traversable[20, 2]
     rows, columns = region.grid.cells_of(np.array([start_of(region)]))
     assert region.traversable[rows[0], columns[0]]
+
+
+def test_the_error_out_of_reach_is_that_of_the_other_cells() -> None:
+    region = load_region("t1")
+    reached = reachable(places._ground(region), region.grid, (25.0, 25.0))
+    errors = np.random.default_rng(7).normal(0.0, np.where(reached, 0.5, 1.5))
+    score = ReachScore(
+        share=float(reached.mean()), rmse_ppb=float(np.sqrt(np.mean(errors[reached] ** 2))), coverage_68=0.7,
+        coverage_95=0.95,
+    )  # fmt: skip
+    report = SimpleNamespace(rmse_ppb=float(np.sqrt(np.mean(errors**2))), within_reach=score)
+    row = places._within_reach(region, (25.0, 25.0), report)
+    assert row["rmse_within_reach_ppb"] == score.rmse_ppb
+    assert row["rmse_out_of_reach_ppb"] == pytest.approx(float(np.sqrt(np.mean(errors[~reached] ** 2))))
+    everywhere = places._within_reach(region, (25.0, 25.0), SimpleNamespace(rmse_ppb=0.6, within_reach=None))
+    assert (everywhere["rmse_within_reach_ppb"], everywhere["rmse_out_of_reach_ppb"]) == (0.6, None)
 
 
 def test_without_data_or_with_unknown_names_it_is_refused(tmp_path: Path) -> None:
