@@ -12,8 +12,8 @@ everywhere, and ground that cannot be reached would be taken for like ground.
 
 The process is written as a trend, a sum of columns with unknown coefficients: its principal components on a lattice
 over the site, continued by Nystroem's formula (Rasmussen & Williams 2006, sect. 4.3.2 and 8.1). Components of little
-variance are left out; they are narrow, and the kernel describes the field at their scale. On a site of less than
-``NARROW_M`` the one component is the constant.
+variance are left out; they are narrow, and the kernel describes the field at their scale. The columns are scaled to the
+level's variance at every place. On a site of less than ``NARROW_M`` the one component is the constant.
 """
 
 from __future__ import annotations
@@ -37,6 +37,9 @@ def level_columns(points_m: FloatArray, extent_m: float) -> FloatArray:
         return np.ones((len(points_m), 1))
     lattice, components = _components(extent_m)
     columns: FloatArray = _correlation(as_points(points_m), lattice) @ components
+    # The components left out hold more of the variance between the lattice's places than at them. Without this scale
+    # the level would be more certain there: 5 to 30 % of the variance would be missing, in the lattice's pattern.
+    columns /= np.linalg.norm(columns, axis=1, keepdims=True)
     return columns
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from he3.errors import InvalidInput
 from he3.gp import GaussianProcess
 from he3.hyperposterior import infer_hyperparameters
 from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB, Hyperprior
-from he3.level import LEVEL_LENGTH_M, NARROW_M
+from he3.level import LEVEL_LENGTH_M, NARROW_M, level_columns
 from he3.mixture import ProcessMixture
 from he3.trend import UnknownConstant, UnknownLevel, unknown_level
 
@@ -21,28 +22,23 @@ def test_the_level_of_a_narrow_site_is_a_constant() -> None:
     assert unknown_level(4.0, 0.99 * NARROW_M) == UnknownConstant(4.0)
 
 
-def test_the_columns_of_a_wide_site_have_the_levels_covariance() -> None:
-    columns = UnknownLevel(4.0, WIDE_M).basis(PLACES, 2.0)
-    apart = np.hypot(*(PLACES[:, None] - PLACES[None, :]).transpose(2, 0, 1))
-    exact = 4.0 * np.exp(-apart / LEVEL_LENGTH_M)
-    assert columns.shape[1] < 40
+@pytest.mark.parametrize(("width_m", "columns_at_most"), [(3000.0, 6), (10_000.0, 12), (30_000.0, 26), (51_000.0, 41)])
+def test_the_columns_of_a_wide_site_have_nearly_the_levels_correlation(width_m: float, columns_at_most: int) -> None:
+    columns = level_columns(PLACES * (width_m / WIDE_M), width_m)
+    apart_m = cdist(PLACES, PLACES) * (width_m / WIDE_M)
+    assert columns.shape[1] <= columns_at_most
     # What is left out is narrow: it is of places less than a lattice's step apart.
-    far = apart > WIDE_M / 9.0
-    assert np.abs(columns @ columns.T - exact)[far].max() < 0.15 * 4.0
-    assert np.sqrt(np.mean((columns @ columns.T - exact)[far] ** 2)) < 0.03 * 4.0
+    far = apart_m > width_m / 9.0
+    error = (columns @ columns.T - np.exp(-apart_m / LEVEL_LENGTH_M))[far]
+    assert np.sqrt(np.mean(error**2)) < 0.065
+    assert np.abs(error).max() < 0.22
 
 
-@pytest.mark.parametrize(
-    ("width_m", "least", "mean"), [(3000.0, 0.95, 0.98), (10_000.0, 0.90, 0.95), (51_000.0, 0.70, 0.85)]
-)
-def test_the_variance_of_the_level_is_as_much_too_small_as_is_documented(
-    width_m: float, least: float, mean: float
-) -> None:
+@pytest.mark.parametrize("width_m", [NARROW_M, 3000.0, 10_000.0, 51_000.0])
+def test_the_level_is_equally_uncertain_everywhere(width_m: float) -> None:
     axis = (np.arange(60) + 0.5) / 60 * width_m
     places = np.column_stack([each.ravel() for each in np.meshgrid(axis, axis)])
-    share = (UnknownLevel(1.0, width_m).basis(places, 1.0) ** 2).sum(axis=1)
-    assert share.max() < 1.0
-    assert (share.min(), share.mean()) == (pytest.approx(least, abs=0.005), pytest.approx(mean, abs=0.005))
+    assert (level_columns(places, width_m) ** 2).sum(axis=1) == pytest.approx(1.0)
 
 
 def test_equal_samples_in_a_corner_leave_distant_ground_as_uncertain_as_soils_are() -> None:
