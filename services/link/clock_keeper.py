@@ -73,9 +73,7 @@ class ClockKeeper:
             state = kept.state
             if not kept.waits:
                 self._missing.clear()
-                context.log.info(
-                    "mission time continues; the conditions are those of the scenario, as changes of them are not kept"
-                )
+                context.log.info("mission time continues")
         self._clock.follow(state)
         judge_claims(context, self._reached)
         inbox = context.inbox

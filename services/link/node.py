@@ -13,7 +13,8 @@ from schemas.link import Direction, LinkChange
 from schemas.topics import LINK_SET, LINK_SHOW, LINK_STATUS, Side, crossing
 from schemas.wire import values_set
 from services.link.counts import DropReason
-from services.link.relay import Relay
+from services.link.kept_conditions import KeptConditions
+from services.link.relay import Relay, in_words
 from services.mission.mission_time import SECOND, MissionTime
 from services.runtime.node import (
     Cause,
@@ -21,6 +22,7 @@ from services.runtime.node import (
     Event,
     Forward,
     Interface,
+    Keep,
     Level,
     LogRecord,
     QueryReceived,
@@ -51,9 +53,10 @@ _ARRIVES_ON = {Direction.UP: Side.MOON, Direction.DOWN: Side.EARTH}
 class LinkNode:
     """Carries packets between the sides, and reports its status to operators."""
 
-    def __init__(self, relay: Relay, reports: bool = True) -> None:
-        """reports: whether it reports its status."""
+    def __init__(self, relay: Relay, reports: bool = True, kept: KeptConditions | None = None) -> None:
+        """reports: whether it reports its status. kept: what is kept of the relay's conditions; None: nothing is."""
         self._relay = relay
+        self._kept = kept
         self._reports = reports
         self._interface = Interface(
             name="link",
@@ -87,6 +90,9 @@ class LinkNode:
                 self._relay.restarted(incarnation)
                 self._relay.note(now)
                 yield LogRecord(Level.INFO, "link up", {"incarnation": incarnation, "contact": self._in_contact})
+                if self._kept is not None and self._kept.changed:
+                    words = in_words(self._relay.conditions, self._relay.contact_forced)
+                    yield LogRecord(Level.INFO, f"the conditions are those that were set before this start: {words}")
                 self._report_due = now
             case ReceivedRaw(topic=topic, payload=payload):
                 if topic.direction is not None:
@@ -111,9 +117,18 @@ class LinkNode:
         changes = values_set(change)
         if changes.keys() - {"by"}:
             self._relay.note(now, change)
+            yield from self._keep()
             yield LogRecord(Level.INFO, "link changed", changes)
             self._report_due = now
         yield SendReply(token, self._relay.status(now, self._incarnation))
+
+    def _keep(self) -> Iterator[Effect]:
+        """Keep the conditions for the next start, before a reply promises them."""
+        if self._kept is not None:
+            relay = self._relay
+            now = {"conditions": relay.conditions, "contact_forced": relay.contact_forced}
+            self._kept = self._kept.model_copy(update=now)
+            yield Keep(self._kept)
 
     def _advance(self, now: MissionTime) -> Iterator[Effect]:
         """Arrivals, drops, changes of contact, reports and timers that are due after any event."""
@@ -164,6 +179,15 @@ def _dropped(direction: Direction, drop: Drop) -> Iterator[Effect]:
     yield LogRecord(Level.DEBUG if lost else Level.WARNING, "packet dropped", fields, cause)
 
 
-def build_node(scenario: Scenario, *, reports: bool = True) -> LinkNode:
-    """The link of that scenario, with no packet in flight. reports: whether it reports its status."""
-    return LinkNode(Relay(scenario.link, scenario.start_ns, scenario.seed), reports)
+def build_node(scenario: Scenario, *, reports: bool = True, kept: KeptConditions | None = None) -> LinkNode:
+    """The link of that scenario, with no packet in flight.
+
+    reports: whether it reports its status. kept: the conditions that an earlier start had in the end; None: the
+    scenario's.
+    """
+    relay = Relay(scenario.link, scenario.start_ns, scenario.seed)
+    if kept is None:
+        kept = KeptConditions(mission=scenario.name, of_scenario=scenario.link, conditions=scenario.link)
+    else:
+        relay.resume(kept.conditions, kept.contact_forced)
+    return LinkNode(relay, reports, kept)

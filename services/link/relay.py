@@ -55,6 +55,11 @@ class Relay:
             for direction in Direction
         }
 
+    def resume(self, conditions: LinkConditions, contact_forced: bool | None) -> None:
+        """Take these conditions, which an earlier start of the link had in the end. No packet is in flight yet."""
+        self._conditions, self._forced = conditions, contact_forced
+        self._apply(self._start)
+
     def restarted(self, incarnation: int) -> None:
         """Reseeds the draws, so that a restarted link does not repeat the losses of its previous start."""
         for direction, channel in self._channels.items():
@@ -108,6 +113,10 @@ class Relay:
         elif change.conditions is not None:
             self._forced = None
         self._conditions = conditions
+        self._apply(now)
+
+    def _apply(self, now: MissionTime) -> None:
+        conditions = self._conditions
         self._contact = Contact.of(conditions, self._start, self._forced)
         for direction, channel in self._channels.items():
             channel.change(_of(conditions, direction), self._contact, conditions.at_edge, now)
@@ -128,6 +137,16 @@ class Relay:
     def contact_changes_at(self, now: MissionTime) -> MissionTime | None:
         """When contact begins or ends next."""
         return self._contact.changes_at(now)
+
+    @property
+    def conditions(self) -> LinkConditions:
+        """The conditions now."""
+        return self._conditions
+
+    @property
+    def contact_forced(self) -> bool | None:
+        """Contact as set by an operator; None: as scheduled."""
+        return self._forced
 
     @property
     def busy(self) -> bool:
@@ -178,16 +197,17 @@ NAMES: Final = {
     "corrupt": "corrupt {:g}",
 }
 """Words for the figures of a change."""
+_CONTACT: Final = {True: "contact on", False: "contact off (black-out)"}
 
 
 def described(change: LinkChange) -> str:
     """The change in words, such as ``up: loss 0.1, contact off``."""
-    parts = [] if change.conditions is None else [f"all conditions replaced ({_in_words(change.conditions)})"]
+    parts = [] if change.conditions is None else [f"all conditions replaced ({in_words(change.conditions)})"]
     parts += [text.format(value) for name, text in NAMES.items() if (value := getattr(change, name)) is not None]
     if change.unlimited_rate:
         parts.append("data rate unlimited")
     if change.contact is not None:
-        parts.append("contact on" if change.contact else "contact off (black-out)")
+        parts.append(_CONTACT[change.contact])
     if change.contact_as_scheduled:
         parts.append("contact as scheduled")
     if change.at_edge is not None:
@@ -196,8 +216,11 @@ def described(change: LinkChange) -> str:
     return way + (", ".join(parts) or "nothing changed")
 
 
-def _in_words(conditions: LinkConditions) -> str:
-    """The conditions in words: the light time, and what is not as on a perfect link with contact always."""
+def in_words(conditions: LinkConditions, contact_forced: bool | None = None) -> str:
+    """The conditions in words: the light time, and what is not as on a perfect link with contact always.
+
+    contact_forced: contact as set by an operator; None: as scheduled.
+    """
     up, down = (", ".join(_figures(each)) for each in (conditions.up, conditions.down))
     words = [up] if up == down else [f"up: {up}", f"down: {down}"]
     if conditions.windows:
@@ -206,6 +229,8 @@ def _in_words(conditions: LinkConditions) -> str:
         words.append(f"contact {cycle.contact_s:,.15g} s of every {cycle.period_s:,.15g} s")
     if conditions.at_edge is not AtEdge.HOLD:
         words.append(f"messages without contact: {conditions.at_edge.value}")
+    if contact_forced is not None:
+        words.append(_CONTACT[contact_forced])
     return "; ".join(words)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from schemas.refusal import RefusalCode
-from services.runtime.node import Compute, Finish, LogRecord, PublishSnapshot, SetTimer
+from services.runtime.node import Compute, Finish, Keep, LogRecord, PublishSnapshot, SetTimer
 
 if TYPE_CHECKING:
     from schemas.topics import Side, Topic
@@ -68,4 +68,16 @@ class SetAside:
     """File and line where the exception was raised; empty if that is not known."""
 
 
-Action = Publish | PutQuery | Reply | ReplyError | SetAside | SetTimer | Compute | PublishSnapshot | LogRecord | Finish
+Action = (
+    Publish
+    | PutQuery
+    | Reply
+    | ReplyError
+    | SetAside
+    | SetTimer
+    | Compute
+    | PublishSnapshot
+    | Keep
+    | LogRecord
+    | Finish
+)

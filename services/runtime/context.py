@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Protocol
 from schemas.codec import TooMany, body_of
 from services.runtime.actions import SetAside
 from services.runtime.backlog import Backlog
+from services.runtime.kept_file import KeptFile
 from services.runtime.log_limit import LogLimit
-from services.runtime.node import Cause, Finish, Level, LogRecord, PublishSnapshot
+from services.runtime.node import Cause, Finish, Keep, Level, LogRecord, PublishSnapshot
 from services.runtime.service_manager import ServiceManager
 from services.runtime.set_aside import SetAsideFile
 
@@ -115,6 +116,8 @@ class ProcessContext:
     """Actions that the replay of the journal left to do."""
     open_queries: OpenQueries = field(default_factory=OpenQueries)
     set_aside: SetAsideFile = field(default_factory=lambda: SetAsideFile(None))
+    kept: KeptFile = field(default_factory=lambda: KeptFile(None, lambda _: None))
+    """What the node keeps for the next start of the process."""
     manager: ServiceManager = field(default_factory=ServiceManager)
     """The service manager that started this process, if one did."""
     backlog: Backlog = field(default_factory=Backlog)
@@ -135,6 +138,7 @@ class ProcessContext:
     def beat(self, monotonic_s: float) -> None:
         """Publish a heartbeat if it is due, and tell the service manager and the link that the main loop turns."""
         self.manager.alive()
+        self.kept.tend(monotonic_s)
         if self.role is not None:
             self.role.keep(monotonic_s)
         self.heartbeat.beat(monotonic_s, self.clock.latest)
@@ -144,13 +148,15 @@ class ProcessContext:
         self._write(self.log_limit.due(monotonic_s))
 
     def perform(self, action: Action) -> None:
-        """Carry out an action that concerns no other process of the mission: snapshot, log line, end."""
+        """Carry out an action that concerns no other process of the mission: snapshot, kept value, log line, end."""
         match action:
             case PublishSnapshot(snapshot, awaited):
                 if self.query_process is not None:
                     self.query_process.show(snapshot)
                     if awaited:
                         self.query_process.settle()
+            case Keep(value):
+                self.kept.replace(value, time.monotonic())
             case LogRecord():
                 self._write(self.log_limit.admit(action, time.monotonic()))
             case SetAside():

@@ -208,6 +208,16 @@ class PublishSnapshot:
     """Whether later effects wait until queries are answered from it, so that a client that sees them can query it."""
 
 
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Keep this for the next start of the process, in place of what was kept earlier: for a node without a journal.
+
+    Effects that follow wait until it is on the disk. Without a folder for journals nothing is kept.
+    """
+
+    value: Wire
+
+
 class Level(Enum):
     """Severity of a log record."""
 
@@ -256,6 +266,7 @@ Effect = (
     | SetTimer
     | Compute
     | PublishSnapshot
+    | Keep
     | LogRecord
     | Finish
 )

@@ -33,6 +33,7 @@ from services.runtime.heartbeat import Heartbeat
 from services.runtime.host import Host
 from services.runtime.inbox import Inbox
 from services.runtime.journal import History, JournalFolder, identity_of
+from services.runtime.kept_file import KeptFile, kept_file
 from services.runtime.lockstep.driver import LockstepDriver
 from services.runtime.log import Log
 from services.runtime.options import Options, parse_options
@@ -161,6 +162,7 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
     stack.callback(context.close_log)
     if options.journal is not None:
         context.set_aside = SetAsideFile(options.journal / f"{service.name}.set-aside.jsonl")
+        context.kept = KeptFile(kept_file(options.journal, service.name), log.warning)
     if history is not None:
         _go_on(context, history)
     elif not options.lockstep:

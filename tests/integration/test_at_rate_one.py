@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from he3.errors import He3Error, PeerUnreachable
-from schemas.commands import CommandKind, CommandStage, Telecommand
+from schemas.commands import CommandKind, CommandStage, NoParameters, Telecommand
 from schemas.ground import MissionPhase
 from schemas.link import ClockChange, LinkChange
 from schemas.maps import MapPointQuery
@@ -27,6 +27,7 @@ from schemas.topics import (
     GROUND_STATUS,
     ISSUE_COMMAND,
     LINK_SET,
+    LINK_SHOW,
     LIST_COMMANDS,
     MAP_POINT,
     MOON_PRESENCE,
@@ -338,6 +339,7 @@ def _is_refused(replies, topic):
 
 def test_services_find_a_restarted_link_again_by_themselves(mission, earth, listen):
     before = earth.latest(EARTH_CLOCK)[1]
+    changed = earth.query(LINK_SET, LinkChange(duplicate=0.125, by="operator"))
     earth.close()
     mission["link"].kill()
     mission.start("link")
@@ -347,6 +349,8 @@ def test_services_find_a_restarted_link_again_by_themselves(mission, earth, list
         assert (clock.epoch, clock.revision) == (before.epoch, before.revision)
         now = time.time_ns()
         assert mission_time(clock, now) == pytest.approx(mission_time(before, now), abs=SECOND // 10)
+        assert client.query(LINK_SHOW, NoParameters()).conditions == changed.conditions
+        client.query(LINK_SET, LinkChange(duplicate=0.0))
         for listener, names in (
             (listen(client, EARTH_PRESENCE), ("ground", "recorder")),
             (listen(moon, MOON_PRESENCE), ("rover", "field")),
