@@ -16,6 +16,7 @@ from he3.errors import InvalidInput
 from schemas.link import ClockState  # of a model's field: pydantic reads it
 from schemas.wire import Text, Wire
 from services.runtime.clock import anchored, mission_time
+from services.runtime.files.input import read_own
 from services.runtime.files.output import replace_output
 from services.runtime.machine_time import MachineTime
 
@@ -63,7 +64,7 @@ def kept_clock(path: Path, machine: MachineTime, mission: str, start_ns: int) ->
     Raises InvalidInput if the file holds none, or that of another mission, OSError if it cannot be read.
     """
     try:
-        kept = _Kept.model_validate_json(path.read_bytes())
+        kept = _Kept.model_validate_json(read_own(path))
     except ValidationError:
         raise InvalidInput(
             f"{path}: expected the clock that an earlier start of the link saved, got other data"

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from he3.errors import InvalidInput
 from schemas.link import LinkConditions  # of a model's field: pydantic reads it
 from schemas.wire import Text, Wire
+from services.runtime.files.input import read_own
 from services.runtime.files.output import failed
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def kept_conditions(path: Path, mission: str, of_scenario: LinkConditions) -> Ke
     """
     advice = "restore the file, or remove it: the conditions are those of the scenario then"
     try:
-        kept = KeptConditions.model_validate_json(path.read_bytes())
+        kept = KeptConditions.model_validate_json(read_own(path))
     except FileNotFoundError:
         return None
     except ValidationError:

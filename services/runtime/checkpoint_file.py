@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from he3.errors import InvalidInput
+from services.runtime.files.input import open_own
 from services.runtime.files.output import replace_output
 
 CRC_BYTES: Final = 4
@@ -107,7 +108,8 @@ def read_checkpoint(path: Path, identity: Mapping[str, str], journal_sizes: Mapp
 
     Raises JournalDamaged for a journal that is shorter than it was: the checkpoint was written after the journal.
     """
-    sealed = path.read_bytes()
+    with open_own(path) as stream:
+        sealed = stream.read()
     content = sealed[CRC_BYTES:]
     if zlib.crc32(content) != int.from_bytes(sealed[:CRC_BYTES], "little"):
         return "it is damaged"

@@ -46,6 +46,7 @@ from services.runtime.checkpoint_file import (
     Mark,
     read_checkpoint,
 )
+from services.runtime.files.input import open_own
 from services.runtime.files.output import failed, open_output, sync_folder
 from services.runtime.input_codec import decode_input, encode_input
 from services.runtime.inputs import Input, ProcessStarted
@@ -227,7 +228,7 @@ class JournalFolder:
         torn = 0
         for path in files:
             mark = checkpoint.mark if checkpoint is not None and path.name == checkpoint.file else Mark()
-            with path.open("rb") as stream:
+            with open_own(path) as stream:
                 reader = JournalReader(stream, self._identity, str(path), mark)
                 inputs.extend((record.now, decode_input(record.channel, record.data, self._codec)) for record in reader)
             torn += path.stat().st_size - reader.good_bytes

@@ -11,6 +11,7 @@ import base64
 import json
 from typing import TYPE_CHECKING, Final
 
+from services.runtime.files.input import read_own
 from services.runtime.files.output import open_output
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class SetAsideFile:
         }
         try:
             if self._kept is None:
-                self._kept = len(self.path.read_bytes().splitlines()) if self.path.exists() else 0
+                self._kept = len(read_own(self.path).splitlines()) if self.path.exists() else 0
             if self._kept >= MAX_KEPT:
                 return False
             with open_output(self.path, append=True) as stream:

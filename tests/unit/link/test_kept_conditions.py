@@ -149,7 +149,7 @@ def test_a_file_that_may_not_be_read_is_an_error_of_the_system_in_one_line(
     def broken(path: Path) -> bytes:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(Path, "read_bytes", broken)
+    monkeypatch.setattr("services.link.kept_conditions.read_own", broken)
     with pytest.raises(He3Error, match=r"cannot read the kept conditions of the link: Input/output error") as error:
         kept_conditions(tmp_path / "link.json", "m", SCENARIO.link)
     assert not isinstance(error.value, InvalidInput), "the same command may succeed later"
