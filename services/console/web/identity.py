@@ -67,7 +67,9 @@ def certified_by(identity: Identity) -> Certified:
         except OSError as error:
             raise InvalidInput(f"{identity.roster_path}: cannot read: {error.strerror}") from None
         if changed_at != known[0]:
-            known = changed_at, read_roster(identity.roster_path, identity.authority)
+            found = read_roster(identity.roster_path, identity.authority)
+            # An older one, as from a backup, would let in who was revoked since.
+            known = changed_at, max(found, known[1], key=lambda each: each.document.revision)
         known[1].trusted(common_name, utc_now())
         return Caller(common_name, frozenset({subject.role}))
 

@@ -120,7 +120,7 @@ class RosterFile:
         self._report = report
         self._roster = identity.roster
         self._looked_at_s = monotonic_s()
-        self._changed_at: tuple[int, int] | None = None
+        self._changed_at: tuple[int, int, int] | None = None
 
     def __call__(self) -> Roster:
         now_s = self._monotonic_s()
@@ -133,7 +133,8 @@ class RosterFile:
         path = self._identity.roster_path
         try:
             found = path.stat()
-            changed_at = found.st_mtime_ns, found.st_ino
+            # Also of its mode and owner, which are what an administrator mends in a roster that was refused.
+            changed_at = found.st_ctime_ns, found.st_mtime_ns, found.st_ino
             if changed_at == self._changed_at:
                 return
             self._changed_at = changed_at

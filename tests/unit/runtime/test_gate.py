@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import pytest
 
+from he3.errors import InvalidInput
 from schemas.codec import body_of, decode, encode
 from schemas.commands import CommandKind, Telecommand
 from schemas.link import Acknowledgement, DirectionCounts, LinkChange, LinkConditions, LinkStatus
@@ -418,3 +419,21 @@ def test_a_revocation_counts_while_the_process_runs_and_an_older_roster_does_not
     assert newest().document.revision == revoked
     assert "expected revision" in reported[0]
     assert default_instance(identity).startswith("keys-")
+
+
+def test_a_roster_that_came_with_a_mode_that_others_may_use_counts_once_that_is_mended(tmp_path):
+    authority = Authority.create(tmp_path / "keys")
+    authority.issue(subject("ground", "main"))
+    identity = load_identity(authority.folder_of(subject("ground", "main")))
+    authority.issue(subject("operator", "anna"))
+    now_s, reported = [0.0], []
+    newest = RosterFile(load_identity(identity.folder), lambda: now_s[0], reported.append)
+    authority.revoke(subject("operator", "anna"))
+    identity.roster_path.chmod(0o644)
+    for now_s[0] in (2.0, 4.0):
+        assert newest().trusted("operator.anna", utc_now())
+    assert ["expected mode 0600" in line for line in reported] == [True], "it is said once"
+    identity.roster_path.chmod(0o600)
+    now_s[0] = 6.0
+    with pytest.raises(InvalidInput, match="revoked"):
+        newest().trusted("operator.anna", utc_now())
