@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   he3 audit verify runs/a/audit/ground.jsonl                 is its chain whole?
-  he3 audit verify runs/a/audit/ground.jsonl --keys keys/    are its lines signed, too?
+  he3 audit verify runs/a/audit/ground.jsonl --keys keys/    who has signed its lines?
   he3 audit verify runs/a/audit/ground.jsonl --head 3fa1...  does it still end as it did?
   he3 audit show runs/a/audit/ground.jsonl
 """
@@ -59,13 +59,14 @@ def verify_(
             "fault": fault,
             "lines": verdict.lines,
             "signed": verdict.signed,
+            "signers": verdict.signers,
             "torn": verdict.torn,
             "head": verdict.head,
         }
         typer.echo(json_format.dumps(row, indent=2))
     elif fault is None:
         torn = "".join(f"; line {each} was torn by an end of the process" for each in verdict.torn)
-        signed = "" if keys is None else ", all signed"
+        signed = "" if keys is None else f", all signed by {' and '.join(verdict.signers)}"
         typer.echo(f"{file}: whole: {verdict.lines} lines{signed}{torn}")
         typer.echo(f"head {verdict.head}")
     if fault is not None:

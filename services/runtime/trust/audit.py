@@ -25,9 +25,11 @@ from typing import TYPE_CHECKING, Any, Final
 from cryptography.exceptions import InvalidSignature
 
 from he3.errors import He3Error, InvalidInput
+from schemas.roles import PROCESS_ROLES
 from schemas.wire import printable
 from services.runtime.files.lock import FileLock, lock_beside
 from services.runtime.files.output import failed, open_output, require_own
+from services.runtime.trust.certificates import parse_common_name
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -112,20 +114,25 @@ class AuditVerdict:
     """The first line that is altered or missing; None if there is none."""
     rest: bytes = b""
     """What a killed process left unfinished at the end."""
+    signers: tuple[str, ...] = ()
+    """Common names of the identities whose signatures were verified: of one process, with a revocation in between of
+    several generations."""
 
 
 def verify(lines: Iterable[bytes], key_of: Callable[[str], Ed25519PublicKey | None] | None = None) -> AuditVerdict:
     """The verdict on an audit log. lines: with their newlines, as a file gives them.
 
-    key_of: the key of a signer, None for one that is not known. With it, every line must be signed.
+    key_of: the key of a signer, None for one that is not known. With it, every line must be signed, and by the identity
+    of one process: else whoever has some identity of the mission could write the log anew.
     """
     given = list(lines)
     previous, count, signed = BEGINNING, 0, 0
     torn: list[int] = []
     open_: list[tuple[int, bytes]] = []
+    signers: dict[str, None] = {}
 
     def ended(fault: str | None = None, rest: bytes = b"") -> AuditVerdict:
-        return AuditVerdict(count, previous, signed, tuple(torn), fault, rest)
+        return AuditVerdict(count, previous, signed, tuple(torn), fault, rest, tuple(signers))
 
     for place, raw in enumerate(given, start=1):
         line = raw.removesuffix(b"\n")
@@ -144,8 +151,10 @@ def verify(lines: Iterable[bytes], key_of: Callable[[str], Ed25519PublicKey | No
             open_ = []
         if row["number"] != count:
             return ended(_out_of_order(place, count, row["number"]))
-        if key_of is not None and (why := _unsigned(row, key_of)) is not None:
-            return ended(f"line {place}: {why}")
+        if key_of is not None:
+            if (why := _unsigned(row, key_of) or _of_another(row["signer"], signers)) is not None:
+                return ended(f"line {place}: {why}")
+            signers[row["signer"]] = None
         if row["previous"] != previous:
             return ended(_broken(place, line, given[place:]))
         signed += key_of is not None
@@ -211,6 +220,17 @@ def _unsigned(row: dict[str, Any], key_of: Callable[[str], Ed25519PublicKey | No
         key.verify(bytes.fromhex(signature), _PURPOSE + _bytes(rest))
     except (InvalidSignature, ValueError):
         return f"altered: the signature of {signer} is of another line"
+    return None
+
+
+def _of_another(signer: str, before: Iterable[str]) -> str | None:
+    """Why a line of that signer does not belong in a log whose lines so far are of these; None if it does."""
+    role = parse_common_name(signer).role
+    if role not in PROCESS_ROLES:
+        return f"signed by {signer}: expected a process, as no person writes audit logs"
+    writer = next(iter(before), signer)
+    if role is not parse_common_name(writer).role:
+        return f"signed by {signer}: expected {writer}, who has signed the lines before it"
     return None
 
 

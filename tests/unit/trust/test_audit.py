@@ -25,7 +25,11 @@ from services.runtime.trust.audit import (
 
 AT = datetime(2026, 11, 26, tzinfo=UTC)
 KEY = Ed25519PrivateKey.from_private_bytes(b"k" * 32)
-KEYS = {"ground.main": KEY.public_key()}
+OTHER = Ed25519PrivateKey.from_private_bytes(b"o" * 32)
+KEYS = {
+    "ground.main": KEY.public_key(),
+    **dict.fromkeys(("ground.main.2", "rover.main", "viewer.eve"), OTHER.public_key()),
+}
 
 
 def written(count=6, signer=None):
@@ -104,6 +108,26 @@ def test_a_rest_that_is_written_anew_is_found_by_its_signatures():
     assert verify(written(signer=("ground.other", KEY)), KEYS.get).fault == (
         "line 1: signed by 'ground.other', who is not in the roster"
     )
+
+
+@pytest.mark.parametrize(
+    ("signer", "fault"),
+    [
+        ("viewer.eve", "signed by viewer.eve: expected a process, as no person writes audit logs"),
+        ("rover.main", "signed by rover.main: expected ground.main, who has signed the lines before it"),
+        ("ground.main.2", None),
+    ],
+)
+def test_no_other_identity_of_the_mission_can_write_the_rest_of_a_log_anew(signer, fault):
+    lines = written(2, signer=("ground.main", KEY))
+    line = audit_line(2, line_hash(lines[1].rstrip()), AuditKind.CHANGE, AT, {"by": "x"}, (signer, OTHER))
+    verdict = verify([*lines, line + b"\n"], KEYS.get)
+    assert verdict.fault == (None if fault is None else f"line 3: {fault}")
+    assert verdict.signers == (("ground.main", signer) if fault is None else ("ground.main",))
+
+
+def test_a_log_that_a_person_has_signed_is_no_process_s():
+    assert "expected a process" in (verify(written(signer=("viewer.eve", OTHER)), KEYS.get).fault or "")
 
 
 def test_a_cut_tail_shows_in_the_head_alone():
