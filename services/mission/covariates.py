@@ -17,6 +17,7 @@ from he3.hyperprior import MEAN_PPB, MEAN_STD_PPB
 from he3.nodata import cells_where, far_off, undeclared
 from he3.reference import METRES_PER_DEGREE, Region
 from he3.trend import GAIN_STD, UNSURE_GAIN_STD, CovariateTrend, covariate_trend, orbital_trend, split_by_scale
+from services.mission.npy import mapped_array
 from services.mission.scenario import Scenario
 from services.mission.tiff import NotPlain, facts_of, read_tiff
 
@@ -93,10 +94,9 @@ def _raster(name: str, region: Region) -> NDArray[Any]:
         except NotPlain as error:
             raise InvalidInput(f"covariate {name}: expected a plain GeoTIFF, got {error}") from None
     try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        return mapped_array(path)
+    except InvalidInput as error:
         raise InvalidInput(f"covariate {name}: expected an array that NumPy reads, got {error}") from None
-    return values
 
 
 def _expect_no_holes(name: str, values: NDArray[Any], no_data: float | None, masked: bool) -> None:

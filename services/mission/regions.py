@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import lzma
 import struct
-import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -25,6 +24,7 @@ from he3.vehicle_ground import VehicleLimits, judged
 from schemas.maps import MAX_CELLS
 from schemas.wire import MAX_POSITION_M
 from services.mission.embedded_regions import EMBEDDED
+from services.mission.npy import UNREADABLE
 from services.mission.region_folder import (
     DOCUMENT,
     WINDOW_LAYERS,
@@ -43,8 +43,7 @@ _LAYERS: Final = ("he3_ppb", "orbital_ppb", "elevation_m", "traversable", ROCK_A
 _FURTHER: Final = ("resolution_m", "provenance", "origin_lat_deg", "origin_lon_deg")
 
 _UNREADABLE: Final = (
-    OSError, ValueError, EOFError, RuntimeError, MemoryError, OverflowError,
-    zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError,
+    *UNREADABLE, zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, lzma.LZMAError, struct.error,
 )  # fmt: skip
 """What zipfile and numpy raise for a file that is damaged, encrypted, or packed in a way that they do not know."""
 

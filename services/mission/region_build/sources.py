@@ -21,6 +21,7 @@ import numpy as np
 from he3.constants import MOON_RADIUS_M
 from he3.errors import InvalidInput
 from he3.frames import BoolArray, FloatArray
+from services.mission.npy import mapped_array
 from services.mission.region_build.geo import pyproj, rasterio
 from services.mission.region_build.plausible import expect_no_marks, expect_plausible
 from services.mission.region_build.projection import array_crs
@@ -184,12 +185,12 @@ def hidden_by_mask(dataset: Any, band: int, window: Any = None) -> BoolArray:
 def _array_source(layer: str, table: SourceTable, folder: Path, grid: GridTable) -> Source:
     path = folder / table.file
     try:
-        values = np.load(path, allow_pickle=False, mmap_mode="r")
+        values = mapped_array(path)
     except FileNotFoundError:
         raise InvalidInput(f"{path}: expected a raster, got no such file") from None
-    except (OSError, ValueError, EOFError) as error:
+    except InvalidInput as error:
         raise InvalidInput(f"{path}: layer {layer}: expected a plain .npy array, got {error}") from None
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "fiu":
+    if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise InvalidInput(f"{path}: layer {layer}: expected one array (rows, columns) of real numbers")
     rows, columns = values.shape
     factor, unit = factor_of(path.name, layer, table)
