@@ -67,9 +67,36 @@ class Row:
 _READ: Final = "key, status, labels, result, error, wall_s"
 
 
+_OBJECTS: Final = ("parameters", "settings")
+"""Labels that are objects themselves."""
+
+
 def _row(found: tuple[Any, ...]) -> Row:
-    key, status, labels, result, error, wall_s = found
-    return Row(key, status, json.loads(labels), None if result is None else json.loads(result), error, wall_s)
+    """The row; raises ValueError unless its columns have what a campaign writes."""
+    key, status, labels_text, result_text, error, wall_s = found
+    labels = _object(labels_text)
+    for name in _OBJECTS:
+        if not isinstance(labels.get(name, {}), dict):
+            raise ValueError(f"{name}: expected an object")
+    result = None if result_text is None else _object(result_text)
+    if not (isinstance(key, str) and isinstance(error, str) and isinstance(wall_s, float)):
+        raise ValueError("expected texts and a number")
+    return Row(key, status, labels, result, error, wall_s)
+
+
+def _object(text: Any) -> dict[str, Any]:
+    """The JSON object of that text; raises ValueError for anything else."""
+    try:
+        found = json.loads(text, parse_constant=_no_number) if isinstance(text, str) else None
+    except RecursionError:
+        found = None
+    if not isinstance(found, dict):
+        raise ValueError("expected a JSON object")
+    return found
+
+
+def _no_number(name: str) -> Any:
+    raise ValueError(f"expected a number, got {name}")
 
 
 def _values(task: Task, reply: Reply) -> dict[str, Any]:
@@ -113,12 +140,19 @@ class Store:
                     self._database.execute("PRAGMA journal_mode = WAL")
                     self._database.executescript(_TABLES)
                     self._database.execute("INSERT OR IGNORE INTO about VALUES ('format', ?)", (FORMAT,))
+                self._expect_tables()
                 found = self.about("format")
             if found != FORMAT:
                 raise InvalidInput(f"{path}: expected a store of format {FORMAT}, got {found!r}")
         except BaseException:
             self.close()
             raise
+
+    def _expect_tables(self) -> None:
+        """Raise InvalidInput for views in place of tables: a query of one may never end."""
+        query = "SELECT name FROM sqlite_master WHERE lower(name) IN ('about', 'rows') AND type != 'table'"
+        if self._database.execute(query).fetchone() is not None:
+            raise InvalidInput(f"{self._path}: expected a campaign's store, got views in place of its tables")
 
     def about(self, name: str) -> str:
         """A fact about the store, such as the name of its study; empty if it has none."""
@@ -164,13 +198,21 @@ class Store:
         """Every current row, in the order of the keys, which does not depend on the order of computing."""
         with self._told():
             for found in self._database.execute(f"SELECT {_READ} FROM rows WHERE current = 1 ORDER BY key"):
-                yield _row(found)
+                yield self._checked(found)
 
     def row(self, key: str) -> Row | None:
         """The row of that key; None if there is none."""
         with self._told():
             found = self._database.execute(f"SELECT {_READ} FROM rows WHERE key = ?", (key,)).fetchone()
-        return None if found is None else _row(found)
+        return None if found is None else self._checked(found)
+
+    def _checked(self, found: tuple[Any, ...]) -> Row:
+        try:
+            return _row(found)
+        except ValueError:
+            raise InvalidInput(
+                f"{self._path}: expected rows that a campaign has written, got another under {str(found[0])[:80]!r}"
+            ) from None
 
     @property
     def others(self) -> int:

@@ -86,13 +86,20 @@ class Table:
         return found
 
     def command(self, index: int) -> str:
-        """The command that flies that mission again; empty for a row that is no mission."""
+        """The command that flies that mission again; empty for a row that is no mission.
+
+        Every word that comes from the store is quoted: a person copies the command into a shell.
+        """
         settings = self.settings[index]
-        if SCENARIO not in self.labels or self.labels[SCENARIO][index] is None:
+        if not {SCENARIO, SEED} <= self.labels.keys() or self.labels[SCENARIO][index] is None:
             return ""
-        changes = (f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in settings.items())
-        reference = shlex.quote(str(self.labels[SCENARIO][index]))
-        return " ".join((f"he3 run {reference} --in-process --seed {self.labels[SEED][index]}", *changes))
+        reference, seed = str(self.labels[SCENARIO][index]), str(self.labels[SEED][index])
+        words = ["he3", "run", reference, "--in-process", "--seed", seed]
+        for key, value in settings.items():
+            words += ["--set", f"{key}={_text(value)}"]
+        if reference.startswith("-") or not all(map(str.isprintable, words)):
+            return ""  # a flag in place of a scenario, or what a terminal would act on: no campaign writes that
+        return shlex.join(words)
 
     def varied(self) -> list[str]:
         """Names of the labels that have several values."""

@@ -164,6 +164,7 @@ def report(
     """Report on the rows of a store, also while a campaign still writes it."""
     import json as json_format
 
+    from schemas.wire import printable
     from services.console.campaign.findings import findings_of
     from services.console.campaign.store import Store
     from services.console.campaign.table import shown_figures, table_of, write_csv, write_parquet
@@ -193,7 +194,8 @@ def report(
         return
     from services.console.campaign.summary import summary_lines
 
-    typer.echo("\n".join(summary_lines(name, found)))
+    # Another person may have written the store: its texts must not steer the terminal.
+    typer.echo("\n".join(map(printable, summary_lines(name, found))))
     for path in (out, csv, parquet):
         if path is not None:
             typer.echo(f"written      {path}")

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 
 from he3.errors import InvalidInput
+from services.console.__main__ import main
 from services.console.campaign.drawing import Axis
 from services.console.campaign.findings import findings_of
 from services.console.campaign.page import page_of
 from services.console.campaign.statistics import paired, summary_of, variance_share
-from services.console.campaign.store import Row
+from services.console.campaign.store import Row, Store
 from services.console.campaign.summary import summary_lines
 from services.console.campaign.table import Table, shown_figures, table_of, write_csv, write_parquet
-from services.console.campaign.task import DONE, FAILED
+from services.console.campaign.task import DONE, FAILED, Reply, Task
 from services.mission.deployment import find_scenario
 from services.mission.scenario import load_scenario
 from services.runtime.options import parse_setting, with_settings
@@ -217,3 +218,34 @@ def test_ticks_are_round_and_within_the_axis() -> None:
     assert Axis(0.5, 40.0, "x", log=True).ticks() == [0.5, 1, 2, 5, 10, 20]
     assert Axis(0.1, 1200.0, "x", log=True).ticks() == pytest.approx([0.1, 1, 10, 100, 1000])
     assert Axis(3.0, 3.0, "x").share(3.0) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("labels", "command"),
+    [
+        ({"scenario": "t1", "seed": 3}, "he3 run t1 --in-process --seed 3"),
+        ({"scenario": "t1", "seed": "1; rm -rf ~"}, "he3 run t1 --in-process --seed '1; rm -rf ~'"),
+        (
+            {"scenario": "t1", "seed": 1, "settings": {"a.b=$(id)": "`id`"}},
+            "he3 run t1 --in-process --seed 1 --set 'a.b=$(id)=`id`'",
+        ),
+        ({"scenario": "--allow-plugin", "seed": 1}, ""),
+        ({"scenario": "t1\x1b[201~", "seed": 1}, ""),
+        ({"scenario": "t1"}, ""),
+    ],
+)
+def test_a_command_to_copy_has_nothing_of_a_store_that_a_shell_would_act_on(
+    labels: dict[str, Any], command: str
+) -> None:
+    assert table_of([Row("1", DONE, labels, {}, "", 1.0)]).command(0) == command
+
+
+def test_the_texts_of_a_store_do_not_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "s.sqlite"
+    with Store(path, write=True) as store:
+        store.describe(study="\x1b]0;mine\x07", description="", software="")
+        store.write(Task("some:work", {}, "this", {"seed": 1}), Reply(DONE, {"rmse_ppb": 1.0}))
+    assert main(["campaign", "report", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "\\x1b]0;mine" in shown
+    assert "\x1b" not in shown

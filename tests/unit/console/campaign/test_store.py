@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -61,3 +62,49 @@ def test_another_file_is_no_store(tmp_path: Path) -> None:
         with pytest.raises(InvalidInput, match="expected a campaign's store"):
             Store(other, write=write)
     assert other.read_text().startswith("something else")
+
+
+@pytest.mark.parametrize(
+    ("column", "content"),
+    [
+        ("labels", "no JSON"),
+        ("labels", "[1]"),
+        ("labels", '{"settings": 7}'),
+        ("labels", "[" * 100_000),
+        ("labels", b"{}"),
+        ("result", '{"rmse_ppb": NaN}'),
+        ("result", "[]"),
+        ("error", b"\xff"),
+    ],
+)
+def test_a_row_that_no_campaign_writes_is_refused_in_one_line(
+    column: str, content: str | bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "s.sqlite"
+    with Store(path, write=True) as store:
+        store.write(task(1), Reply(DONE, {}))
+    with sqlite3.connect(path) as database:
+        database.execute(f"UPDATE rows SET {column} = ?", (content,))
+    database.close()
+    with Store(path, write=False) as store:
+        for read in (lambda: list(store.rows()), lambda: store.row(task(1).key)):
+            with pytest.raises(
+                InvalidInput, match=r"s\.sqlite: expected rows that a campaign has written, got another"
+            ):
+                read()
+
+
+@pytest.mark.parametrize("write", [False, True])
+def test_a_view_in_place_of_a_table_is_never_asked(write: bool, tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE about (name, value)")
+        database.execute("INSERT INTO about VALUES ('format', '1')")
+        database.execute(
+            "CREATE VIEW Rows AS WITH RECURSIVE endless(key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM endless) "
+            "SELECT key, 'done' AS status, '{}' AS labels, NULL AS result, '' AS error, 0.0 AS wall_s, 1 AS current "
+            "FROM endless"
+        )
+    database.close()
+    with pytest.raises(InvalidInput, match="got views in place of its tables"):
+        Store(path, write=write)
