@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 alarms                                  the most urgent first
-  he3 alarms --history                        those that are over, too
+  he3 alarms                                  # the most urgent first
+  he3 alarms --history                        # those that are over, too
   he3 alarms --recording runs/t1/mission.mcap --history
   he3 alarms acknowledge safe-mode
   he3 alarms shelve no-contact --for 2h --why "relay below the horizon"
@@ -160,7 +160,7 @@ def alarm_lines(found: Sequence[Alarm]) -> list[str]:
     return lines
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Note that you have seen an alarm.", epilog=EXAMPLES)
 @with_flags
 def acknowledge(
     session: NamedSession,

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   he3 area list
-  he3 area add crater 100,100 150,100 125,150               a keep-out; asks before it is sent
+  he3 area add crater 100,100 150,100 125,150               # a keep-out; asks before it is sent
   he3 area add ridge 300,300 380,300 340,360 --interest --weight 3
-  he3 area add crater 90,90 160,90 125,160 --replace        another outline for it
+  he3 area add crater 90,90 160,90 125,160 --replace        # another outline for it
   he3 area rename crater north-crater
   he3 area remove ridge --yes
 """
@@ -54,7 +54,7 @@ Weight = Annotated[
 ]  # fmt: skip
 
 
-@app.command("list", epilog=EXAMPLES)
+@app.command("list", short_help="List the areas and the changes on their way to the rover.", epilog=EXAMPLES)
 @with_flags
 def list_areas(
     session: Session,
@@ -91,7 +91,7 @@ def add(
         if not replace:
             expect_new_name(client, kind, name)
         sent = _set(client, area, yes=yes)
-        _print(client, sent, _said(area, f"{kind.value} {name}", "set"), json)
+        _print(client, sent, _said(area, f"{kind.value} {name}", "is set"), json)
 
 
 @app.command(epilog=EXAMPLES)
@@ -115,10 +115,10 @@ def rename(
         if objection is not None:
             raise InvalidInput(objection)
         sent = _rename(client, area, changed(area, name=new_name), yes=yes)
-        _print(client, sent, _said(area, f"the new name {new_name} of {area.kind.value} {name}", "set"), json)
+        _print(client, sent, _said(area, f"the new name {new_name} of {area.kind.value} {name}", "is set"), json)
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Remove an area.", epilog=EXAMPLES)
 @with_flags
 def remove(
     session: NamedSession,
@@ -131,7 +131,7 @@ def remove(
     with session.join() as client:
         area = _found(client.areas(), name, kind)
         sent = _remove(client, area, yes=yes)
-        _print(client, sent, _said(area, f"the removal of {area.kind.value} {name}", "done"), json)
+        _print(client, sent, _said(area, f"the removal of {area.kind.value} {name}", "is done"), json)
 
 
 def _print(client: MissionClient, sent: list[CommandHandle], text: str, json: bool) -> None:

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 audit verify runs/a/audit/ground.jsonl                 is its chain whole?
-  he3 audit verify runs/a/audit/ground.jsonl --keys keys/    who has signed its lines?
-  he3 audit verify runs/a/audit/ground.jsonl --head 3fa1...  does it still end as it did?
+  he3 audit verify runs/a/audit/ground.jsonl                 # is its chain whole?
+  he3 audit verify runs/a/audit/ground.jsonl --keys keys/    # who has signed its lines?
+  he3 audit verify runs/a/audit/ground.jsonl --head 3fa1c09e # does it still end as it did?
   he3 audit show runs/a/audit/ground.jsonl
 """
 

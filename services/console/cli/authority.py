@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   he3 authority show
-  he3 authority take                              from now on, others' commands are refused; but 'safe' never is
-  he3 authority take --force operator.ben         take it over from ben, who holds it
+  he3 authority take                              # from now on, others' commands are refused; but 'safe' never is
+  he3 authority take --force operator.ben         # take it over from ben, who holds it
   he3 authority release
 """
 
@@ -52,7 +52,7 @@ def take(
         _show(client.take_authority(force), json)
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Release command authority.", epilog=EXAMPLES)
 @with_flags
 def release(
     session: NamedSession,

@@ -9,7 +9,7 @@ from typer.core import TyperGroup
 
 EXAMPLES = """\b
 Examples:
-  he3 bench                          list the benchmarks
+  he3 bench                          # list the benchmarks
   he3 bench paper --seeds 3 --json paper.json
   he3 bench map --help
 """

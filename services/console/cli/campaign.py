@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 campaign run studies/link.toml                        on every processor of this host
-  he3 campaign run studies/link.toml                        again: continues where it was ended
+  he3 campaign run studies/link.toml                        # on every processor of this host
+  he3 campaign run studies/link.toml                        # again: continues where it was ended
   he3 campaign run studies/link.toml --engine dask:tcp://10.0.0.2:8786
   he3 campaign report studies/link.sqlite --out link.html
 """

@@ -28,11 +28,14 @@ EXAMPLES = """\b
 Examples:
   he3 command pause
   he3 command resume --wait completed
-  he3 command go-to 120 340 --preview      what it would do; nothing is sent
+  he3 command safe                         # enter safe mode at once
+  he3 command abort-round                  # give up the present round; the ground plans anew
+  he3 command return-to-start
+  he3 command go-to 120 340 --preview      # what it would do; nothing is sent
   he3 command go-to 120 340 --expires-in 3600 --yes
   he3 command keep-out crater 100,100 150,100 125,150
   he3 command keep-out crater 90,90 160,90 125,160 --replace
-  he3 command keep-out crater              removes that area
+  he3 command keep-out crater              # removes that area
   he3 commands
 """
 

@@ -12,8 +12,8 @@ from services.console.cli.session import Session
 
 EXAMPLES = """\b
 Examples:
-  he3 foxglove                    then in Foxglove: Open connection, Foxglove WebSocket, ws://127.0.0.1:8765
-  he3 foxglove --port 0           at a free port, which it prints
+  he3 foxglove                    # then in Foxglove: Open connection, Foxglove WebSocket, ws://127.0.0.1:8765
+  he3 foxglove --port 0           # at a free port, which it prints
 """
 
 MAX_PORT = 65_535

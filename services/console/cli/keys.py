@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 keys init keys/                           an authority, and an identity for each process
-  he3 keys issue operator anna --in keys/       keys/identities/operator-anna, for the operator's machine
-  he3 up t1 --keys keys/                        a mission over TLS with these keys
+  he3 keys init keys/                           # an authority, and an identity for each process
+  he3 keys issue operator anna --in keys/       # keys/identities/operator-anna, for the operator's machine
+  he3 up t1 --keys keys/                        # a mission over TLS with these keys
   he3 command pause --identity keys/identities/operator-anna
-  he3 keys list --in keys/                      all identities and their expiry dates
+  he3 keys list --in keys/                      # all identities and their expiry dates
   he3 keys renew operator anna --in keys/
   he3 keys revoke operator anna --in keys/
+  he3 keys zenoh keys/ t1 --out zenoh/          # the rules that both routers apply
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -54,7 +55,7 @@ Hosts = Annotated[
 KEYS = Path("keys")
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Make an authority, and an identity for each process.", epilog=EXAMPLES)
 def init(
     folder: Folder,
     days: Days = 90.0,
@@ -74,7 +75,7 @@ def init(
     typer.echo(_document(authority) if json else "\n".join(map(str, folders)))
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Issue an identity for one process or person.", epilog=EXAMPLES)
 def issue(
     role: RoleName, name: PersonName, folder: In = KEYS, days: Days = 90.0, host: Hosts = None, json: AsJson = False
 ) -> None:
@@ -159,7 +160,7 @@ def _row(authority: Authority, entry: RosterEntry, now: datetime) -> dict[str, A
     }
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Write the access rules of both routers.", epilog=EXAMPLES)
 def zenoh(
     folder: Folder,
     scenario: ScenarioRef,

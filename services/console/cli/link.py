@@ -18,8 +18,8 @@ Examples:
   he3 link show
   he3 link set --light-time 3 --jitter 0.1
   he3 link set --direction down --bit-rate 256000 --loss 0.05
-  he3 link set --contact off              black-out from now on
-  he3 link set --contact scheduled        back to windows or duty cycle
+  he3 link set --contact off              # black-out from now on
+  he3 link set --contact scheduled        # back to windows or duty cycle
   he3 link set --preset farside-relay
 """
 

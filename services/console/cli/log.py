@@ -12,8 +12,8 @@ from services.console.cli.session import Session
 
 EXAMPLES = """\b
 Examples:
-  he3 log                                   all of it, oldest first
-  he3 log --kind command --kind link        what was commanded, and what changed on the link
+  he3 log                                   # all of it, oldest first
+  he3 log --kind command --kind link        # what was commanded, and what changed on the link
   he3 log --since 2h --text safe
   he3 log --csv > log.csv
   he3 log --json | jq '.[] | select(.by != "")'

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 up t1 --set ground.approval=operator &   a mission whose plans wait for approval
+  he3 up t1 --set ground.approval=operator &   # a mission whose plans wait for approval
   he3 plan show
-  he3 plan approve                             send the plan that waits to the rover
-  he3 plan approve --drop r07s2 --drop r07s3   without these samples; the rover drives by
-  he3 plan revise 120,340 150,322 181,300      sample these places, in this order; it waits again
+  he3 plan approve                             # send the plan that waits to the rover
+  he3 plan approve --drop r07s2 --drop r07s3   # without these samples; the rover drives by
+  he3 plan revise 120,340 150,322 181,300      # sample these places, in this order; it waits again
   he3 plan send-back --why "too close to the rim"
 """
 
@@ -67,7 +67,11 @@ def approve(
     _print(waits, f"mission '{client.mission}': {about} approved{dropped}", json)
 
 
-@app.command(epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS)
+@app.command(
+    short_help="Replace the samples of the plan that waits by other places.",
+    epilog=EXAMPLES,
+    context_settings=NEGATIVE_NUMBERS,
+)
 @with_flags
 def revise(
     session: NamedSession,

@@ -12,7 +12,7 @@ from services.console.cli.options import AsJson
 
 EXAMPLES = """\b
 Examples:
-  he3 recording repair runs/t1/mission.mcap            after a recorder was killed
+  he3 recording repair runs/t1/mission.mcap            # after a recorder was killed
 """
 
 app = typer.Typer(no_args_is_help=True)

@@ -33,7 +33,7 @@ FieldSeed = Annotated[
 ]  # fmt: skip
 
 
-@app.command("show", epilog=EXAMPLES)
+@app.command("show", short_help="Describe a region.", epilog=EXAMPLES)
 def show(
     region: RegionName,
     field_seed: FieldSeed = None,
@@ -128,7 +128,7 @@ def _figures(region: Region) -> dict[str, Any]:
     }
 
 
-@app.command("build", epilog=EXAMPLES)
+@app.command("build", short_help="Build a region from rasters, or write one as .npz.", epilog=EXAMPLES)
 def build(
     source: Annotated[
         str, typer.Argument(metavar="SOURCE", help="A recipe (.toml), or a region to write as an .npz file.")
@@ -230,7 +230,7 @@ def template(
     typer.echo(TEMPLATES[kind], nl=False)
 
 
-@app.command("fetch", epilog=EXAMPLES)
+@app.command("fetch", short_help="Download public products of a site and build its region.", epilog=EXAMPLES)
 def fetch(
     site: Annotated[
         str, typer.Argument(metavar="SITE", help="t1, t2, apollo-17, herodotus, mare-tranquillitatis, south-pole, ...")

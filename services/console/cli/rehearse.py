@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 rehearse                      when the mission ends, how far it drives, how certain its map will be
+  he3 rehearse                      # when the mission ends, how far it drives, how certain its map will be
   he3 rehearse --against "planner informative"
   he3 rehearse --against "keep-out crater 100,100 150,100 125,150" --draws 20
   he3 rehearse --draws 40 --json

@@ -20,8 +20,8 @@ EXAMPLES = """\b
 Examples:
   he3 replay runs/t1/mission.mcap
   he3 replay runs/t1/mission.mcap --topic tm/sample | head -3
-  he3 replay --live runs/t1/mission.mcap --at 20h --rate 100     then: he3 status; he3 watch; he3 map at 120 340
-  he3 replay --verify runs/t1/mission.mcap             compute the map again, compare it with the recorded one
+  he3 replay --live runs/t1/mission.mcap --at 20h --rate 100     # then: he3 status; he3 watch; he3 map at 120 340
+  he3 replay --verify runs/t1/mission.mcap             # compute the map again, compare it with the recorded one
 """
 
 FileName = Annotated[Path, typer.Argument(metavar="FILE", help="A recording: mission.mcap.")]

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 run t1 --in-process --out runs/t1             one process, virtual time
-  he3 run t1 --lockstep --out runs/t1               five processes, virtual time
-  he3 run t1 --rate 2000 --out runs/t1              five processes, wall clock
+  he3 run t1 --in-process --out runs/t1             # one process, virtual time
+  he3 run t1 --lockstep --out runs/t1               # five processes, virtual time
+  he3 run t1 --rate 2000 --out runs/t1              # five processes, wall clock
   he3 run my.toml --in-process --planner tour --seed 7 --report tour-7.json
   he3 run short --in-process --set link.down.loss=0.3 --json
 """
@@ -54,11 +54,11 @@ other clients. To command it: he3 command pause --identity {keys}/identities/ope
 
 DEMO_EXAMPLES = """\b
 Examples:
-  he3 demo                                          the mission, its report and pictures
-  he3 demo --seed 7                                 other measurement errors, other choices
-  he3 demo --set ground.planner=informative         with another planner
-  he3 demo --secure                                 with TLS and temporary keys
-  he3 demo --no-compare                             without the published protocol beside it
+  he3 demo                                          # the mission, its report and pictures
+  he3 demo --seed 7                                 # other measurement errors, other choices
+  he3 demo --set ground.planner=informative         # with another planner
+  he3 demo --secure                                 # with TLS and temporary keys
+  he3 demo --no-compare                             # without the published protocol beside it
 """
 
 EventsFile = Annotated[

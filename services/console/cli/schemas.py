@@ -9,8 +9,8 @@ import typer
 
 EXAMPLES = """\b
 Examples:
-  he3 schemas schemas.json.d/        one file for each message
-  he3 schemas | jq '."tm.sample"'    all in one document
+  he3 schemas schemas.json.d/        # one file for each message
+  he3 schemas | jq '."tm.sample"'    # all in one document
 """
 
 

@@ -24,9 +24,9 @@ MAX_BYTES = 1_000_000
 
 EXAMPLES = """\b
 Examples:
-  he3 stack run survey.stack --dry-run     check it; nothing is sent
-  he3 stack run survey.stack               check it, ask once, send it
-  he3 stack run survey.stack --step        ask before every command
+  he3 stack run survey.stack --dry-run     # check it; nothing is sent
+  he3 stack run survey.stack               # check it, ask once, send it
+  he3 stack run survey.stack --step        # ask before every command
   he3 stack run --do pause --do "after completed: resume" --yes
   generate | he3 stack run - --yes --json
 \b
@@ -47,7 +47,7 @@ def _group() -> None:
     """A list of telecommands with conditions: checked whole, then sent one after the other."""
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Check a stack of commands, then send it.", epilog=EXAMPLES)
 @with_flags
 def run(
     session: NamedSession,

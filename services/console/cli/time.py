@@ -18,12 +18,12 @@ EXAMPLES = """\b
 Examples, for a mission that runs in lockstep (he3 up t1 --lockstep):
   he3 time show
   he3 time pause
-  he3 time step               to the next instant at which something happens
+  he3 time step               # to the next instant at which something happens
   he3 time step 10
-  he3 time until 2h           two hours after the mission's beginning, then pause
+  he3 time until 2h           # two hours after the mission's beginning, then pause
   he3 time until 2030-01-02T00:00:00
-  he3 time rate 100           at most 100 mission seconds per second
-  he3 time unlimited          as fast as the machine allows
+  he3 time rate 100           # at most 100 mission seconds per second
+  he3 time unlimited          # as fast as the machine allows
   he3 time resume
 On the wall clock there are show, pause, resume (in real time) and rate.
 """
@@ -99,7 +99,7 @@ def until(
     _change(session, json, until=when)
 
 
-@app.command(epilog=EXAMPLES)
+@app.command(short_help="Limit the simulation speed.", epilog=EXAMPLES)
 @with_flags
 def rate(
     session: Session,
@@ -172,7 +172,7 @@ def _speed(status: TimeStatus) -> str:
     if status.paused:
         return f"paused; else {pace}"
     if status.steps_left is not None:
-        return f"{pace}, for {status.steps_left} more instants"
+        return f"{pace}, for {status.steps_left} more instant{'s' * (status.steps_left != 1)}"
     return pace if status.until is None else f"{pace}, until {utc(status.until, 9)}"
 
 

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 up t1                           in real time, at the endpoints of the scenario
-  he3 up t1 --rate 100 &              then: he3 status; he3 map at 120 340
-  he3 up t1 --lockstep &              in virtual time: he3 time pause; he3 time step; he3 time rate 100
-  he3 up t1 --rate 500 --out runs/a   with recording, report and pictures in runs/a
-  he3 up t1 --journal j/              a mission that continues after a restart
-  he3 up t1 --keys keys/              with TLS and access rules (made by he3 keys init keys/)
+  he3 up t1                           # in real time, at the endpoints of the scenario
+  he3 up t1 --rate 100 &              # then: he3 status; he3 map at 120 340
+  he3 up t1 --lockstep &              # in virtual time: he3 time pause; he3 time step; he3 time rate 100
+  he3 up t1 --rate 500 --out runs/a   # with recording, report and pictures in runs/a
+  he3 up t1 --journal j/              # a mission that continues after a restart
+  he3 up t1 --keys keys/              # with TLS and access rules (made by he3 keys init keys/)
 """
 
 LOOK_EVERY_S = 0.2

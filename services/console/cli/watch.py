@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  he3 watch                 until Ctrl-C, or until the mission is over
-  he3 watch --json          every message as a JSON line
+  he3 watch                 # until Ctrl-C, or until the mission is over
+  he3 watch --json          # every message as a JSON line
 """
 
 DRAWN_EVERY_S = 0.25

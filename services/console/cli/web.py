@@ -14,10 +14,10 @@ from services.console.cli.session import Session
 
 EXAMPLES = """\b
 Examples:
-  he3 web                              the page at http://127.0.0.1:8030/
-  he3 web --authority                  the page may command and change the link
-  he3 web --recording runs/a/mission.mcap                     the same page over a recording, at any time of it
-  he3 web --bind 0.0.0.0 --allow-host moonbase.lan --identity keys/identities/operator-anna     for other machines
+  he3 web                              # the page at http://127.0.0.1:8030/
+  he3 web --authority                  # the page may command and change the link
+  he3 web --recording runs/a/mission.mcap                     # the same page over a recording, at any time of it
+  he3 web --bind 0.0.0.0 --allow-host moonbase.lan --identity keys/identities/operator-anna     # for other machines
   he3 web --bind 10.0.0.2 --certificate page.pem --key page-key.pem --login-file logins
 """
 

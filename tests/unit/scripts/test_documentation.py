@@ -1,4 +1,4 @@
-"""Every file, module and link in the documentation exists."""
+"""Every file, module, link and section that the documentation names exists."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ PATH = re.compile(rf"`((?!he3/MISSION)(?:{'|'.join(FOLDERS)})/[\w./-]*)`")  # he
 TEST = re.compile(r"\btests/[\w/]+\.py\b")
 MODULE = re.compile(r"`((?:he3|schemas|services|benchmarks)(?:\.\w+)+)`")
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
+SECTION = re.compile(r"\]\(([^)#\s]*)#([^)\s]+)\)")
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 
 def exists(module: str) -> bool:
@@ -47,3 +49,22 @@ def test_every_file_and_module_that_a_page_names_exists(page: Path) -> None:
 def test_every_link_within_the_project_leads_to_a_file(page: Path) -> None:
     targets = [target for target in LINK.findall(page.read_text()) if "://" not in target]
     assert not [target for target in targets if not (page.parent / target).exists()]
+
+
+def sections(page: Path) -> set[str]:
+    """The names by which GitHub links to the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\s-]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_to_a_section_leads_to_a_heading(page: Path) -> None:
+    links = [(name, section) for name, section in SECTION.findall(page.read_text()) if "://" not in name]
+    targets = [(page.parent / name if name else page, section) for name, section in links]
+    assert [f"{target.name}#{section}" for target, section in targets if section not in sections(target)] == []
+
+
+def test_a_link_to_a_section_that_is_not_there_would_be_found() -> None:
+    assert "mission-time-is-integer-nanoseconds-and-the-link-keeps-it" in sections(ROOT / "docs" / "architecture.md")
+    assert SECTION.findall("[a page](delay.md#no-such-section)") == [("delay.md", "no-such-section")]
+    assert "no-such-section" not in sections(ROOT / "docs" / "delay.md")

@@ -25,6 +25,9 @@ Examples:
   he3 map export maps --recording runs/t1/mission.mcap
   he3 map resource 100,100 200,100 150,200 --cutoff 9
   he3 map samples --csv
+  he3 map plan
+  he3 map history              # the revisions that --as-of can name
+  he3 map follow               # a line for each change, until the mission is over
   he3 map score --json
 """
 

@@ -61,6 +61,15 @@ def test_every_command_is_in_the_help(capsys: pytest.CaptureFixture[str]) -> Non
     assert [line for line in out.splitlines() if line.startswith("  ") and line.endswith("...")] == []
 
 
+@pytest.mark.parametrize("group", sorted({words[0] for words in COMMANDS if len(words) > 1}))
+def test_the_help_of_a_group_says_of_each_command_in_a_whole_line_what_it_does(
+    group: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([group, "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("  ") and line.endswith("...")] == []
+
+
 def test_the_command_line_is_made_without_anything_heavy() -> None:
     # A process of its own: this one has imported everything long ago.
     code = (
