@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from mcap.records import Channel, Message, Metadata, Statistics
 
 from he3.errors import InvalidInput
 from schemas.codec import Refused, decode
 from schemas.topics import BY_NAME, Topic
+from schemas.wire import MAX_TEXT, printable
 from services.mission.mission_time import SECOND, MissionTime
 from services.recorder.recovery import Fault, read_records
 from services.recorder.writer import CHANNEL_RECORD, GAP_RECORD, MISSION_RECORD, REPAIR_RECORD
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from schemas.wire import Header
+
+MISSION_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,47}")
+MAX_DIGITS: Final = 19
+"""Digits of the largest number that a record may have, 2**63 - 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,15 +153,15 @@ class Recording:
                 case Fault():
                     self.gaps.append(Gap(record, received_at))
                 case Metadata(name=name, metadata=fields) if name == MISSION_RECORD:
-                    self._named_mission = fields.get("mission", "")
-                    self.mission = self.mission or self._named_mission
+                    self._named_mission = _text(fields, "mission")
+                    self.mission = self.mission or _mission(self._named_mission)
                 case Metadata(name=name, metadata=fields) if name == CHANNEL_RECORD:
-                    if fields.get("id", "").isdecimal():
-                        self._topics.setdefault(int(fields["id"]), fields.get("topic", ""))
+                    if (channel := _number(fields, "id")) is not None:
+                        self._topics.setdefault(channel, _text(fields, "topic"))
                 case Metadata(name=name, metadata=fields) if name == GAP_RECORD:
                     self.omissions.append(_omission(fields))
                 case Metadata(name=name, metadata=fields) if name == REPAIR_RECORD:
-                    (self.repairs if fields.get("messages") == "no" else self.omissions).append(fields.get("what", ""))
+                    (self.repairs if fields.get("messages") == "no" else self.omissions).append(_text(fields, "what"))
                 case Metadata(name=name, metadata=fields):
                     self.about.setdefault(name, fields)
                 case Channel():
@@ -171,13 +179,13 @@ class Recording:
 
     def _introduce(self, channel: Channel) -> None:
         if "topic" not in channel.metadata:
-            self._foreign[channel.id] = channel.topic
+            self._foreign[channel.id] = printable(channel.topic)
             return
         # A channel's record is under a checksum, a metadata record is not: what the channel says holds.
-        self._topics[channel.id] = channel.metadata.get("topic", "") or channel.topic
+        self._topics[channel.id] = _text(channel.metadata, "topic") or printable(channel.topic)[:MAX_TEXT]
         parts = channel.topic.split("/")
         if len(parts) > 1:
-            self.mission = parts[1]
+            self.mission = _mission(parts[1]) or self.mission
 
     def _checked(self, message: Message) -> Recorded | None:
         if message.channel_id in self._foreign:
@@ -200,9 +208,26 @@ class Recording:
 
 
 def _omission(fields: dict[str, str]) -> str:
-    times = [fields.get(name, "") for name in ("first", "last")]
-    first, last = (_utc(int(time)) if time.isdecimal() else "an unknown time" for time in times)
-    return f"{fields.get('count', 'some')} messages received from {first} to {last} were not recorded: no room"
+    times = [_number(fields, name) for name in ("first", "last")]
+    first, last = ("an unknown time" if time is None else _utc(time) for time in times)
+    count = _number(fields, "count")
+    return f"{'some' if count is None else count} messages received from {first} to {last} were not recorded: no room"
+
+
+def _text(fields: Mapping[str, str], name: str) -> str:
+    """A text of a record, safe to show: whoever wrote the file may have put anything there."""
+    return printable(fields.get(name, ""))[:MAX_TEXT]
+
+
+def _number(fields: Mapping[str, str], name: str) -> int | None:
+    """A number of a record, such as a mission time [ns]; None if there is none, or one that no recorder writes."""
+    text = fields.get(name, "")
+    return int(text) if text.isdecimal() and len(text) <= MAX_DIGITS and int(text) < 2**63 else None
+
+
+def _mission(name: str) -> str:
+    """The name, if a mission can have it: it becomes a part of keys and of names of files; else an empty one."""
+    return name if MISSION_NAME.fullmatch(name) else ""
 
 
 def _utc(time: MissionTime) -> str:

@@ -91,6 +91,7 @@ def web(
     own = None if page_identity is None else load_identity(page_identity)
     hosts = tuple(allow_host or ())
     if recording is not None:
+        from schemas.wire import printable
         from services.console.replay.mission import RecordedMission
 
         if authority or session.mission is not None or session.earth is not None:
@@ -98,7 +99,7 @@ def web(
         options = PageOptions(bind, port, False, hosts, tls, own, insecure=session.insecure, login_file=login_file)
         with RecordedMission(recording) as recorded:
             for note in recorded.notes:
-                typer.echo(f"he3: {recording}: {note}", err=True)
+                typer.echo(f"he3: {printable(f'{recording}: {note}')}", err=True)
             serve(recorded, options, lambda line: typer.echo(line, err=True), recorded)
         return
     with session.join(name="web") as client:

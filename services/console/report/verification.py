@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from pydantic import ValidationError
 
 from he3.errors import He3Error, InvalidInput
 from he3.frames import Float32Array, SiteGrid
 from he3.trend import CovariateTrend
 from schemas.ground import InterestArea
 from schemas.topics import MAP_OVERVIEW, PLAN, SAMPLE
+from schemas.validation import one_line
 from services.ground.belief import Belief
 from services.ground.map.overview import checksum, hyperparameters_from, kernel_parameters, reduced
 from services.ground.observation import Observation
@@ -130,8 +132,12 @@ class Evidence:
         self.samples = {name: self.samples[name] for name in sorted(self.samples, key=sequences.__getitem__)}
         self.problems = tuple(recording.problems())
         """What is damaged or missing in the file."""
+        self.scenario: Scenario | None = None
         text = recording.about.get(SCENARIO_RECORD, {}).get("json")
-        self.scenario = None if text is None else Scenario.model_validate_json(text)
+        try:
+            self.scenario = None if text is None else Scenario.model_validate_json(text)
+        except ValidationError as error:
+            self.problems += (f"the scenario of the mission is damaged: {one_line(error)}",)
         if self.scenario is not None and region is not None:
             self.scenario = self.scenario.model_copy(update={"region": region})
         self.about = recording.about
