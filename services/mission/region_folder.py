@@ -34,7 +34,9 @@ MAX_RASTER_BYTES: Final = 512 * 1024 * 1024
 WINDOW_LAYERS: Final = ("iron_wt", "maturity", "elevation_m")
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-Words = Annotated[str, Field(max_length=1000, pattern=r"^[^\x00-\x1f\x7f]*$")]
+_STEERING: Final = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+"""Characters on which a terminal acts, and those that change the direction of what follows."""
+Words = Annotated[str, Field(max_length=1000, pattern=f"^[^{_STEERING}]*$")]
 Latitude = Annotated[float, Field(ge=-90, le=90)]
 Longitude = Annotated[float, Field(ge=-360, le=360)]
 

@@ -108,3 +108,13 @@ def test_a_layer_that_has_to_be_whole_is_refused_with_no_data_cells(folder: Path
 def test_the_embedded_regions_are_read_as_before() -> None:
     for name in ("t1", "t2"):
         assert np.isfinite(load_window(name).iron_wt).all()
+
+
+@pytest.mark.parametrize("steers", [r"\u001b[2J", r"\u009b2J", r"\u202e", r"\u2066", r"\n"])
+def test_a_text_that_would_steer_a_terminal_is_refused(folder: Path, steers: str) -> None:
+    region(folder)
+    document = folder / "region.toml"
+    document.write_text(document.read_text().replace('title = "own"', f'title = "{steers}"'))
+    with pytest.raises(InvalidInput, match="title") as refusal:
+        load_region(folder)
+    assert str(refusal.value).isprintable()
