@@ -247,7 +247,7 @@ class InterestList(Wire):
 
 
 class Presence(Wire):
-    """Heartbeat of a process, sent every few seconds of wall time."""
+    """Heartbeat of a process, sent every second of wall time."""
 
     name: Identifier
     side: Text
