@@ -203,6 +203,46 @@ class MapScore(Wire):
     """The same over the ground within reach; None where that is every cell, or none."""
 
 
+class CrossValidationQuery(Wire):
+    """Query of each sample as the others predict it."""
+
+    as_of: AsOf | None = None
+
+
+class PredictedSample(Wire):
+    """A sample as all the others predict it."""
+
+    sample_id: Text
+    x_m: PositionM
+    y_m: PositionM
+    measured_ppb: float
+    expected_ppb: float
+    """Mean of the prediction."""
+    std_ppb: Annotated[float, Field(ge=0)]
+    """Standard deviation of the prediction, measurement noise included."""
+    score: float
+    """Where the measured value lies in the prediction, in standard deviations of a normal distribution; 6 at most."""
+
+
+class CrossValidation(Wire):
+    """The belief judged by its samples, each predicted from all others: for a Moon without a reference field."""
+
+    rmse_ppb: Annotated[float, Field(ge=0)]
+    """Root mean square of measured less expected value."""
+    bias_ppb: float
+    """Mean of measured less expected value."""
+    score_rms: Annotated[float, Field(ge=0)]
+    """Root mean square of the scores: 1 if the belief is honest, more if it is too certain."""
+    within_68: Probability
+    """Share of the samples within the map's intervals of 68.3 %."""
+    within_95: Probability
+    """Share of the samples within the map's intervals of 95.4 %."""
+    samples: tuple[PredictedSample, ...]
+    """In the order in which they arrived."""
+    revision: Count
+    mission_time_ns: MissionTimeNs
+
+
 class MapTrackQuery(Wire):
     """Query of samples and paths, present or past."""
 

@@ -13,6 +13,8 @@ from schemas.ground import GroundStatus, InterestChange, InterestList, MapOvervi
 from schemas.link import Acknowledgement, ClockChange, ClockState, Direction, LinkChange, LinkStatus
 from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, TimeControl, TimeStatus
 from schemas.maps import (
+    CrossValidation,
+    CrossValidationQuery,
     MapBoxQuery,
     MapFrame,
     MapHistory,
@@ -420,6 +422,14 @@ MAP_LAYER = Topic(
     "earth/map/layer", MapLayerQuery, _MAP, service=Query(observes=True), reply=MapRaster, max_reply_bytes=33_554_432
 )
 MAP_SCORE = Topic("earth/map/score", NoParameters, _MAP, service=Query(observes=True), reply=MapScore)
+MAP_CROSS_VALIDATION = Topic(
+    "earth/map/cross-validation",
+    CrossValidationQuery,
+    _MAP,
+    service=Query(observes=True),
+    reply=CrossValidation,
+    max_reply_bytes=4_194_304,
+)
 TRACK = Topic(
     "earth/map/track", MapTrackQuery, _MAP, service=Query(observes=True), reply=MissionTrack, max_reply_bytes=33_554_432
 )
@@ -506,6 +516,7 @@ TOPICS: tuple[Topic, ...] = (
     MAP_POINT,
     MAP_LAYER,
     MAP_SCORE,
+    MAP_CROSS_VALIDATION,
     TRACK,
     MAP_BOX,
     MAP_RESOURCE,

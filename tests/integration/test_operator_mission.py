@@ -138,6 +138,11 @@ def test_samples_come_as_a_table_and_news_as_they_happen(client: MissionClient) 
     assert len(table) >= 2
     assert np.isfinite(table.helium3_ppb).all()
     assert len(client.samples(as_of=1)) == 0
+    checked = client.cross_validation()
+    assert [each.sample_id for each in checked.samples][: len(table)] == table.sample_id.tolist()
+    assert client.cross_validation(checked.revision) == checked
+    with pytest.raises(He3Error, match="there are no samples yet"):
+        client.cross_validation(as_of=1)
     heard = {news.topic for news, _ in zip(client.live(timeout_s=PATIENCE_S), range(6), strict=False)}
     assert heard & {"tm/state", "earth/ground/status", "earth/link/status", "tm/event", "tm/sample"}
 

@@ -15,6 +15,7 @@ from he3.errors import InvalidInput
 from schemas.commands import NoParameters
 from schemas.ground import InterestArea, InterestChange, InterestList, MissionTrack
 from schemas.maps import (
+    CrossValidation,
     MapAbout,
     MapHistory,
     MapLayer,
@@ -27,6 +28,7 @@ from schemas.maps import (
 from schemas.topics import (
     LIST_INTERESTS,
     MAP_BOX,
+    MAP_CROSS_VALIDATION,
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
 Polygon = Sequence[tuple[float, float]]
 AsOf = int | str | None
 AREA_WITHIN_S = 30.0
-"""The integral over an area takes longer than every other answer."""
+"""The integral over an area, and the cross-validation of a thousand samples, take longer than all other answers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,6 +214,11 @@ class MapQueries(Acting):
         """How the map compares with the reference field, which exists only for a simulated Moon."""
         score: MapScore = self._session.query(MAP_SCORE, NoParameters())
         return score
+
+    def cross_validation(self, as_of: AsOf = None) -> CrossValidation:
+        """Each sample as all the others predict it: how good the map is where there is no reference field."""
+        payload, _ = self._session.fetch(MAP_CROSS_VALIDATION, {"as_of": as_of}, timeout_s=AREA_WITHIN_S)
+        return CrossValidation.model_validate_json(payload)
 
     def set_interest(
         self, area_id: str | None = None, polygon_m: Polygon | None = None, weight: float = 2.0

@@ -50,7 +50,7 @@ ABUNDANCE_PERCENTILES = (0.5, 99.5)
 STD_PERCENTILES = (10.0, 99.5)
 """Ends of the colour scale of a standard deviation: the small values close to samples would stretch it."""
 
-_STYLE: Any = {
+STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 10.5,
@@ -90,7 +90,7 @@ class MapPicture:
 
 def map_figure(picture: MapPicture) -> Figure:
     """The map's picture: four panels of the same extent in two rows, or two panels where the truth is not known."""
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         panels = _panels(picture)
         rows = (len(panels) + 1) // 2
         figure = Figure(
@@ -285,7 +285,7 @@ def layer_figure(raster: MapRaster, track: MissionTrack) -> Figure:
     )
     start = (float(path[0, 0]), float(path[0, 1])) if len(path) else (0.0, 0.0)
     picture = MapPicture("", "", None, values, values, None, raster.resolution_m, path, samples, start)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=_size(values, columns=1, beside=0.2), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         axis = figure.add_subplot()
@@ -307,7 +307,7 @@ def region_figure(region: Region) -> Figure:
         _Panel("Reference field", he3, ABUNDANCE, low, high, "helium-3 [ppb]", "", False),
         _Panel("Elevation", height, "cividis", base, max(top, base + 1.0), "elevation [m]", "", False),
     )
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=_size(he3, columns=2, beside=1.0), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -321,7 +321,7 @@ def region_figure(region: Region) -> Figure:
 
 def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
     """Root-mean-square error and the mean posterior standard deviation, over the number of samples."""
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(6.8, 4.3), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         axis = figure.add_subplot()

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from he3.cross_validation import cross_validate
 from he3.errors import InvalidInput, NotFound, NotReady, OutsideRegion
 from he3.intervals import NORMAL_ENDS
 from schemas.ground import MissionTrack
 from schemas.maps import (
+    CrossValidation,
     MapBoxQuery,
     MapHistory,
     MapLayerQuery,
@@ -23,10 +25,22 @@ from schemas.maps import (
     MapRevision,
     MapScore,
     MapSite,
+    PredictedSample,
     ResourceEstimate,
     ResourceQuery,
 )
-from schemas.topics import MAP_BOX, MAP_HISTORY, MAP_LAYER, MAP_POINT, MAP_REGION, MAP_RESOURCE, MAP_SCORE, TRACK, Topic
+from schemas.topics import (
+    MAP_BOX,
+    MAP_CROSS_VALIDATION,
+    MAP_HISTORY,
+    MAP_LAYER,
+    MAP_POINT,
+    MAP_REGION,
+    MAP_RESOURCE,
+    MAP_SCORE,
+    TRACK,
+    Topic,
+)
 from services.ground.map.history import as_of, revisions
 from services.ground.map.layers import EDGE_CELLS, Cells, box, exceedance, whole_layer
 from services.ground.map.resources import estimate
@@ -35,7 +49,17 @@ if TYPE_CHECKING:
     from schemas.wire import Wire
     from services.ground.map.snapshot import MapSnapshot
 
-MAP_TOPICS: tuple[Topic, ...] = (MAP_POINT, MAP_LAYER, MAP_SCORE, TRACK, MAP_BOX, MAP_RESOURCE, MAP_HISTORY, MAP_REGION)
+MAP_TOPICS: tuple[Topic, ...] = (
+    MAP_POINT,
+    MAP_LAYER,
+    MAP_SCORE,
+    MAP_CROSS_VALIDATION,
+    TRACK,
+    MAP_BOX,
+    MAP_RESOURCE,
+    MAP_HISTORY,
+    MAP_REGION,
+)
 """The topics that are answered from a snapshot alone, in any thread."""
 
 
@@ -127,6 +151,39 @@ def score(snapshot: MapSnapshot) -> MapScore:
     return snapshot.score
 
 
+def cross_validation(snapshot: MapSnapshot) -> CrossValidation:
+    """Each sample as the others predict it."""
+    process = snapshot.process
+    if process is None or not len(process):
+        raise NotReady("map cross-validation: there are no samples yet; ask again when there are")
+    if len(process) != len(snapshot.samples):
+        raise NotReady("map cross-validation: the belief does not have all samples yet; ask again in a moment")
+    found = cross_validate(process)
+    within_68, within_95 = found.within
+    figures = zip(snapshot.samples, found.expected_ppb, found.std_ppb, found.scores, strict=True)
+    return CrossValidation(
+        rmse_ppb=found.rmse_ppb,
+        bias_ppb=found.bias_ppb,
+        score_rms=found.score_rms,
+        within_68=within_68,
+        within_95=within_95,
+        samples=tuple(
+            PredictedSample(
+                sample_id=sample.sample_id,
+                x_m=sample.x_m,
+                y_m=sample.y_m,
+                measured_ppb=sample.helium3_ppb,
+                expected_ppb=float(expected),
+                std_ppb=float(std),
+                score=float(score),
+            )
+            for sample, expected, std, score in figures
+        ),
+        revision=snapshot.revision,
+        mission_time_ns=snapshot.mission_time_ns,
+    )
+
+
 def track(snapshot: MapSnapshot) -> MissionTrack:
     """Samples, driven and planned path, areas, and the score after each round."""
     return MissionTrack(
@@ -184,6 +241,7 @@ _ANSWERS: Final[Mapping[Topic, Callable[[Any, MapSnapshot], Wire]]] = {
     MAP_BOX: part,
     MAP_RESOURCE: resource,
     MAP_SCORE: lambda _, snapshot: score(snapshot),
+    MAP_CROSS_VALIDATION: lambda _, snapshot: cross_validation(snapshot),
     TRACK: lambda _, snapshot: track(snapshot),
     MAP_HISTORY: lambda _, snapshot: history(snapshot),
     MAP_REGION: lambda _, snapshot: region(snapshot),

@@ -8,9 +8,10 @@ import pytest
 from he3.errors import He3Error
 from schemas.commands import CommandKind, NoParameters, Telecommand
 from schemas.ground import MissionPhase
-from schemas.maps import MapPointQuery
+from schemas.maps import CrossValidationQuery, MapPointQuery
 from schemas.topics import (
     ISSUE_COMMAND,
+    MAP_CROSS_VALIDATION,
     MAP_POINT,
     MAP_SCORE,
     TRACK,
@@ -166,6 +167,19 @@ def test_without_a_reference_there_is_no_score_and_a_query_for_it_says_so() -> N
     assert mission.status.score is None
     with pytest.raises(He3Error, match="no reference field"):
         mission.simulation.ask(MAP_SCORE, NoParameters())
+
+
+def test_each_sample_of_the_map_is_told_with_what_the_others_say_of_it() -> None:
+    mission = Mission(scenario(ground={"score": False}))
+    mission.run()
+    told = mission.simulation.ask(MAP_CROSS_VALIDATION, CrossValidationQuery())
+    snapshot = mission.snapshot
+    assert snapshot.process is not None
+    assert [each.sample_id for each in told.samples] == [each.sample_id for each in snapshot.samples]
+    assert np.array_equal(snapshot.process.places_m, [(each.x_m, each.y_m) for each in snapshot.samples])
+    assert told.revision == snapshot.revision
+    assert 0.0 < told.rmse_ppb < 3.0
+    assert told.within_95 > 0.7
 
 
 def test_a_published_map_never_changes() -> None:

@@ -1,7 +1,7 @@
 """``he3 map``: the live map at a place, as a picture, as files, as tables, over an area, and as a feed.
 
-One module a topic: `point`, `layer`, `area`, `tables`, `files`, `export`, `feed`; `options` describes the flags that
-they share.
+One module a topic: `point`, `layer`, `area`, `tables`, `files`, `export`, `feed`, `cross_validation`; `options`
+describes the flags that they share.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import typer
 
 from services.console.cli.coordinates import NEGATIVE_NUMBERS
-from services.console.cli.map import area, export, feed, files, layer, point, tables
+from services.console.cli.map import area, cross_validation, export, feed, files, layer, point, tables
 
 EXAMPLES = """\b
 Examples:
@@ -29,6 +29,7 @@ Examples:
   he3 map history              # the revisions that --as-of can name
   he3 map follow               # a line for each change, until the mission is over
   he3 map score --json
+  he3 map cross-validation --png check.png
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -45,4 +46,9 @@ app.command("samples", short_help="The samples.", epilog=EXAMPLES)(tables.sample
 app.command("plan", short_help="The driven and the planned path.", epilog=EXAMPLES)(tables.plan)
 app.command("history", short_help="The earlier maps.", epilog=EXAMPLES)(tables.history)
 app.command("score", short_help="Error against the reference field.", epilog=EXAMPLES)(point.score)
+app.command(
+    "cross-validation",
+    short_help="Error without a reference: each sample from the others.",
+    epilog=EXAMPLES,
+)(cross_validation.cross_validation)
 app.command("follow", short_help="The map's feed, a line for each change.", epilog=EXAMPLES)(feed.follow)

@@ -18,6 +18,7 @@ from he3.kernels import kernel_from
 from schemas.commands import NoParameters
 from schemas.ground import KeepOutArea
 from schemas.maps import (
+    CrossValidationQuery,
     MapBoxQuery,
     MapLayer,
     MapLayerQuery,
@@ -28,9 +29,11 @@ from schemas.maps import (
     RegionLayer,
     ResourceQuery,
 )
+from schemas.telemetry import SampleReport
 from schemas.topics import (
     GROUND_STATUS,
     MAP_BOX,
+    MAP_CROSS_VALIDATION,
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
@@ -64,6 +67,20 @@ def snapshot(scored: MapScore | None = None) -> MapSnapshot:
         process=GaussianProcess(Hyperparameters(kernel_from("matern52"), 0.1, 8.0, 1.0)),
         provenance=REGION.provenance, region=REGION, keep_outs=(KEEP_OUT,),
     )  # fmt: skip
+
+
+def sampled(shown: MapSnapshot) -> MapSnapshot:
+    """That map with five samples in its belief."""
+    samples = tuple(
+        SampleReport(
+            sample_id=f"s{k}", round=1, plan_revision=1, x_m=20.0 * k + 1.0, y_m=10.0 * k + 1.0, depth_m=0.1,
+            helium3_ppb=8.0 + 0.1 * (-1) ** k, noise_std_ppb=0.1, measured_at=k, driven_m=0.0,
+        )
+        for k in range(5)
+    )  # fmt: skip
+    assert shown.process is not None
+    process = shown.process.condition([(s.x_m, s.y_m) for s in samples], [s.helium3_ppb for s in samples])
+    return replace(shown, samples=samples, process=process)
 
 
 def test_a_point_is_that_of_the_cell_that_holds_it() -> None:
@@ -148,11 +165,12 @@ def test_traversability_comes_as_ones_and_zeros() -> None:
 def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() -> None:
     reference = np.full(GRID.shape, 8.0)
     shown = snapshot()
-    shown = snapshot(Scorer(reference).score(shown.mean_ppb, shown.std_ppb, 7, 0, 123))
+    shown = sampled(snapshot(Scorer(reference).score(shown.mean_ppb, shown.std_ppb, 7, 0, 123)))
     requests = {
         MAP_POINT: MapPointQuery(x=1.0, y=1.0),
         MAP_LAYER: MapLayerQuery(layer=MapLayer.STD),
         MAP_SCORE: NoParameters(),
+        MAP_CROSS_VALIDATION: CrossValidationQuery(),
         TRACK: MapTrackQuery(),
         MAP_BOX: MapBoxQuery(layer=MapLayer.MEAN, x_min=0.0, y_min=0.0, x_max=10.0, y_max=10.0),
         MAP_RESOURCE: ResourceQuery(),
@@ -162,6 +180,34 @@ def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() ->
     assert set(requests) == set(MAP_TOPICS)
     for topic, request in requests.items():
         assert type(answer(topic, request, shown)) is topic.reply
+
+
+def test_each_sample_comes_with_what_the_others_say_of_it() -> None:
+    shown = sampled(snapshot())
+    assert shown.process is not None
+    told = answer(MAP_CROSS_VALIDATION, CrossValidationQuery(), shown)
+    others = [k for k in range(5) if k != 2]
+    belief = GaussianProcess(shown.process.hyperparameters).condition(
+        [(shown.samples[k].x_m, shown.samples[k].y_m) for k in others], [shown.samples[k].helium3_ppb for k in others]
+    )
+    mean, std = belief.predict([(41.0, 21.0)])
+    third = told.samples[2]
+    assert (third.sample_id, third.x_m, third.y_m, third.measured_ppb) == ("s2", 41.0, 21.0, 8.1)
+    assert third.expected_ppb == pytest.approx(mean[0])
+    assert third.std_ppb == pytest.approx(np.hypot(std[0], 0.1))
+    assert third.score == pytest.approx((8.1 - third.expected_ppb) / third.std_ppb, abs=1e-6)
+    assert told.rmse_ppb == pytest.approx(
+        np.sqrt(np.mean([(each.measured_ppb - each.expected_ppb) ** 2 for each in told.samples]))
+    )
+    assert (told.revision, told.mission_time_ns) == (7, 123)
+
+
+def test_without_samples_or_with_one_that_the_belief_does_not_have_yet_nothing_is_cross_validated() -> None:
+    with pytest.raises(NotReady, match="there are no samples yet"):
+        answer(MAP_CROSS_VALIDATION, CrossValidationQuery(), snapshot())
+    shown = sampled(snapshot())
+    with pytest.raises(NotReady, match="does not have all samples yet"):
+        answer(MAP_CROSS_VALIDATION, CrossValidationQuery(), replace(shown, samples=shown.samples[:4]))
 
 
 def test_the_track_has_the_keep_outs_and_the_region_its_whole_provenance() -> None:

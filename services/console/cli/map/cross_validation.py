@@ -1,0 +1,85 @@
+"""``he3 map cross-validation``: each sample as all the others predict it."""
+
+from __future__ import annotations
+
+import csv as csv_format
+import io
+import json as json_format
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from services.console.cli.flag_groups import with_flags
+from services.console.cli.map.options import AsCsv, AsOf
+from services.console.cli.options import AsJson, check_one_format
+from services.console.cli.session import Session
+
+if TYPE_CHECKING:
+    from schemas.maps import CrossValidation
+
+SHOWN = 5
+"""Samples that the table lists: those that surprise most."""
+
+
+@with_flags
+def cross_validation(
+    session: Session,
+    png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture, too.")] = None,
+    csv: AsCsv = False,
+    as_of: AsOf = None,
+    json: AsJson = False,
+) -> None:
+    """How good the map is, told by its samples alone: each one as all the others predict it.
+
+    It needs no reference field. The scores are where the measured values lie in their predictions, in standard
+    deviations: their root mean square is 1 if the map's uncertainty is honest, and more if the map is too certain.
+    """
+    check_one_format(csv, json)
+    with session.join() as client:
+        found = client.cross_validation(as_of)
+    if png is not None:
+        from services.console.report.cross_validation_picture import cross_validation_figure
+        from services.console.report.pictures import save
+
+        save(cross_validation_figure(found), png)
+    if json:
+        document = found.model_dump(mode="json")
+        typer.echo(json_format.dumps(document if png is None else {**document, "written": str(png)}, indent=2))
+    elif csv:
+        typer.echo(table_of(found).rstrip())
+    else:
+        typer.echo("\n".join(lines_of(found)))
+        if png is not None:
+            typer.echo(f"written to {png}")
+
+
+def table_of(found: CrossValidation) -> str:
+    """All samples as comma-separated values, with a line of names."""
+    text = io.StringIO()
+    rows = [sample.model_dump() for sample in found.samples]
+    writer = csv_format.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def lines_of(found: CrossValidation) -> list[str]:
+    """The summary, and the samples that surprise most."""
+    lines = [
+        f"error       {found.rmse_ppb:.4f} ppb RMSE, {found.bias_ppb:+.4f} ppb on average",
+        f"coverage    {found.within_68:.1%} within the intervals of 68.3 %, "
+        f"{found.within_95:.1%} within those of 95.4 %",
+        f"scores      {found.score_rms:.2f} RMS; 1 is honest, more is too certain",
+        f"map         revision {found.revision}, {len(found.samples)} samples",
+        "",
+        f"{'sample':<10} {'east m':>8} {'north m':>8} {'measured':>9} {'expected':>9} {'std':>7} {'score':>6}",
+    ]
+    lines += (
+        f"{each.sample_id:<10} {each.x_m:>8.1f} {each.y_m:>8.1f} {each.measured_ppb:>9.3f} "
+        f"{each.expected_ppb:>9.3f} {each.std_ppb:>7.3f} {each.score:>+6.1f}"
+        for each in sorted(found.samples, key=lambda sample: -abs(sample.score))[:SHOWN]
+    )
+    if len(found.samples) > SHOWN:
+        lines.append(f"the {SHOWN} of the largest scores, in ppb; --csv and --json list all")
+    return lines
