@@ -54,6 +54,21 @@ class DrivingReport(Wire):
     """The steepest cell on the path."""
 
 
+class CrossValidationReport(Wire):
+    """How well the others predict each sample of the final map: a check without a reference field."""
+
+    rmse_ppb: float
+    """Root mean square of measured less expected value."""
+    bias_ppb: float
+    """Mean of measured less expected value."""
+    score_rms: float
+    """Root mean square of the scores: 1 if the belief is honest, more if it is too certain."""
+    within_68: float
+    """Share of the samples within the map's intervals of 68.3 %."""
+    within_95: float
+    """Share of the samples within the map's intervals of 95.4 %."""
+
+
 class ClosedGroundReport(Wire):
     """Shares of the site that are closed to the rover, each cell under its first reason, and the share cut off."""
 
@@ -123,6 +138,8 @@ class MissionReport(Wire):
     coverage_95: float | None
     within_reach: ReachScore | None = Field(default=None, exclude_if=is_none)
     """RMSE and coverages over the ground that the rover can reach; None where that is all, or without a reference."""
+    cross_validation: CrossValidationReport | None = Field(default=None, exclude_if=is_none)
+    """Each sample as the others predict it; None without a sample, and in reports of earlier versions."""
     path_length_m: float
     driving: DrivingReport | None = None
     closed_ground: ClosedGroundReport | None = None

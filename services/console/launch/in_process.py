@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from he3.errors import InvalidInput
 from schemas.commands import NoParameters
 from schemas.link import LinkStatus
-from schemas.maps import MapLayer, MapLayerQuery, MapRaster, MapScore
-from schemas.topics import LINK_SHOW, MAP_LAYER, MAP_SCORE, TRACK
+from schemas.maps import CrossValidation, CrossValidationQuery, MapLayer, MapLayerQuery, MapRaster, MapScore
+from schemas.topics import LINK_SHOW, MAP_CROSS_VALIDATION, MAP_LAYER, MAP_SCORE, TRACK
 from services.console.interruption import end_if_told
 from services.console.launch.terrain_facts import terrain_facts
 from services.console.report.mission_report import Outcome, Run, gather
@@ -118,6 +118,10 @@ class _Asked:
     def raster(self, layer: MapLayer) -> MapRaster:
         raster: MapRaster = self._mission.ask(MAP_LAYER, MapLayerQuery(layer=layer))
         return raster
+
+    def cross_validation(self) -> CrossValidation:
+        found: CrossValidation = self._mission.ask(MAP_CROSS_VALIDATION, CrossValidationQuery())
+        return found
 
     def score(self) -> MapScore:
         score: MapScore = self._mission.ask(MAP_SCORE, NoParameters())

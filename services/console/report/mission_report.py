@@ -17,8 +17,15 @@ from he3.driving_cost import cost_unit
 from he3.errors import He3Error
 from he3.kernels import AUTO
 from schemas.ground import GoalStatus, GroundStatus, MissionPhase, MissionTrack
-from schemas.maps import MapLayer, MapRaster, MapScore, RegionLayer
-from schemas.report import ClosedGroundReport, DrivingReport, MessageCounts, MissionReport, ReportSample
+from schemas.maps import CrossValidation, MapLayer, MapRaster, MapScore, RegionLayer
+from schemas.report import (
+    ClosedGroundReport,
+    CrossValidationReport,
+    DrivingReport,
+    MessageCounts,
+    MissionReport,
+    ReportSample,
+)
 from services.console.report.learned import kernel_weights, learned
 from services.mission.mission_time import SECOND
 from services.runtime.files.output import write_output
@@ -41,6 +48,8 @@ class Answers(Protocol):
     def raster(self, layer: MapLayer) -> MapRaster: ...
 
     def score(self) -> MapScore: ...
+
+    def cross_validation(self) -> CrossValidation: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +87,8 @@ def gather(mission: Answers, scenario: Scenario, status: GroundStatus, run: Run)
     track, link = mission.track(), mission.link()
     mean, std = mission.raster(MapLayer.MEAN), mission.raster(MapLayer.STD)
     score = mission.score() if scenario.ground.score else None
-    report = build_report(scenario, run, status, track, link, score)
+    checked = mission.cross_validation() if track.samples else None
+    report = build_report(scenario, run, status, track, link, score, checked)
     return Outcome(report, track, array_of(mean), array_of(std), mean.resolution_m)
 
 
@@ -104,8 +114,12 @@ def build_report(
     track: MissionTrack,
     link: LinkStatus,
     score: MapScore | None,
+    checked: CrossValidation | None = None,
 ) -> MissionReport:
-    """The report; everything but `wall_time_s` and `host` follows from scenario, seed and driver."""
+    """The report; everything but `wall_time_s` and `host` follows from scenario, seed and driver.
+
+    checked: the cross-validation of the final map, if there is one.
+    """
     samples = tuple(
         ReportSample(
             sample_id=sample.sample_id,
@@ -138,6 +152,7 @@ def build_report(
         coverage_68=None if score is None else score.coverage_68,
         coverage_95=None if score is None else score.coverage_95,
         within_reach=None if score is None else score.within_reach,
+        cross_validation=None if checked is None else _cross_validation(checked),
         path_length_m=status.driven_m,
         driving=_driving(scenario, run, track),
         closed_ground=None if run.closed is None else ClosedGroundReport(**asdict(run.closed)),
@@ -152,6 +167,16 @@ def build_report(
         one_way_light_time_s=link.conditions.down.one_way_light_time_s,
         version=software_version(),
         host=platform.node(),
+    )
+
+
+def _cross_validation(checked: CrossValidation) -> CrossValidationReport:
+    return CrossValidationReport(
+        rmse_ppb=checked.rmse_ppb,
+        bias_ppb=checked.bias_ppb,
+        score_rms=checked.score_rms,
+        within_68=checked.within_68,
+        within_95=checked.within_95,
     )
 
 

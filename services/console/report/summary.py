@@ -23,6 +23,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
         ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
         *_goal(report),
         *_accuracy(report),
+        *_checked(report),
         *_mixed(report),
         *_learned(report),
         ("driven", f"{report.path_length_m:,.1f} m, drilled {report.drilled_m:.1f} m"),
@@ -91,6 +92,14 @@ def _accuracy(report: MissionReport) -> list[tuple[str, str]]:
     cells = "all cells with a reference" if unknown else "all cells"
     lines = [("RMSE", f"{report.rmse_ppb:.4f} ppb over {cells}"), ("coverage", within)]
     return lines if report.within_reach is None else [*lines, ("within reach", reach_in_words(report.within_reach))]
+
+
+def _checked(report: MissionReport) -> list[tuple[str, str]]:
+    found = report.cross_validation
+    if found is None:
+        return []
+    figures = f"{found.rmse_ppb:.4f} ppb, {found.within_68:.1%} and {found.within_95:.1%} within the intervals"
+    return [("cross-check", f"each sample as all others predict it: {figures}")]
 
 
 def reach_in_words(score: ReachScore) -> str:

@@ -19,7 +19,7 @@ from schemas.ground import (
     WeightedKernel,
 )
 from schemas.link import DirectionConditions, DirectionCounts, LinkConditions, LinkStatus
-from schemas.maps import MapLayer, MapRaster, MapScore, ReachScore
+from schemas.maps import CrossValidation, MapLayer, MapRaster, MapScore, ReachScore
 from schemas.report import MissionReport
 from schemas.telemetry import SampleReport
 from services.console.report.learned import kernel_weights, learned
@@ -71,7 +71,12 @@ def report(phase: MissionPhase = MissionPhase.COMPLETED, scored: bool = True, sa
 
 
 def reported(
-    found: GroundStatus, scenario: Scenario = SCENARIO, *, scored: bool = True, within_reach: ReachScore | None = None
+    found: GroundStatus,
+    scenario: Scenario = SCENARIO,
+    *,
+    scored: bool = True,
+    within_reach: ReachScore | None = None,
+    checked: CrossValidation | None = None,
 ) -> MissionReport:
     track = MissionTrack(
         samples=(sample(1), sample(2)),
@@ -81,7 +86,7 @@ def reported(
     )
     run = Run("in-process", None, "made up", 123.5, 0.25)
     final = score(2).model_copy(update={"within_reach": within_reach})
-    return build_report(scenario, run, found, track, link(), final if scored else None)
+    return build_report(scenario, run, found, track, link(), final if scored else None, checked)
 
 
 def test_the_report_says_what_the_mission_did() -> None:
@@ -128,6 +133,20 @@ def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None
     assert (made.rmse_ppb, made.coverage_68, made.coverage_95) == (None, None, None)
     assert any("not known" in line for line in summary_lines(made))
     assert "RMSE" not in caption(made)
+
+
+def test_the_samples_check_the_map_with_a_reference_field_and_without() -> None:
+    checked = CrossValidation(
+        rmse_ppb=0.9174, bias_ppb=-0.01, score_rms=1.1, within_68=0.7, within_95=0.96, samples=(), revision=3,
+        mission_time_ns=START,
+    )  # fmt: skip
+    for scored in (True, False):
+        made = reported(status(MissionPhase.COMPLETED), scored=scored, checked=checked)
+        assert made.cross_validation is not None
+        assert (made.cross_validation.rmse_ppb, made.cross_validation.score_rms) == (0.9174, 1.1)
+        line = "cross-check   each sample as all others predict it: 0.9174 ppb, 70.0% and 96.0% within the intervals"
+        assert line in summary_lines(made)
+    assert not any(line.startswith("cross-check") for line in summary_lines(report()))
 
 
 def test_where_the_rover_cannot_go_everywhere_the_error_within_its_reach_is_told_too() -> None:
