@@ -8,7 +8,6 @@ latest mission time at which another process has acted.
 from __future__ import annotations
 
 import time
-from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +18,7 @@ from schemas.wire import Header
 from services.link.changes import read_change
 from services.link.kept_clock import KeptClock, keep, kept_clock
 from services.link.role_holders import judge_claims
-from services.mission.mission_time import SECOND
+from services.mission.mission_time import SECOND, iso
 from services.runtime.clock import anchored, at_rate, started
 from services.runtime.files.output import failed
 from services.runtime.machine_time import this_machine
@@ -107,12 +106,12 @@ class ClockKeeper:
         began = f"mission time began anew with this start of the link, which had no saved clock (--journal); {name} has"
         if self._context.options.identity is not None:
             self._anew = False  # said once
-            self._context.log.warning(f"{began} reached {_shown(at)}, and all processes stand until then")
+            self._context.log.warning(f"{began} reached {iso(at)}, and all processes stand until then")
             return
         ahead = state.model_copy(update={"revision": state.revision + 1})
         self._clock.follow(anchored(ahead, at, state.anchor_wall_ns, state.boot_id, state.anchor_monotonic_ns))
         self._announce()
-        self._context.log.warning(f"{began} reached {_shown(at)}, where it continues")
+        self._context.log.warning(f"{began} reached {iso(at)}, where it continues")
 
     def _process_seen(self, name: str, alive: bool) -> None:
         if alive and name in self._missing:
@@ -178,7 +177,7 @@ class ClockKeeper:
             raise InvalidInput(f"{error}; {_RECOVERY[options.identity is not None]}") from None
         except OSError as error:
             raise failed(f"{self._file}: cannot read the saved clock", error) from None
-        at, away_s = _shown(kept.state.anchor_mission_ns), kept.away_ns / SECOND
+        at, away_s = iso(kept.state.anchor_mission_ns), kept.away_ns / SECOND
         if kept.away_ns < 0:
             self._context.log.warning(
                 f"the wall clock is {-away_s:.0f} s earlier than when mission time was saved: how long the link was "
@@ -202,7 +201,3 @@ class ClockKeeper:
             if self._kept:  # reported once: it is tried again with each announcement
                 self._context.log.warning(f"{self._file}: cannot keep the clock for a restart: {error.strerror}")
             self._kept = False
-
-
-def _shown(at: MissionTime) -> str:
-    return f"{datetime.fromtimestamp(at // SECOND, UTC):%Y-%m-%dT%H:%M:%SZ}"

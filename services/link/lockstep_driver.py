@@ -280,7 +280,12 @@ class TimeManagerDriver:
             query.refuse(refusal_of(error))
             return
         if control != TimeControl():
-            self._change_pace(control)
+            try:
+                self._change_pace(control)
+            except InvalidInput as error:
+                self._context.refused(TIME_CONTROL, error)
+                query.refuse(refusal_of(error))
+                return
             self._record_events(True)
             self._publish_time()
         query.reply(self._context.encode_reply(TIME_CONTROL, query, self._io.header(), self._status()))

@@ -89,6 +89,9 @@ def test_a_mission_runs_until_a_time_as_a_person_writes_it(up: Up) -> None:
     assert up.until(lambda status: status["paused"])["now"] == START + 1800 * SECOND
     up.time("until", "2030-01-01T00:45:00")
     assert up.until(lambda status: status["paused"])["now"] == START + 2700 * SECOND
+    past = up.he3("time", "until", "30min")
+    assert past.returncode == 2
+    assert "expected a time from 2030-01-01T00:45:00Z on, the present one, got 2030-01-01T00:30:00Z" in past.stderr
 
 
 def test_the_commands_also_print_text_for_people(up: Up) -> None:

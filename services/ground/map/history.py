@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import numpy as np
 
 from he3.errors import InvalidInput
-from services.mission.mission_time import SECOND, MissionTime
+from services.mission.mission_time import SECOND, MissionTime, iso
 
 if TYPE_CHECKING:
     from services.ground.map.snapshot import MapSnapshot
@@ -94,11 +94,6 @@ def revision_at(held: Sequence[Held], when: str | None) -> Held:
             f"as_of: expected a mission time from {iso(held[0].mission_time_ns)} on, got {when}: no map is held of it"
         )
     return found[-1]
-
-
-def iso(time: MissionTime) -> str:
-    """Mission time as an ISO 8601 text in UTC, to the second."""
-    return datetime.fromtimestamp(time // SECOND, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def _mission_time(when: str) -> MissionTime:

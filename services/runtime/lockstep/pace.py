@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from services.mission.mission_time import SECOND, MissionTime
+from he3.errors import InvalidInput
+from services.mission.mission_time import SECOND, MissionTime, iso
 
 if TYPE_CHECKING:
     from schemas.lockstep import TimeControl
@@ -29,14 +30,18 @@ class Pace:
     _from_ns: MissionTime = 0
 
     def control(self, change: TimeControl, now: MissionTime, wall_s: float) -> None:
-        """Apply the operator's change from now on; fields that it does not set keep their values."""
+        """Apply the operator's change from now on; fields that it does not set keep their values.
+
+        A new end of the run (`steps`, `until`) takes the place of an earlier one.
+        Raises InvalidInput, before anything is changed, if `until` has passed.
+        """
+        if change.until is not None and change.until < now:
+            raise InvalidInput(f"until: expected a time from {iso(now)} on, the present one, got {iso(change.until)}")
         if change.paused is not None:
             self.paused = change.paused
             self.steps_left = self.until = None
-        if change.steps is not None:
-            self.paused, self.steps_left = False, change.steps
-        if change.until is not None:
-            self.paused, self.until = False, change.until
+        if change.steps is not None or change.until is not None:
+            self.paused, self.steps_left, self.until = False, change.steps, change.until
         if change.unlimited:
             self.rate = None
         elif change.rate is not None:

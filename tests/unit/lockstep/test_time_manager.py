@@ -335,6 +335,34 @@ def test_time_passes_up_to_where_the_operator_wanted_it_to_stop() -> None:
     assert pace.latest(30, 25, 0.0) == 30, "what happens at that very time still does"
 
 
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(TimeControl(steps=1), TimeControl(until=40)), (TimeControl(until=20), TimeControl(steps=4))],
+)
+def test_of_two_ends_that_the_operator_sets_the_newer_one_counts(first: TimeControl, second: TimeControl) -> None:
+    pace = Pace()
+    pace.control(first, now=0, wall_s=0.0)
+    pace.control(second, now=0, wall_s=0.0)
+    now = 0
+    for instant in (10, 20, 30, 40, 50):
+        now = pace.latest(instant, now, 0.0)
+        pace.stepped()
+    assert now == 40
+    assert pace.paused
+
+
+def test_an_end_that_has_passed_is_refused_and_changes_nothing() -> None:
+    pace = Pace(rate=100.0)
+    with pytest.raises(
+        InvalidInput, match=r"expected a time from 1970-01-01T00:00:25Z on, the present one, got .*:20Z"
+    ):
+        pace.control(TimeControl(until=20 * SECOND, unlimited=True), now=25 * SECOND, wall_s=0.0)
+    assert (pace.paused, pace.until, pace.rate) == (False, None, 100.0)
+    pace.control(TimeControl(until=25 * SECOND, unlimited=True), now=25 * SECOND, wall_s=0.0)
+    assert pace.latest(30 * SECOND, 25 * SECOND, 0.0) == 25 * SECOND, "the present time is no past one"
+    assert pace.paused
+
+
 def test_a_rate_lets_no_more_mission_time_pass_than_wall_time_allows() -> None:
     pace = Pace()
     pace.control(TimeControl(rate=100.0), now=0, wall_s=10.0)
