@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Protocol
 
 from schemas.codec import encode
+from schemas.link import ClockMode, ClockState
 from schemas.topics import TOPICS, Side, Topic
 from services.mission.mission_time import MissionTime, seconds
 from services.recorder.foxglove.derivation import Derivation, Derived
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
 FLUSH = "flush"
 """Timer: flush the messages since the last flush."""
+
+FLUSH_WALL_S = 0.5
+"""Wall time between flushes [s]."""
 
 RECORDED: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.recorded and Side.EARTH in topic.sides)
 """The topics that are recorded, as they are received on Earth."""
@@ -53,14 +57,21 @@ class Sink(Protocol):
 
 
 class RecorderNode:
-    """Writes each message that it receives; it is safe after at most `flush_s` of mission time."""
+    """Writes each message that it receives; it is safe after at most `flush_s` of mission time.
 
-    def __init__(self, sink: Sink, flush_s: float, derive: Derive | None = None) -> None:
+    With `flush_wall_s` the mission time between flushes follows the rate of the clock, so that a message is safe after
+    that wall time at every pace. While time stands it is safe with the clock's next message.
+    """
+
+    def __init__(
+        self, sink: Sink, flush_s: float, derive: Derive | None = None, flush_wall_s: float | None = None
+    ) -> None:
         """derive: the messages in Foxglove's schemas that follow from one of ours; None: there are none."""
         self._sink = sink
         self._derive = derive
         self._derive_failed = False
         self._flush_after = seconds(flush_s)
+        self._flush_wall_s = flush_wall_s
         self._flush_pending = False
         self._failure: str | None = None
         self._lost = False
@@ -77,6 +88,8 @@ class RecorderNode:
             case Received(topic, header, body):
                 self._sink.write(topic, encode(header, body), now, header.made_at, header.sequence)
                 yield from self._write_derived(topic, header, body, now)
+                if isinstance(body, ClockState) and body.mode is ClockMode.WALL and self._flush_wall_s is not None:
+                    self._follow(body.rate, self._flush_wall_s)
             case TimerFired(timer) if timer == FLUSH:
                 self._flush_pending = False
                 self._sink.flush()
@@ -86,6 +99,16 @@ class RecorderNode:
         if not self._flush_pending and (isinstance(event, Received) or self._failure is not None):
             self._flush_pending = True
             yield SetTimer(FLUSH, now + self._flush_after)
+
+    def _follow(self, rate: float, flush_wall_s: float) -> None:
+        """Flush what has come, and from now on every `flush_wall_s` of wall time at that rate [mission s / wall s].
+
+        While time stands no timer fires. Then a message of the clock leads to a flush, every few seconds of wall time.
+        """
+        self._sink.flush()
+        if rate > 0 and seconds(flush_wall_s * rate) != self._flush_after:
+            self._flush_after = seconds(flush_wall_s * rate)
+            self._flush_pending = False  # the timer that is set is moved
 
     def _write_derived(self, topic: Topic, header: Header, body: Wire, now: MissionTime) -> Iterable[Effect]:
         """Write what follows from a message that is written already; a log record when that fails for the first time.
@@ -122,4 +145,6 @@ class RecorderNode:
 
 def build_node(scenario: Scenario, sink: Sink, flush_s: float | None = None) -> RecorderNode:
     """The recorder of that scenario; by default it flushes messages every half second of wall time."""
-    return RecorderNode(sink, 0.5 * scenario.rate if flush_s is None else flush_s, Derivation().of)
+    if flush_s is not None:
+        return RecorderNode(sink, flush_s, Derivation().of)
+    return RecorderNode(sink, FLUSH_WALL_S * scenario.rate, Derivation().of, FLUSH_WALL_S)

@@ -11,11 +11,15 @@ from mcap.reader import make_reader
 
 from he3.errors import InvalidInput
 from schemas.codec import encode
+from schemas.link import ClockState
 from schemas.telemetry import EventKind, RoverEvent, RoverMode, RoverState
-from schemas.topics import EVENT, GROUND_STATUS, PLAN, SAMPLE, STATE, Topic
+from schemas.topics import EARTH_CLOCK, EVENT, GROUND_STATUS, PLAN, SAMPLE, STATE, Topic
 from schemas.wire import Header, Wire
+from services.mission.deployment import find_scenario
+from services.mission.mission_time import SECOND
+from services.mission.scenario import load_scenario
 from services.recorder import recovery
-from services.recorder.node import RECORDED, RecorderNode
+from services.recorder.node import RECORDED, RecorderNode, build_node
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
 from services.runtime.node import Received, SetTimer, Started
@@ -156,6 +160,24 @@ def test_the_recorder_writes_each_message_and_flushes_once_for_a_burst() -> None
         ("tm/event", 10 + n, 1000 + n, n) for n in range(3)
     ]
     assert sink.written[0][1] == encode(header(0), event(0))
+
+
+def test_the_recorder_flushes_by_wall_time_also_when_the_pace_of_the_mission_changes() -> None:
+    def clock(rate: float) -> Received:
+        body = ClockState(rate=rate, anchor_wall_ns=0, anchor_mission_ns=0, start_ns=0)
+        return Received(EARTH_CLOCK, header(0), body)
+
+    sink = Kept()
+    node = build_node(load_scenario(find_scenario("short")).model_copy(update={"rate": 100.0}), sink)
+    list(node.handle(Started(1), 0))
+    assert list(node.handle(clock(100.0), 0)) == [SetTimer("flush", 50 * SECOND)]
+    assert list(node.handle(clock(2.0), 10)) == [SetTimer("flush", 10 + SECOND)], (
+        "half a second of wall time from now on"
+    )
+    flushed = sink.flushes
+    list(node.handle(Received(EVENT, header(1), event(1)), 20))
+    list(node.handle(clock(0.0), 20))
+    assert sink.flushes == flushed + 1, "time stands, so no timer would come"
 
 
 def test_the_recorder_subscribes_to_every_recorded_topic_on_earth_and_to_no_other() -> None:
