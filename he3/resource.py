@@ -115,7 +115,7 @@ def drawn_fields(
     covariance = mixture.posterior_covariance(places)
     if len(process):
         crossing = process.hyperparameters.covariance(process.places_m, places)
-        unknown = process.hyperparameters.scale_ppb * _of_constant(process, process.solve(crossing))
+        unknown = process.hyperparameters.scale_ppb * of_constant(process, process.solve(crossing))
         covariance += np.outer(unknown, unknown)
     return mean + _normal_draws(covariance, rng, draws), weights
 
@@ -262,11 +262,11 @@ def _learned(
         assert basis is not None
         crossing = crossing + of_samples @ basis
     whitened = process.solve(crossing)
-    explained = float(whitened @ whitened) - float(_of_constant(process, whitened)) ** 2
+    explained = float(whitened @ whitened) - float(of_constant(process, whitened)) ** 2
     return float(whitened @ process.whitened), explained
 
 
-def _of_constant(process: GaussianProcess, whitened: FloatArray) -> FloatArray:
+def of_constant(process: GaussianProcess, whitened: FloatArray) -> FloatArray:
     """Change () or (k,) of a quantity when the estimated constant changes by one standard deviation.
 
     whitened: the quantity's whitened covariances with the samples, (n,) or (n, k), n >= 1. In standardised units; 0 if

@@ -203,6 +203,30 @@ class MapScore(Wire):
     """The same over the ground within reach; None where that is every cell, or none."""
 
 
+class RealisationsQuery(Wire):
+    """Query of fields drawn from the joint posterior of the whole site."""
+
+    count: Annotated[int, Field(ge=1, le=1000)] = 100
+    as_of: AsOf | None = None
+
+
+class MapRealisations(Wire):
+    """Fields drawn from the joint posterior: little-endian float32 in base64, [realisation, row, column], row 0 south.
+
+    A value is that of the place at a cell's centre, in ppb, not below zero, without measurement noise.
+    """
+
+    count: Count
+    rows: Count
+    columns: Count
+    resolution_m: Annotated[float, Field(gt=0)]
+    """Side of a cell: the map's, or a multiple of it where the map has more than 2,500 cells."""
+    data_base64: Annotated[str, Field(max_length=24_000_000)]
+    revision: Count
+    samples: Count
+    mission_time_ns: MissionTimeNs
+
+
 class CrossValidationQuery(Wire):
     """Query of each sample as the others predict it."""
 

@@ -22,9 +22,11 @@ from schemas.maps import (
     MapPoint,
     MapPointQuery,
     MapRaster,
+    MapRealisations,
     MapRegion,
     MapScore,
     MapTrackQuery,
+    RealisationsQuery,
     ResourceEstimate,
     ResourceQuery,
 )
@@ -430,6 +432,14 @@ MAP_CROSS_VALIDATION = Topic(
     reply=CrossValidation,
     max_reply_bytes=4_194_304,
 )
+MAP_REALISATIONS = Topic(
+    "earth/map/realisations",
+    RealisationsQuery,
+    _MAP,
+    service=Query(observes=True),
+    reply=MapRealisations,
+    max_reply_bytes=33_554_432,
+)
 TRACK = Topic(
     "earth/map/track", MapTrackQuery, _MAP, service=Query(observes=True), reply=MissionTrack, max_reply_bytes=33_554_432
 )
@@ -517,6 +527,7 @@ TOPICS: tuple[Topic, ...] = (
     MAP_LAYER,
     MAP_SCORE,
     MAP_CROSS_VALIDATION,
+    MAP_REALISATIONS,
     TRACK,
     MAP_BOX,
     MAP_RESOURCE,

@@ -143,6 +143,10 @@ def test_samples_come_as_a_table_and_news_as_they_happen(client: MissionClient) 
     assert client.cross_validation(checked.revision) == checked
     with pytest.raises(He3Error, match="there are no samples yet"):
         client.cross_validation(as_of=1)
+    fields = client.realisations(4)
+    assert fields.values.shape == (4, 50, 50)
+    assert (fields.x_m[0], fields.y_m[-1], fields.resolution_m) == (5.0, 495.0, 10.0)
+    assert np.array_equal(client.realisations(4, as_of=fields.revision).values, fields.values)
     heard = {news.topic for news, _ in zip(client.live(timeout_s=PATIENCE_S), range(6), strict=False)}
     assert heard & {"tm/state", "earth/ground/status", "earth/link/status", "tm/event", "tm/sample"}
 

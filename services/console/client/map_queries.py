@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from schemas.maps import (
     MapLayerQuery,
     MapPoint,
     MapRaster,
+    MapRealisations,
     MapScore,
     ResourceEstimate,
 )
@@ -32,6 +34,7 @@ from schemas.topics import (
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
+    MAP_REALISATIONS,
     MAP_RESOURCE,
     MAP_SCORE,
     SET_INTEREST,
@@ -77,6 +80,18 @@ class LayerArray:
             float(self.y_m[0] - half),
             float(self.y_m[-1] + half),
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Realisations:
+    """Fields drawn from the belief: values (count, rows, columns) [ppb], row 0 south, at the centres x_m and y_m."""
+
+    values: NDArray[np.float32]
+    x_m: NDArray[np.floating]
+    y_m: NDArray[np.floating]
+    resolution_m: float
+    revision: int
+    samples: int
 
 
 class MapQueries(Acting):
@@ -219,6 +234,15 @@ class MapQueries(Acting):
         """Each sample as all the others predict it: how good the map is where there is no reference field."""
         payload, _ = self._session.fetch(MAP_CROSS_VALIDATION, {"as_of": as_of}, timeout_s=AREA_WITHIN_S)
         return CrossValidation.model_validate_json(payload)
+
+    def realisations(self, count: int = 100, as_of: AsOf = None) -> Realisations:
+        """Fields that the samples leave possible, drawn from the joint posterior of the whole site (1 to 1,000)."""
+        payload, _ = self._session.fetch(MAP_REALISATIONS, {"count": count, "as_of": as_of}, timeout_s=AREA_WITHIN_S)
+        found = MapRealisations.model_validate_json(payload)
+        shape, cell = (found.count, found.rows, found.columns), found.resolution_m
+        values = np.frombuffer(base64.b64decode(found.data_base64), dtype="<f4").reshape(shape)
+        x, y = ((np.arange(cells) + 0.5) * cell for cells in (found.columns, found.rows))
+        return Realisations(values, x, y, cell, found.revision, found.samples)
 
     def set_interest(
         self, area_id: str | None = None, polygon_m: Polygon | None = None, weight: float = 2.0

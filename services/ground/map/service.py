@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from base64 import b64encode
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
@@ -12,6 +13,7 @@ import numpy as np
 from he3.cross_validation import cross_validate
 from he3.errors import InvalidInput, NotFound, NotReady, OutsideRegion
 from he3.intervals import NORMAL_ENDS
+from he3.realisations import realisations
 from schemas.ground import MissionTrack
 from schemas.maps import (
     CrossValidation,
@@ -21,11 +23,13 @@ from schemas.maps import (
     MapPoint,
     MapPointQuery,
     MapRaster,
+    MapRealisations,
     MapRegion,
     MapRevision,
     MapScore,
     MapSite,
     PredictedSample,
+    RealisationsQuery,
     ResourceEstimate,
     ResourceQuery,
 )
@@ -35,6 +39,7 @@ from schemas.topics import (
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
+    MAP_REALISATIONS,
     MAP_REGION,
     MAP_RESOURCE,
     MAP_SCORE,
@@ -54,6 +59,7 @@ MAP_TOPICS: tuple[Topic, ...] = (
     MAP_LAYER,
     MAP_SCORE,
     MAP_CROSS_VALIDATION,
+    MAP_REALISATIONS,
     TRACK,
     MAP_BOX,
     MAP_RESOURCE,
@@ -184,6 +190,24 @@ def cross_validation(snapshot: MapSnapshot) -> CrossValidation:
     )
 
 
+def drawn(request: RealisationsQuery, snapshot: MapSnapshot) -> MapRealisations:
+    """Fields drawn from the belief; equal queries of one revision have equal answers."""
+    if snapshot.process is None:
+        raise NotReady("map realisations: there is no belief yet to draw from; ask again in a moment")
+    seed = zlib.crc32(f"realisations {snapshot.revision}".encode())
+    fields, grid = realisations(snapshot.process, snapshot.grid, request.count, np.random.default_rng(seed))
+    return MapRealisations(
+        count=request.count,
+        rows=grid.rows,
+        columns=grid.columns,
+        resolution_m=grid.resolution_m,
+        data_base64=b64encode(fields.astype("<f4").tobytes()).decode("ascii"),
+        revision=snapshot.revision,
+        samples=len(snapshot.samples),
+        mission_time_ns=snapshot.mission_time_ns,
+    )
+
+
 def track(snapshot: MapSnapshot) -> MissionTrack:
     """Samples, driven and planned path, areas, and the score after each round."""
     return MissionTrack(
@@ -242,6 +266,7 @@ _ANSWERS: Final[Mapping[Topic, Callable[[Any, MapSnapshot], Wire]]] = {
     MAP_RESOURCE: resource,
     MAP_SCORE: lambda _, snapshot: score(snapshot),
     MAP_CROSS_VALIDATION: lambda _, snapshot: cross_validation(snapshot),
+    MAP_REALISATIONS: drawn,
     TRACK: lambda _, snapshot: track(snapshot),
     MAP_HISTORY: lambda _, snapshot: history(snapshot),
     MAP_REGION: lambda _, snapshot: region(snapshot),

@@ -1,7 +1,7 @@
 """``he3 map``: the live map at a place, as a picture, as files, as tables, over an area, and as a feed.
 
-One module a topic: `point`, `layer`, `area`, `tables`, `files`, `export`, `feed`, `cross_validation`; `options`
-describes the flags that they share.
+One module a topic: `point`, `layer`, `area`, `tables`, `files`, `export`, `feed`, `cross_validation`,
+`realisations`; `options` describes the flags that they share.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import typer
 
 from services.console.cli.coordinates import NEGATIVE_NUMBERS
-from services.console.cli.map import area, cross_validation, export, feed, files, layer, point, tables
+from services.console.cli.map import area, cross_validation, export, feed, files, layer, point, realisations, tables
 
 EXAMPLES = """\b
 Examples:
@@ -30,6 +30,7 @@ Examples:
   he3 map follow               # a line for each change, until the mission is over
   he3 map score --json
   he3 map cross-validation --png check.png
+  he3 map realisations fields.npz --count 200 --png fields.png
 """
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -51,4 +52,7 @@ app.command(
     short_help="Error without a reference: each sample from the others.",
     epilog=EXAMPLES,
 )(cross_validation.cross_validation)
+app.command("realisations", short_help="Fields that the samples leave possible, as a file.", epilog=EXAMPLES)(
+    realisations.realisations
+)
 app.command("follow", short_help="The map's feed, a line for each change.", epilog=EXAMPLES)(feed.follow)

@@ -26,6 +26,7 @@ from schemas.maps import (
     MapRegion,
     MapScore,
     MapTrackQuery,
+    RealisationsQuery,
     RegionLayer,
     ResourceQuery,
 )
@@ -37,6 +38,7 @@ from schemas.topics import (
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
+    MAP_REALISATIONS,
     MAP_REGION,
     MAP_RESOURCE,
     MAP_SCORE,
@@ -171,6 +173,7 @@ def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() ->
         MAP_LAYER: MapLayerQuery(layer=MapLayer.STD),
         MAP_SCORE: NoParameters(),
         MAP_CROSS_VALIDATION: CrossValidationQuery(),
+        MAP_REALISATIONS: RealisationsQuery(count=2),
         TRACK: MapTrackQuery(),
         MAP_BOX: MapBoxQuery(layer=MapLayer.MEAN, x_min=0.0, y_min=0.0, x_max=10.0, y_max=10.0),
         MAP_RESOURCE: ResourceQuery(),
@@ -200,6 +203,22 @@ def test_each_sample_comes_with_what_the_others_say_of_it() -> None:
         np.sqrt(np.mean([(each.measured_ppb - each.expected_ppb) ** 2 for each in told.samples]))
     )
     assert (told.revision, told.mission_time_ns) == (7, 123)
+
+
+def test_realisations_are_fields_of_the_site_and_the_same_at_each_query_of_a_revision() -> None:
+    shown = sampled(snapshot())
+    told = answer(MAP_REALISATIONS, RealisationsQuery(count=3), shown)
+    assert (told.count, told.rows, told.columns, told.resolution_m) == (3, 40, 50, 2.0)
+    assert (told.revision, told.samples, told.mission_time_ns) == (7, 5, 123)
+    fields = np.frombuffer(base64.b64decode(told.data_base64), "<f4").reshape(3, 40, 50)
+    assert np.isfinite(fields).all()
+    assert np.abs(fields[:, 10, 20] - 8.1).max() < 0.5, "the cell of the third sample"
+    assert fields.std(axis=0).mean() > 0.3
+    assert answer(MAP_REALISATIONS, RealisationsQuery(count=3), shown) == told
+    later = answer(MAP_REALISATIONS, RealisationsQuery(count=3), replace(shown, revision=8))
+    assert later.data_base64 != told.data_base64
+    with pytest.raises(NotReady, match="no belief yet to draw from"):
+        answer(MAP_REALISATIONS, RealisationsQuery(), replace(shown, process=None))
 
 
 def test_without_samples_or_with_one_that_the_belief_does_not_have_yet_nothing_is_cross_validated() -> None:
