@@ -112,8 +112,8 @@ def run(
 ) -> Row:
     """The counts of failures in that many missions, seeds from `seed` on; printed, and written as JSON.
 
-    engine, store: as `he3 campaign run` takes them; with a store, a run that was ended continues. fly_seed: flies the
-    mission of a seed; `fly_and_shrink` unless it is given. Raises He3Error after them all if one has failed.
+    engine, store: as `he3 campaign run` takes them; with a store, a run that was ended continues. Raises He3Error after
+    them all if one has failed. fly_seed: flies the mission of a seed; `fly_and_shrink` unless it is given.
     """
     if runs < 1 or jobs < 1:
         raise InvalidInput(f"expected one run and one job at least, got {runs} and {jobs}")

@@ -41,6 +41,9 @@ MODULES: Final = {
 _METAVARS: Final = {int: "N", float: "NUMBER", str: "TEXT", Path: "FILE"}
 """The types that a flag can have, and how help names them."""
 
+_PLACES: Final = {"data": "DIR", "folder": "DIR", "out": "DIR", "region": "REGION"}
+"""Flags with a path that is no file, and how help names it: as the other commands do."""
+
 
 def described() -> dict[str, str]:
     """What each benchmark measures, by its name: the first line of its module."""
@@ -64,13 +67,13 @@ def command_of(name: str, function: Callable[..., Any], about: str) -> Any:
     """The command of a function with that help; its flags follow from its signature."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
     further = (inspect.getdoc(function) or "").partition("Raises ")[0].strip()
-    app.command(name, help=_as_it_stands(about), epilog=further)(_with_flags(function))
+    app.command(name, help=_as_it_stands(about), epilog=further.replace("``", "`"))(_with_flags(function))
     return typer.main.get_command(app)
 
 
 def _as_it_stands(text: str) -> str:
-    """The text with its indented paragraphs marked, so that the help does not wrap them."""
-    paragraphs = text.split("\n\n")
+    """The text for the help: its indented paragraphs are not wrapped, and it has one kind of quotes."""
+    paragraphs = text.replace("``", "`").split("\n\n")
     return "\n\n".join(f"\b\n{each}" if "\n    " in f"\n{each}" else each for each in paragraphs)
 
 
@@ -131,7 +134,7 @@ def _flag(parameter: inspect.Parameter, kind: Any) -> inspect.Parameter | None:
         chosen = str
     elif chosen in _METAVARS:
         options["callback"] = within(0, math.inf) if chosen in (int, float) else None
-        metavar = "FOLDER" if parameter.name == "out" else _METAVARS[chosen]
+        metavar = _PLACES.get(parameter.name, _METAVARS[chosen]) if chosen is Path else _METAVARS[chosen]
     elif chosen is not bool and get_origin(chosen) is not Literal:
         return None
     flag = f"--{parameter.name.replace('_', '-')}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +13,7 @@ import typer
 
 from he3.errors import InvalidInput
 from services.console.__main__ import main
-from services.console.cli.benchmarks import command, command_of, described
+from services.console.cli.benchmarks import _benchmark, command, command_of, described
 
 came: dict[str, Any] = {}
 
@@ -101,8 +103,19 @@ def test_a_benchmark_explains_its_flags_without_running(capsys: pytest.CaptureFi
     assert "--sklearn / --no-sklearn" in out
     assert "\n      update_s " in out  # a table of the module's docstring stands as it is
     assert "--grid" not in out
-    assert out.rstrip().endswith("printed, and written to ``json`` if given.")
+    assert out.rstrip().endswith("printed, and written to `json` if given.")
     assert "Raises" not in out
+
+
+@pytest.mark.parametrize("name", described())
+def test_the_help_of_a_benchmark_speaks_of_its_flags_alone_and_tells_folders_from_files(name: str) -> None:
+    function, _ = _benchmark(name)
+    flags = {flag.name: flag for flag in command(name).params}
+    further = (inspect.getdoc(function) or "").partition("Raises ")[0]
+    without = set(inspect.signature(function).parameters) - set(flags)
+    assert [each for each in without if re.search(rf"\b{each}\b", further)] == []
+    for each in {"data", "out", "folder"} & set(flags):
+        assert flags[each].metavar == "DIR"
 
 
 def test_a_part_of_other_benchmarks_is_not_run() -> None:
