@@ -9,6 +9,7 @@ def main() -> int:
     from services.link.kept_conditions import kept_conditions
     from services.link.lockstep_driver import TimeManagerDriver
     from services.link.node import LinkNode, build_node
+    from services.link.open_files import allow_connections
     from services.link.routers import router_on
     from services.runtime.drivers.wall_clock import WallClockDriver
     from services.runtime.kept_file import kept_file
@@ -22,6 +23,7 @@ def main() -> int:
             return build_node(scenario)
         return build_node(scenario, kept=kept_conditions(kept_file(folder, "link"), scenario.name, scenario.link))
 
+    allow_connections()
     return serve(
         Service("link", link_of),
         on_wall_clock=lambda context: WallClockDriver(context, ClockKeeper(context)),

@@ -17,6 +17,7 @@ from schemas.topics import CLOCK_SET, Side
 from schemas.wire import Header
 from services.link.changes import read_change
 from services.link.kept_clock import KeptClock, keep, kept_clock
+from services.link.open_files import OpenFiles, allow_connections
 from services.link.role_holders import judge_claims
 from services.mission.mission_time import SECOND, iso
 from services.runtime.clock import anchored, at_rate, started
@@ -58,6 +59,7 @@ class ClockKeeper:
         self._kept = True
         self._anew = False
         """Whether this start of the link has begun mission time, because no earlier one had kept it."""
+        self._files = OpenFiles(allow_connections(), context.log.warning)
         self._fastest = 0.0
         """Greatest rate before the present one: processes go on at it until they have heard of a change."""
 
@@ -92,6 +94,7 @@ class ClockKeeper:
         """Announce the time periodically, for processes whose machine was suspended, and keep it for a restart."""
         if monotonic_s - self._announced_at_s >= ANNOUNCE_EVERY_S:
             self._announce()
+        self._files.look(monotonic_s)
 
     def _reached(self, name: str, at: MissionTime) -> None:
         """Continue at the latest mission time at which a process has acted, if mission time has begun behind it.

@@ -134,6 +134,10 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
     stack.callback(lambda: close_all(sessions.values()))
     if query_process is not None:
         stack.callback(query_process.close)
+    if options.journal is not None:
+        # Before the node is built: from what it reads there, an earlier process may still be going on.
+        expected = f"--journal {options.journal}: expected a folder that no other {service.name} uses"
+        stack.enter_context(lock_beside(options.journal / service.name, expected))
     node = service.build(options)
     events = stack.enter_context(open_event_log(options.events)) if options.events else None
     host = Host(
@@ -146,12 +150,9 @@ def _context(service: Service, options: Options, inbox: Inbox, stack: ExitStack)
         audit=_audit_trail(options, log, stack),
     )
     folder = history = None
-    if options.journal is not None:
-        expected = f"--journal {options.journal}: expected a folder that no other {service.name} uses"
-        stack.enter_context(lock_beside(options.journal / service.name, expected))
-        if service.journals:
-            folder = JournalFolder(options.journal, service.name, identity_of(options.scenario), host.codec)
-            history = folder.history()
+    if options.journal is not None and service.journals:
+        folder = JournalFolder(options.journal, service.name, identity_of(options.scenario), host.codec)
+        history = folder.history()
     scheduler = NodeScheduler(host, executor, None if folder is None else folder.begin(history, log.warning))
 
     def publish(topic: Topic, side: Side, payload: bytes) -> None:
