@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """examples:
   python -m services.{name} t1
-  python -m services.{name} deploy/scenarios/t1.toml --seed 7 --set ground.planner='"tour"'
+  python -m services.{name} deploy/scenarios/t1.toml --seed 7 --set ground.planner=tour
 """
 
 
@@ -73,8 +73,10 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, or the name of a shipped one")
-    parser.add_argument("--seed", type=int, help="seed, instead of the scenario's")
-    parser.add_argument("--rate", type=float, help="mission seconds per wall second; the link's value counts")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed, instead of the scenario's")
+    parser.add_argument(
+        "--rate", type=float, metavar="R", help="mission seconds per wall second; the link's value counts"
+    )
     parser.add_argument("--moon", metavar="ENDPOINT", help="the Moon router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--earth", metavar="ENDPOINT", help="the Earth router, e.g. tcp/127.0.0.1:7448")
     parser.add_argument(
@@ -90,7 +92,7 @@ def parse_options(name: str, arguments: Sequence[str]) -> Options:
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="recorder: file to write (default: mission.mcap)")
     parser.add_argument(
-        "--journal", type=Path, metavar="FOLDER", help="keep a journal in this folder, and continue from it"
+        "--journal", type=Path, metavar="DIR", help="keep a journal in this folder, and continue from it"
     )
     parser.add_argument("--lockstep", action="store_true", help="run in virtual time, which the link grants")
     parser.add_argument(

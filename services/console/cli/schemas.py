@@ -15,7 +15,7 @@ Examples:
 
 
 def schemas(
-    folder: Annotated[Path | None, typer.Argument(metavar="FOLDER", help="Folder for one file a message.")] = None,
+    folder: Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder for one file a message.")] = None,
 ) -> None:
     """The JSON Schema of every message on the wire, and of the mission report."""
     import json as json_format

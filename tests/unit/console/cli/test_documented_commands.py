@@ -15,6 +15,7 @@ from typer.exceptions import TyperException
 
 from he3.errors import He3Error
 from services.console.cli.app import build
+from services.runtime.options import parse_options
 
 ROOT = Path(__file__).parents[4]
 PAGES = [
@@ -27,6 +28,7 @@ APPLICATION = typer.main.get_command(build())
 FENCE = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINE = re.compile(r"^ *(?:\w+\$ +)?(?:\.venv/bin/)?(he3 (?!ground:).*)$", re.MULTILINE)  # that one is a message
 SHELL = re.compile(r"\s+(?:#|>|&|\|)(?:\s.*|$)")  # what the shell takes for itself
+SERVICE = re.compile(r"python3? (?:-P )?-m services\.(link|field|rover|ground|recorder) +([^\n`]*)")
 INLINE = re.compile(r"`(he3 [^`]+)`")
 
 
@@ -75,6 +77,18 @@ def test_every_command_of_a_page_is_taken_as_it_stands(page: Path) -> None:
     objections = [objection(said, whole=True) for said in in_blocks(text)]
     objections += [objection(said, whole=False) for said in named]
     assert [said for said in objections if said] == []
+
+
+def services_of(page: Path) -> list[tuple[str, str]]:
+    """The services that a page starts by hand, with the flags that it gives them."""
+    return [(name, SHELL.sub("", rest)) for name, rest in SERVICE.findall(page.read_text())]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if services_of(page)], ids=lambda page: page.name)
+def test_every_service_that_a_page_starts_by_hand_takes_its_flags(page: Path) -> None:
+    for name, rest in services_of(page):
+        if rest and rest != "SCENARIO":
+            assert parse_options(name, shlex.split(rest))
 
 
 def test_the_pages_have_hundreds_of_commands_that_are_read() -> None:
