@@ -19,6 +19,7 @@ from services.console.launch.endpoints import free_endpoints
 from services.console.launch.keys import issue_for_processes
 from services.mission.deployment import deployment
 from services.mission.processes import PROCESSES
+from services.runtime.trust.audit import file_lines, verify
 from services.runtime.trust.authority import Authority
 from services.runtime.trust.certificates import Subject
 from tests.confined import NUMBERS, settings
@@ -28,6 +29,8 @@ from tests.waiting import PATIENCE_S, until
 CONFINED = Path(__file__).parents[1] / "confined.py"
 
 UNITS = sorted(deployment("systemd").glob("*.service"))
+AUDITED = ("link", "ground", "rover")
+"""The processes that carry out what people order."""
 MOST_EXPOSED = 2.0
 """Of ten, as `systemd-analyze security` counts."""
 needs_systemd = pytest.mark.skipif(
@@ -49,6 +52,13 @@ def here(tmp_path: Path) -> Path:
 
 def test_there_is_a_unit_for_each_process_and_for_the_page() -> None:
     assert {unit.stem for unit in UNITS} == {f"he3-{each.name}" for each in PROCESSES} | {"he3-web"}
+
+
+def test_who_commands_and_changes_a_mission_of_units_is_written_down() -> None:
+    for unit in UNITS:
+        name = unit.stem.removeprefix("he3-")
+        expected = f"--audit %S/he3/{name}/audit.jsonl"
+        assert (expected in settings(unit)["ExecStart"][0]) == (name in AUDITED)
 
 
 @needs_systemd
@@ -146,6 +156,9 @@ def test_the_commands_of_all_units_run_a_mission_under_their_restrictions(tmp_pa
             each.process.wait(PATIENCE_S)
             assert each.has_said("STOPPING=1")
     assert (tmp_path / "state" / "he3" / "recorder" / "mission.mcap").stat().st_size > 0
+    for name in AUDITED:
+        verdict = verify(file_lines(tmp_path / "state" / "he3" / name / "audit.jsonl"))
+        assert (verdict.fault, verdict.lines > 0) == (None, True)
     logs = "".join(each.log.read_text() for each in services)
     assert "not permitted" not in logs
     assert "Traceback" not in logs

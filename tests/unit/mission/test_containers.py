@@ -25,6 +25,12 @@ def test_there_is_a_container_for_each_process_and_for_the_page() -> None:
     assert COMPOSE.count('"--identity", "/identity"') == len(names)
 
 
+def test_who_commands_and_changes_a_mission_in_containers_is_written_down() -> None:
+    for name in ("link", "ground", "rover"):
+        command = COMPOSE.partition(f'command: ["services.{name}",')[2].partition("]")[0]
+        assert '"--audit", "/var/lib/he3/audit.jsonl"' in command
+
+
 def test_a_container_writes_to_its_volume_alone_and_has_no_capability() -> None:
     shared = COMPOSE.partition("\nservices:\n")[0]
     for line in (
