@@ -22,7 +22,7 @@ from schemas.ground import Presence
 from schemas.roles import PERSON_ROLES, Role
 from schemas.topics import CLOCK_SET, EARTH_CLOCK, EARTH_PRESENCE, TOPICS, Query, Side, Topic
 from schemas.wire import Header
-from services.ground.map.service import MAP_TOPICS
+from services.ground.map.service import MAP_TOPICS, SLOW_TOPICS
 from services.runtime.heartbeat import PERIOD_S, software_version
 from services.runtime.queries.server import Encoded, QueryServer, QueryService
 from services.runtime.refusals import refusal_of
@@ -96,7 +96,7 @@ class _Server:
     def declare(self) -> None:
         """Declare what is answered and published."""
         for role in STANDS_FOR:
-            service = QueryService(ASKED, self._answer, self._render)
+            service = QueryService(ASKED, self._answer, self._render, slow=SLOW_TOPICS)
             queries = QueryServer(service, role.value, self._mission.mission)
             queries.show(self)
             for topic in ASKED:

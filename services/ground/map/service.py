@@ -69,6 +69,10 @@ MAP_TOPICS: tuple[Topic, ...] = (
 """The topics that are answered from a snapshot alone, in any thread."""
 
 
+SLOW_TOPICS: tuple[Topic, ...] = (MAP_CROSS_VALIDATION, MAP_REALISATIONS, MAP_RESOURCE)
+"""Those whose answers may take seconds."""
+
+
 def answer(topic: Topic, request: Wire, snapshot: MapSnapshot | None) -> Wire:
     """The reply to a request of one of the topics in `MAP_TOPICS`.
 

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from he3.errors import Busy, He3Error, NotReady
 from schemas.wire import Header, Wire
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from schemas.topics import Topic
     from services.mission.mission_time import MissionTime
 
+_Waiting: TypeAlias = "queue.Queue[tuple[Topic, IncomingQuery]]"
+
 MAX_WAITING = 10_000
-"""Queries that may wait; more are refused, so that a flood costs no memory."""
+"""Queries that may wait, quick ones and slow ones; more are refused, so that a flood costs no memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,8 @@ class QueryService:
     keep: Callable[[Any, Any | None], Snapshot] = _newest
     """(new snapshot, kept state) -> the new kept state, from which queries are answered from now on."""
     threads: int = 2
+    slow: tuple[Topic, ...] = ()
+    """Queries whose answers take seconds: a thread of their own answers one after the other, so no other waits."""
 
 
 class QueryServer:
@@ -74,9 +78,11 @@ class QueryServer:
         self._name = name
         self._mission = mission
         self._snapshot: Snapshot | None = None
-        self._waiting: queue.Queue[tuple[Topic, IncomingQuery]] = queue.Queue(MAX_WAITING)
-        for number in range(service.threads):
-            threading.Thread(target=self._work, name=f"queries-{number}", daemon=True).start()
+        self._waiting: _Waiting = queue.Queue(MAX_WAITING)
+        self._slow: _Waiting = queue.Queue(MAX_WAITING)
+        lanes = [(f"queries-{number}", self._waiting) for number in range(service.threads)]
+        for name, waiting in [*lanes, ("slow-queries", self._slow)] if service.slow else lanes:
+            threading.Thread(target=self._work, args=(waiting,), name=name, daemon=True).start()
 
     def show(self, snapshot: Snapshot) -> Snapshot:
         """Answer from that snapshot from now on; returns the kept snapshots."""
@@ -89,14 +95,15 @@ class QueryServer:
         session.serve(topic, partial(self._enqueue, topic))
 
     def _enqueue(self, topic: Topic, query: IncomingQuery) -> None:
+        waiting = self._slow if topic in self._service.slow else self._waiting
         try:
-            self._waiting.put_nowait((topic, query))
+            waiting.put_nowait((topic, query))
         except queue.Full:
             query.refuse(refusal_of(Busy(f"more than {MAX_WAITING} queries wait; ask again later")))
 
-    def _work(self) -> None:
+    def _work(self, waiting: _Waiting) -> None:
         while True:
-            topic, query = self._waiting.get()
+            topic, query = waiting.get()
             try:
                 reply = self.reply(topic, query)
                 query.reply(reply.payload, reply.about or None, reply.media_type)

@@ -13,8 +13,18 @@ from he3.errors import NotReady
 from schemas.codec import decode, encode
 from schemas.commands import CommandKind, Telecommand
 from schemas.ground import InterestChange
-from schemas.maps import MapLayer, MapLayerQuery, MapPointQuery, MapTrackQuery
-from schemas.topics import ISSUE_COMMAND, MAP_LAYER, MAP_POINT, SET_INTEREST, TRACK, Side, Topic
+from schemas.maps import CrossValidationQuery, MapLayer, MapLayerQuery, MapPointQuery, MapTrackQuery, RealisationsQuery
+from schemas.topics import (
+    ISSUE_COMMAND,
+    MAP_CROSS_VALIDATION,
+    MAP_LAYER,
+    MAP_POINT,
+    MAP_REALISATIONS,
+    SET_INTEREST,
+    TRACK,
+    Side,
+    Topic,
+)
 from schemas.wire import Header, Wire
 from services.console.client.clock import MissionClock
 from services.console.client.mission_client import MissionClient
@@ -55,6 +65,10 @@ class Seen:
     """The posterior at a place; None without a map."""
     std: Wire | None
     track: Wire | None
+    drawn: Wire | None
+    """Two realisations of the field."""
+    checked: Wire | None
+    """The cross-validation; None without samples."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +191,12 @@ def fly(path: Path) -> Flown:
 def seen(hub: Hub, snapshot: Any) -> Seen:
     """What the page has, and what the ground answers from that snapshot."""
     page = hub._document()
-    asked = (MAP_POINT, PLACE), (MAP_LAYER, MapLayerQuery(layer=MapLayer.STD, step=7)), (TRACK, MapTrackQuery())
+    asked = (
+        (MAP_POINT, PLACE),
+        (MAP_LAYER, MapLayerQuery(layer=MapLayer.STD, step=7)),
+        (TRACK, MapTrackQuery()),
+        (MAP_REALISATIONS, RealisationsQuery(count=2)),
+    )
     answers = [None if snapshot is None else answer(topic, request, snapshot) for topic, request in asked]
-    return Seen(page, *answers)
+    checked = answer(MAP_CROSS_VALIDATION, CrossValidationQuery(), snapshot) if snapshot and snapshot.samples else None
+    return Seen(page, *answers, checked=checked)

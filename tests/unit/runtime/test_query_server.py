@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,14 +14,26 @@ from he3.errors import InvalidInput, OutsideRegion
 from schemas.codec import decode_reply, encode
 from schemas.commands import CommandKind
 from schemas.link import Direction
-from schemas.maps import MapPoint, MapPointQuery
+from schemas.maps import MapPoint, MapPointQuery, MapScore
 from schemas.refusal import Refusal, RefusalCode
-from schemas.topics import CLOCK_SET, ISSUE_COMMAND, LINK_SET, LIST_COMMANDS, MAP_LAYER, MAP_POINT, TIME_CONTROL
+from schemas.topics import (
+    CLOCK_SET,
+    ISSUE_COMMAND,
+    LINK_SET,
+    LIST_COMMANDS,
+    MAP_LAYER,
+    MAP_POINT,
+    MAP_SCORE,
+    TIME_CONTROL,
+)
 from schemas.wire import Header
 from services.runtime.queries.server import QueryServer, QueryService
 from services.runtime.transport.request import request_from_selector
 from tests.waiting import PATIENCE_S
 
+SCORE = MapScore(
+    rmse_ppb=1.0, coverage_68=0.7, coverage_95=0.95, mean_std_ppb=1.0, revision=1, samples=3, mission_time_ns=5
+)
 INVALID, OUTSIDE, INTERNAL = RefusalCode.INVALID_INPUT, RefusalCode.OUTSIDE_REGION, RefusalCode.INTERNAL
 
 
@@ -148,6 +161,34 @@ def test_a_hundred_questions_at_once_are_each_answered_once(server):
         assert how == "answered"
         assert json.loads(answer)["x_m"] == number
         assert query.end.empty()
+
+
+def test_an_answer_that_takes_long_delays_slow_queries_alone():
+    begun, go_on = threading.Semaphore(0), threading.Event()
+
+    def answer(topic, request, snapshot):
+        if topic is MAP_SCORE:
+            begun.release()
+            assert go_on.wait(PATIENCE_S)
+        return point(request, snapshot.revision) if topic is MAP_POINT else SCORE
+
+    server = QueryServer(QueryService((MAP_POINT, MAP_SCORE), answer, slow=(MAP_SCORE,)), "ground", "short")
+    server.show(Shown(1))
+    quick, slow = OneTopicBus(), OneTopicBus()
+    server.serve(MAP_POINT, quick)
+    server.serve(MAP_SCORE, slow)
+    waiting = [FakeQuery() for _ in range(9)]
+    for query in waiting:
+        slow.ask(query)
+    assert begun.acquire(timeout=PATIENCE_S), "the first of them is being answered"
+    for number in range(20):
+        query = FakeQuery(x=str(number), y="2")
+        quick.ask(query)
+        assert query.end.get(timeout=PATIENCE_S)[0] == "answered"
+    assert all(query.end.empty() for query in waiting)
+    assert not begun.acquire(blocking=False), "and no other of them"
+    go_on.set()
+    assert [query.end.get(timeout=PATIENCE_S)[0] for query in waiting] == ["answered"] * 9
 
 
 def test_selectors_can_say_all_that_operators_change():

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.faults import small_region
 from he3.errors import InvalidInput, NotAllowed
-from schemas.maps import MapLayer, MapLayerQuery, MapTrackQuery
-from schemas.topics import MAP_LAYER, MAP_POINT, TRACK
+from schemas.maps import CrossValidationQuery, MapLayer, MapLayerQuery, MapTrackQuery, RealisationsQuery
+from schemas.topics import MAP_CROSS_VALIDATION, MAP_LAYER, MAP_POINT, MAP_REALISATIONS, TRACK
 from services.console.replay.mission import RecordedMission
 from services.console.report.alarm_history import recorded_alarms
 from services.console.web.hub import Hub
@@ -60,6 +60,9 @@ def test_at_ten_instants_the_page_shows_what_it_showed_live(
     query = recorded._session.query
     assert query(MAP_POINT, PLACE) == live.point
     assert query(MAP_LAYER, MapLayerQuery(layer=MapLayer.STD, step=7)) == live.std
+    assert query(MAP_REALISATIONS, RealisationsQuery(count=2)) == live.drawn
+    if live.checked is not None:
+        assert query(MAP_CROSS_VALIDATION, CrossValidationQuery()) == live.checked
     track = query(TRACK, MapTrackQuery()).model_dump(exclude={"plan_ends"})
     assert live.track is not None
     assert track == live.track.model_dump(exclude={"plan_ends"})
