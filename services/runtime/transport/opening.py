@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import socket
+import stat
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import zenoh
@@ -75,8 +78,9 @@ def tls_config(role: str, identity: Identity) -> dict[str, Any]:
 def open_router(side: Side, endpoint: str, guard: RouterGuard | None = None) -> zenoh.Session:
     """A session that listens as that side's router; raises PeerUnreachable, with the reason, when it cannot.
 
-    guard: None: every client may do everything.
+    guard: None: every client may do everything. Raises InvalidInput for a Unix socket in place of another file.
     """
+    _require_room_for_socket(endpoint)
     config = session_config(side, "router", endpoint, None if guard is None else guard.identity)
     if guard is not None:
         config.insert_json5("access_control", json.dumps(guard.rules))
@@ -84,6 +88,32 @@ def open_router(side: Side, endpoint: str, guard: RouterGuard | None = None) -> 
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise PeerUnreachable(f"cannot listen as the {side.value} router at {endpoint}: {_first_line(error)}") from None
+
+
+def _require_room_for_socket(endpoint: str) -> None:
+    """Raise InvalidInput if Zenoh would delete another's file for the Unix socket of that endpoint.
+
+    It deletes what lies at the socket's path, and a file `PATH.lock` of its own at the end. A socket that a killed
+    router has left lies beside such a file, which is empty.
+    """
+    protocol, _, path = endpoint.partition("/")
+    if protocol != "unixsock-stream":
+        return
+    place = Path(re.split("[?#]", path)[0])
+    lock = Path(f"{place}.lock")
+    found, locked = _status(place), _status(lock)
+    if locked is not None and not (stat.S_ISREG(locked.st_mode) and locked.st_size == 0):
+        raise InvalidInput(f"{endpoint}: expected no file {lock}, got one that no router has left")
+    if found is not None and not (stat.S_ISSOCK(found.st_mode) and locked is not None):
+        raise InvalidInput(f"{endpoint}: expected no file there, or a socket that a router has left, got another file")
+
+
+def _status(path: Path) -> os.stat_result | None:
+    """The status of that file or link itself; None if there is none, or it cannot be found out."""
+    try:
+        return path.lstat()
+    except (OSError, ValueError):
+        return None
 
 
 def open_client(

@@ -39,10 +39,13 @@ def check_endpoint(endpoint: str, *, identified: bool, insecure: bool = False) -
     """A warning, or None, for an endpoint that may be used.
 
     identified: whether the process has an identity. insecure: whether the user has asked for it.
-    Raises InvalidInput, in one line, for TLS without an identity, an identity without TLS, and an endpoint that others
-    can reach without TLS.
+    Raises InvalidInput, in one line, for TLS without an identity or with options of the endpoint's own, an identity
+    without TLS, and an endpoint that others can reach without TLS.
     """
     if is_encrypted(endpoint):
+        if re.search("[?#]", endpoint):
+            # Zenoh would take them in place of the identity's: another authority, or no certificates of clients.
+            raise InvalidInput(f"{endpoint[:100]}: expected a TLS endpoint as tls/HOST:PORT, got one with options")
         if not identified:
             raise InvalidInput(f"{endpoint}: expected an identity for TLS: give --identity DIR (see 'he3 keys')")
         return None

@@ -44,6 +44,21 @@ def test_an_identity_and_tls_go_together():
         check_endpoint("tcp/127.0.0.1:7447", identified=True, insecure=True)
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        "#enable_mtls=false",
+        "#root_ca_certificate_file=/tmp/mine.pem",
+        "#root_ca_certificate_base64=LS0tLS1CRUdJTg==",
+        "?rel=0",
+    ],
+)
+def test_a_tls_endpoint_brings_no_authority_or_other_options_of_its_own(options):
+    for endpoint in (f"tls/127.0.0.1:7448{options}", with_tls(f"tcp/10.0.0.2:7448{options}")):
+        with pytest.raises(InvalidInput, match="expected a TLS endpoint as tls/HOST:PORT, got one with options"):
+            check_endpoint(endpoint, identified=True, insecure=True)
+
+
 def test_a_plain_endpoint_becomes_one_with_tls():
     assert with_tls("tcp/127.0.0.1:7447") == "tls/127.0.0.1:7447"
     assert with_tls("tls/earth:1") == "tls/earth:1"
