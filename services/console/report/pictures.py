@@ -59,6 +59,7 @@ STYLE: Any = {
     "axes.labelcolor": INK,
     "axes.linewidth": 0.7,
     "text.color": INK,
+    "text.parse_math": False,  # titles and notes are the words of others: a dollar sign begins no formula
     "xtick.color": QUIET,
     "ytick.color": QUIET,
     "xtick.labelcolor": INK,

@@ -11,7 +11,8 @@ import pytest
 
 from he3.errors import He3Error
 from schemas.maps import MapScore
-from services.console.report.pictures import MapPicture, map_figure, rmse_figure, save
+from services.console.report.pictures import MapPicture, map_figure, region_figure, rmse_figure, save
+from services.mission.regions import load_region
 
 RNG = np.random.default_rng(5)
 REFERENCE = 8.0 + RNG.normal(size=(40, 60))
@@ -145,3 +146,16 @@ def test_a_picture_that_cannot_be_written_says_where(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(He3Error, match="cannot write the picture"):
         save(rmse_figure("t", "n", []), tmp_path / "file" / "x.png")
+
+
+def test_a_title_of_another_s_making_is_text_and_no_formula(tmp_path: Path) -> None:
+    words = r"ground at $\frac$"
+    region = replace(load_region("t1"), title=words, provenance=words)
+    figures = (
+        region_figure(region),
+        map_figure(replace(picture(), title=words, note=words)),
+        rmse_figure(words, words, []),
+    )
+    for number, figure in enumerate(figures):
+        save(figure, tmp_path / f"{number}.png")
+        assert (tmp_path / f"{number}.png").stat().st_size > 0
