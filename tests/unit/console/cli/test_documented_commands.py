@@ -15,6 +15,7 @@ from typer.exceptions import TyperException
 
 from he3.errors import He3Error
 from services.console.cli.app import build
+from services.console.cli.benchmarks import described
 from services.runtime.options import parse_options
 
 ROOT = Path(__file__).parents[4]
@@ -137,3 +138,9 @@ def test_every_example_of_the_help_is_taken_as_it_stands(words: str) -> None:
 @pytest.mark.parametrize("words", HELPED)
 def test_the_examples_of_a_command_have_that_command(words: str) -> None:
     assert re.search(rf"^ *{words}(?:\s|$)", HELPED[words].epilog, re.MULTILINE)
+
+
+@pytest.mark.parametrize("words", [*HELPED, *(f"he3 bench {name}" for name in described())])
+def test_every_command_and_every_benchmark_is_on_a_page(words: str) -> None:
+    pages = [" ".join(page.read_text().split()) for page in PAGES]
+    assert any(re.search(rf"\b{words}(?![\w-])", page) for page in pages)
