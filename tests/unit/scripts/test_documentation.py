@@ -68,3 +68,13 @@ def test_a_link_to_a_section_that_is_not_there_would_be_found() -> None:
     assert "mission-time-is-integer-nanoseconds-and-the-link-keeps-it" in sections(ROOT / "docs" / "architecture.md")
     assert SECTION.findall("[a page](delay.md#no-such-section)") == [("delay.md", "no-such-section")]
     assert "no-such-section" not in sections(ROOT / "docs" / "delay.md")
+
+
+def test_every_room_of_the_code_and_of_deploy_is_in_the_list_of_rooms() -> None:
+    listed = (
+        (ROOT / "CONTRIBUTING.md").read_text().partition("## The rooms")[2].partition("```\n")[2].partition("```")[0]
+    )
+    packages = [file.parent for top in ("he3", "schemas", "services") for file in (ROOT / top).rglob("__init__.py")]
+    rooms = packages + [folder for folder in (ROOT / "deploy").iterdir() if folder.is_dir()]
+    assert len(rooms) > 20
+    assert sorted({room.name for room in rooms if not re.search(rf"\b{room.name}\b", listed)}) == []
