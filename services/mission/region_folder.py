@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
@@ -26,6 +25,7 @@ from schemas.validation import one_line
 from services.mission.embedded_regions import EMBEDDED
 from services.mission.layer_units import unit_factor
 from services.mission.tiff import NotPlain, TiffFacts, facts_of, read_tiff
+from services.mission.toml_files import STEERING, parsed_toml
 
 DOCUMENT: Final = "region.toml"
 FORMAT_VERSION: Final = 1
@@ -34,9 +34,7 @@ MAX_RASTER_BYTES: Final = 512 * 1024 * 1024
 WINDOW_LAYERS: Final = ("iron_wt", "maturity", "elevation_m")
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-_STEERING: Final = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
-"""Characters on which a terminal acts, and those that change the direction of what follows."""
-Words = Annotated[str, Field(max_length=1000, pattern=f"^[^{_STEERING}]*$")]
+Words = Annotated[str, Field(max_length=1000, pattern=f"^[^{STEERING}]*$")]
 Latitude = Annotated[float, Field(ge=-90, le=90)]
 Longitude = Annotated[float, Field(ge=-360, le=360)]
 
@@ -196,15 +194,11 @@ def load_toml(path: Path) -> dict[str, Any]:
             content = stream.read(MAX_DOCUMENT_BYTES + 1)
         if len(content) > MAX_DOCUMENT_BYTES:
             raise InvalidInput(f"{path}: expected a document of at most {MAX_DOCUMENT_BYTES} bytes, got more")
-        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+        return parsed_toml(content, path)
     except FileNotFoundError:
         raise InvalidInput(f"{path}: expected a TOML file, got no such file") from None
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the file: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InvalidInput(f"{path}: expected UTF-8 text, got other bytes") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInput(f"{path}: expected TOML, got a syntax error: {error}") from None
 
 
 def checked(model: type[T], document: dict[str, Any], where: Path) -> T:

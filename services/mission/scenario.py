@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import tomllib
 from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -35,6 +34,7 @@ from he3.kernels import AUTO, KERNELS
 from schemas.link import LinkConditions
 from schemas.validation import one_line
 from schemas.wire import MissionName
+from services.mission.toml_files import parsed_toml
 
 if TYPE_CHECKING:
     from services.mission.mission_time import MissionTime
@@ -411,14 +411,9 @@ def toml_document(path: Path, what: str, most_bytes: int) -> dict[str, Any]:
             content = stream.read(most_bytes + 1)  # a device may have neither size nor end
         if len(content) > most_bytes:
             raise InvalidInput(f"{path}: expected a {what} of at most {most_bytes} bytes, got more")
-        # Some editors write a byte order mark before UTF-8 text, where it has no meaning.
-        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+        return parsed_toml(content, path)
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the {what}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InvalidInput(f"{path}: expected UTF-8 text, got other bytes") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInput(f"{path}: expected TOML, got a syntax error: {error}") from None
 
 
 def _found_region(region: str, folder: Path) -> str:
