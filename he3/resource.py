@@ -97,6 +97,32 @@ def share_above(
     return shares
 
 
+def grade_tonnage(
+    fields_ppb: FloatArray, weights: FloatArray, cutoffs_ppb: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Share of an area above each cut-off, and the mean abundance there [ppb], both (draws, m), of each drawn field.
+
+    fields_ppb: (draws, k) at blocks with these shares of the area (k,), as ``drawn_fields`` gives both. The mean is NaN
+    in a field with no ground above the cut-off.
+    """
+    order = np.argsort(fields_ppb, axis=1)
+    ranked = np.take_along_axis(fields_ppb, order, axis=1)
+    shares = weights[order]
+    # Sums over the ground above, from the richest block down; of no block, zero.
+    area, amount = (_summed_from_the_end(each) for each in (shares, shares * ranked))
+    area = np.minimum(area, 1.0)
+    first = np.array([np.searchsorted(row, cutoffs_ppb, side="right") for row in ranked])
+    above, total = np.take_along_axis(area, first, axis=1), np.take_along_axis(amount, first, axis=1)
+    with np.errstate(invalid="ignore"):
+        return above, np.where(first < ranked.shape[1], total / above, np.nan)
+
+
+def _summed_from_the_end(values: FloatArray) -> FloatArray:
+    """The sums (draws, k + 1) of the values (draws, k) from each one on; the last is zero."""
+    sums = np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
+    return np.concatenate((sums, np.zeros((len(values), 1))), axis=1)
+
+
 def drawn_fields(
     process: GaussianProcess, grid: SiteGrid, area: BoolArray, rng: np.random.Generator, draws: int
 ) -> tuple[FloatArray, FloatArray]:

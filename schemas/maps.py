@@ -203,6 +203,14 @@ class MapScore(Wire):
     """The same over the ground within reach; None where that is every cell, or none."""
 
 
+class Interval(Wire):
+    """Expectation and credible interval."""
+
+    expected: float
+    low: float
+    high: float
+
+
 class RealisationsQuery(Wire):
     """Query of fields drawn from the joint posterior of the whole site."""
 
@@ -264,6 +272,53 @@ class CrossValidation(Wire):
     samples: tuple[PredictedSample, ...]
     """In the order in which they arrived."""
     revision: Count
+    mission_time_ns: MissionTimeNs
+
+
+CutoffsText = Annotated[str, Field(max_length=1000, pattern=r"^\s*[\d.eE+-]+(\s*,\s*[\d.eE+-]+){0,39}\s*$")]
+"""Up to 40 abundances as 'a,b,...' [ppb]."""
+
+
+class GradeTonnageQuery(Wire):
+    """Query of how much ground lies above each of several cut-offs, and what it holds; the site without a polygon."""
+
+    polygon: PolygonText | None = None
+    cutoffs: CutoffsText | None = None
+    """None: even steps over the values that the field may have."""
+    probability: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    """Probability of the credible intervals."""
+    as_of: AsOf | None = None
+
+
+class GradeTonnagePoint(Wire):
+    """The ground above one cut-off."""
+
+    cutoff_ppb: float
+    area_m2: Interval
+    mean_ppb: Interval | None
+    """Mean abundance of that ground, in the fields that have some; None if no drawn field has any."""
+    mass_kg_per_m: Interval
+    """Helium-3 in that ground per metre of depth."""
+
+
+class GradeTonnage(Wire):
+    """A grade-tonnage curve with credible intervals, from fields drawn from the joint posterior.
+
+    The abundance is that of places, not a mean over what a machine would mine at once: with mining in larger units less
+    ground lies above a high cut-off.
+    """
+
+    area_m2: Annotated[float, Field(ge=0)]
+    """The whole area."""
+    curve: tuple[GradeTonnagePoint, ...]
+    """By rising cut-off."""
+    bulk_density_kg_m3: float
+    probability: float
+    draws: Count
+    block_m: float
+    """Side of the blocks of cells for each of which one place is drawn [m]."""
+    revision: Count
+    samples: Count
     mission_time_ns: MissionTimeNs
 
 
@@ -353,14 +408,6 @@ class ResourceQuery(Wire):
     probability: Annotated[float, Field(gt=0, lt=1)] = 0.9
     """Probability of the credible intervals, and of a cell that counts as confidently above the cut-off."""
     as_of: AsOf | None = None
-
-
-class Interval(Wire):
-    """Expectation and credible interval."""
-
-    expected: float
-    low: float
-    high: float
 
 
 class ResourceEstimate(Wire):

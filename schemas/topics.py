@@ -15,6 +15,8 @@ from schemas.lockstep import Grant, Join, Joined, Poke, StepBusy, StepDone, Time
 from schemas.maps import (
     CrossValidation,
     CrossValidationQuery,
+    GradeTonnage,
+    GradeTonnageQuery,
     MapBoxQuery,
     MapFrame,
     MapHistory,
@@ -432,6 +434,9 @@ MAP_CROSS_VALIDATION = Topic(
     reply=CrossValidation,
     max_reply_bytes=4_194_304,
 )
+MAP_GRADE_TONNAGE = Topic(
+    "earth/map/grade-tonnage", GradeTonnageQuery, _MAP, service=Query(observes=True), reply=GradeTonnage
+)
 MAP_REALISATIONS = Topic(
     "earth/map/realisations",
     RealisationsQuery,
@@ -527,6 +532,7 @@ TOPICS: tuple[Topic, ...] = (
     MAP_LAYER,
     MAP_SCORE,
     MAP_CROSS_VALIDATION,
+    MAP_GRADE_TONNAGE,
     MAP_REALISATIONS,
     TRACK,
     MAP_BOX,

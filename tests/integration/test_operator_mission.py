@@ -313,6 +313,9 @@ def test_every_map_command_prints_text_and_json(running: tuple[Launcher, Endpoin
     for words in (
         ("map", "box", "mean", "0", "0", "100", "100", "--resolution", "10"),
         ("map", "resource", "100,100", "200,100", "150,200"),
+        ("map", "grade-tonnage", "100,100", "200,100", "150,200", "--cutoffs", "7,8", "--png", str(tmp_path / "c.png")),
+        ("map", "cross-validation", "--png", str(tmp_path / "check.png")),
+        ("map", "realisations", str(tmp_path / "fields.npz"), "--count", "6", "--png", str(tmp_path / "fields.png")),
         ("map", "samples"),
         ("map", "plan"),
         ("map", "history"),

@@ -17,6 +17,7 @@ from schemas.commands import NoParameters
 from schemas.ground import InterestArea, InterestChange, InterestList, MissionTrack
 from schemas.maps import (
     CrossValidation,
+    GradeTonnage,
     MapAbout,
     MapHistory,
     MapLayer,
@@ -31,6 +32,7 @@ from schemas.topics import (
     LIST_INTERESTS,
     MAP_BOX,
     MAP_CROSS_VALIDATION,
+    MAP_GRADE_TONNAGE,
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
@@ -234,6 +236,23 @@ class MapQueries(Acting):
         """Each sample as all the others predict it: how good the map is where there is no reference field."""
         payload, _ = self._session.fetch(MAP_CROSS_VALIDATION, {"as_of": as_of}, timeout_s=AREA_WITHIN_S)
         return CrossValidation.model_validate_json(payload)
+
+    def grade_tonnage(
+        self,
+        polygon_m: Polygon | None = None,
+        *,
+        cutoffs_ppb: Sequence[float] | None = None,
+        probability: float = 0.9,
+        as_of: AsOf = None,
+    ) -> GradeTonnage:
+        """How much ground of an area lies above each cut-off, and what it holds, with intervals."""
+        parameters = {
+            "polygon": None if polygon_m is None else polygon_text(polygon_m),
+            "cutoffs": None if cutoffs_ppb is None else ",".join(f"{each:.9g}" for each in cutoffs_ppb),
+            "probability": probability, "as_of": as_of,
+        }  # fmt: skip
+        payload, _ = self._session.fetch(MAP_GRADE_TONNAGE, parameters, timeout_s=AREA_WITHIN_S)
+        return GradeTonnage.model_validate_json(payload)
 
     def realisations(self, count: int = 100, as_of: AsOf = None) -> Realisations:
         """Fields that the samples leave possible, drawn from the joint posterior of the whole site (1 to 1,000)."""

@@ -12,8 +12,15 @@ from scipy.special import ndtri
 from he3.constants import REGOLITH_BULK_DENSITY_KG_M3
 from he3.errors import InvalidInput, NotReady, OutsideRegion
 from he3.polygons import outline_objection
-from he3.resource import area_mean, share_above
-from schemas.maps import Interval, ResourceEstimate, ResourceQuery
+from he3.resource import area_mean, drawn_fields, grade_tonnage, share_above
+from schemas.maps import (
+    GradeTonnage,
+    GradeTonnagePoint,
+    GradeTonnageQuery,
+    Interval,
+    ResourceEstimate,
+    ResourceQuery,
+)
 from services.ground.map.layers import exceedance
 from services.ground.terrain import cells_inside
 
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
 PPB = 1e-9
 DRAWS = 2000
 MAX_CORNERS = 256
+MOST_STEPS = 20
 
 
 def corners_of(text: str) -> tuple[Place, ...]:
@@ -100,3 +108,71 @@ def estimate(request: ResourceQuery, snapshot: MapSnapshot) -> ResourceEstimate:
         samples=len(snapshot.samples),
         mission_time_ns=snapshot.mission_time_ns,
     )
+
+
+def grade_tonnage_curve(request: GradeTonnageQuery, snapshot: MapSnapshot) -> GradeTonnage:
+    """The ground above each cut-off, its mean abundance and its helium-3, each with its credible interval."""
+    if snapshot.process is None:
+        raise NotReady("map grade-tonnage: there is no belief yet to draw from; ask again in a moment")
+    grid, area = snapshot.grid, area_of(request.polygon, snapshot.grid)
+    # Equal queries of one revision have equal answers, and other cut-offs are judged by the same fields.
+    seed = zlib.crc32(f"grade-tonnage {snapshot.revision} {request.polygon}".encode())
+    fields, weights = drawn_fields(snapshot.process, grid, area, np.random.default_rng(seed), DRAWS)
+    fields = np.maximum(fields, 0.0)  # there is no less than no helium-3
+    cutoffs = _even_cutoffs(fields) if request.cutoffs is None else _cutoffs_of(request.cutoffs)
+    shares, grades = grade_tonnage(fields, weights, cutoffs)
+    area_m2 = float(area.sum()) * grid.resolution_m**2
+    kg_per_ppb = PPB * REGOLITH_BULK_DENSITY_KG_M3 * area_m2
+    tail = (1 - request.probability) / 2
+
+    def interval(values: NDArray[np.floating]) -> Interval:
+        low, high = np.quantile(values, (tail, 1 - tail))
+        expected = float(values.mean())
+        return Interval(expected=expected, low=min(float(low), expected), high=max(float(high), expected))
+
+    curve = []
+    for number, cutoff in enumerate(cutoffs):
+        share, grade = shares[:, number], grades[:, number]
+        some = ~np.isnan(grade)
+        curve.append(
+            GradeTonnagePoint(
+                cutoff_ppb=float(cutoff),
+                area_m2=interval(area_m2 * share),
+                mean_ppb=interval(grade[some]) if some.any() else None,
+                mass_kg_per_m=interval(kg_per_ppb * np.where(some, share * grade, 0.0)),
+            )
+        )
+    return GradeTonnage(
+        area_m2=area_m2,
+        curve=tuple(curve),
+        bulk_density_kg_m3=REGOLITH_BULK_DENSITY_KG_M3,
+        probability=request.probability,
+        draws=DRAWS,
+        block_m=float(np.sqrt(area_m2 / len(weights))),
+        revision=snapshot.revision,
+        samples=len(snapshot.samples),
+        mission_time_ns=snapshot.mission_time_ns,
+    )
+
+
+def _cutoffs_of(text: str) -> NDArray[np.float64]:
+    """Cut-offs [ppb] of 'a,b,...', in rising order; raises InvalidInput for other text and for values below zero."""
+    try:
+        cutoffs = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise InvalidInput(f"cutoffs: expected numbers as a,b,... [ppb], got '{text[:60]}'") from None
+    if not (np.isfinite(cutoffs).all() and (cutoffs >= 0).all()):
+        raise InvalidInput(f"cutoffs: expected abundances from 0 ppb on, got '{text[:60]}'")
+    return np.unique(cutoffs)
+
+
+def _even_cutoffs(fields_ppb: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Cut-offs in round steps [ppb], at most `MOST_STEPS`, over all but the outermost values of drawn fields."""
+    low, high = np.quantile(fields_ppb, (0.001, 0.999))
+    step = 10.0 ** np.floor(np.log10(max(high - low, 1e-3) / MOST_STEPS))
+    for factor in (1.0, 2.0, 5.0, 10.0):
+        first, last = np.floor(low / (factor * step)), np.ceil(high / (factor * step))
+        if last - first < MOST_STEPS:
+            break
+    cutoffs: NDArray[np.float64] = np.round(np.arange(first, last + 1) * factor * step, 9)
+    return cutoffs

@@ -17,6 +17,8 @@ from he3.realisations import realisations
 from schemas.ground import MissionTrack
 from schemas.maps import (
     CrossValidation,
+    GradeTonnage,
+    GradeTonnageQuery,
     MapBoxQuery,
     MapHistory,
     MapLayerQuery,
@@ -36,6 +38,7 @@ from schemas.maps import (
 from schemas.topics import (
     MAP_BOX,
     MAP_CROSS_VALIDATION,
+    MAP_GRADE_TONNAGE,
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
@@ -48,7 +51,7 @@ from schemas.topics import (
 )
 from services.ground.map.history import as_of, revisions
 from services.ground.map.layers import EDGE_CELLS, Cells, box, exceedance, whole_layer
-from services.ground.map.resources import estimate
+from services.ground.map.resources import estimate, grade_tonnage_curve
 
 if TYPE_CHECKING:
     from schemas.wire import Wire
@@ -59,6 +62,7 @@ MAP_TOPICS: tuple[Topic, ...] = (
     MAP_LAYER,
     MAP_SCORE,
     MAP_CROSS_VALIDATION,
+    MAP_GRADE_TONNAGE,
     MAP_REALISATIONS,
     TRACK,
     MAP_BOX,
@@ -69,7 +73,12 @@ MAP_TOPICS: tuple[Topic, ...] = (
 """The topics that are answered from a snapshot alone, in any thread."""
 
 
-SLOW_TOPICS: tuple[Topic, ...] = (MAP_CROSS_VALIDATION, MAP_REALISATIONS, MAP_RESOURCE)
+SLOW_TOPICS: tuple[Topic, ...] = (
+    MAP_CROSS_VALIDATION,
+    MAP_GRADE_TONNAGE,
+    MAP_REALISATIONS,
+    MAP_RESOURCE,
+)
 """Those whose answers may take seconds."""
 
 
@@ -194,6 +203,11 @@ def cross_validation(snapshot: MapSnapshot) -> CrossValidation:
     )
 
 
+def curve(request: GradeTonnageQuery, snapshot: MapSnapshot) -> GradeTonnage:
+    """How much ground lies above each cut-off, and what it holds."""
+    return grade_tonnage_curve(request, snapshot)
+
+
 def drawn(request: RealisationsQuery, snapshot: MapSnapshot) -> MapRealisations:
     """Fields drawn from the belief; equal queries of one revision have equal answers."""
     if snapshot.process is None:
@@ -270,6 +284,7 @@ _ANSWERS: Final[Mapping[Topic, Callable[[Any, MapSnapshot], Wire]]] = {
     MAP_RESOURCE: resource,
     MAP_SCORE: lambda _, snapshot: score(snapshot),
     MAP_CROSS_VALIDATION: lambda _, snapshot: cross_validation(snapshot),
+    MAP_GRADE_TONNAGE: curve,
     MAP_REALISATIONS: drawn,
     TRACK: lambda _, snapshot: track(snapshot),
     MAP_HISTORY: lambda _, snapshot: history(snapshot),

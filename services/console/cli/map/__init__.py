@@ -1,7 +1,7 @@
 """``he3 map``: the live map at a place, as a picture, as files, as tables, over an area, and as a feed.
 
 One module a topic: `point`, `layer`, `area`, `tables`, `files`, `export`, `feed`, `cross_validation`,
-`realisations`; `options` describes the flags that they share.
+`realisations`, `grade_tonnage`; `options` describes the flags that they share.
 """
 
 from __future__ import annotations
@@ -9,7 +9,18 @@ from __future__ import annotations
 import typer
 
 from services.console.cli.coordinates import NEGATIVE_NUMBERS
-from services.console.cli.map import area, cross_validation, export, feed, files, layer, point, realisations, tables
+from services.console.cli.map import (
+    area,
+    cross_validation,
+    export,
+    feed,
+    files,
+    grade_tonnage,
+    layer,
+    point,
+    realisations,
+    tables,
+)
 
 EXAMPLES = """\b
 Examples:
@@ -24,6 +35,7 @@ Examples:
   he3 map export belief.npz
   he3 map export maps --recording runs/t1/mission.mcap
   he3 map resource 100,100 200,100 150,200 --cutoff 9
+  he3 map grade-tonnage --cutoffs 7,8,9 --png curve.png
   he3 map samples --csv
   he3 map plan
   he3 map history              # the revisions that --as-of can name
@@ -43,6 +55,12 @@ app.command("export", short_help="The whole map for QGIS and other tools, in a f
 app.command(
     "resource", short_help="Helium-3 in an area, with intervals.", epilog=EXAMPLES, context_settings=NEGATIVE_NUMBERS
 )(area.resource)
+app.command(
+    "grade-tonnage",
+    short_help="Ground above each cut-off, and what it holds.",
+    epilog=EXAMPLES,
+    context_settings=NEGATIVE_NUMBERS,
+)(grade_tonnage.grade_tonnage)
 app.command("samples", short_help="The samples.", epilog=EXAMPLES)(tables.samples)
 app.command("plan", short_help="The driven and the planned path.", epilog=EXAMPLES)(tables.plan)
 app.command("history", short_help="The earlier maps.", epilog=EXAMPLES)(tables.history)

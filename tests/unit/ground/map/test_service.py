@@ -19,6 +19,7 @@ from schemas.commands import NoParameters
 from schemas.ground import KeepOutArea
 from schemas.maps import (
     CrossValidationQuery,
+    GradeTonnageQuery,
     MapBoxQuery,
     MapLayer,
     MapLayerQuery,
@@ -35,6 +36,7 @@ from schemas.topics import (
     GROUND_STATUS,
     MAP_BOX,
     MAP_CROSS_VALIDATION,
+    MAP_GRADE_TONNAGE,
     MAP_HISTORY,
     MAP_LAYER,
     MAP_POINT,
@@ -173,6 +175,7 @@ def test_every_map_topic_is_answered_with_the_reply_of_its_row_in_the_table() ->
         MAP_LAYER: MapLayerQuery(layer=MapLayer.STD),
         MAP_SCORE: NoParameters(),
         MAP_CROSS_VALIDATION: CrossValidationQuery(),
+        MAP_GRADE_TONNAGE: GradeTonnageQuery(),
         MAP_REALISATIONS: RealisationsQuery(count=2),
         TRACK: MapTrackQuery(),
         MAP_BOX: MapBoxQuery(layer=MapLayer.MEAN, x_min=0.0, y_min=0.0, x_max=10.0, y_max=10.0),
