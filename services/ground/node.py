@@ -293,7 +293,6 @@ class GroundNode:
                 self._operations.happened(happened, now)
                 yield from self._director.event(happened, now)
             case RoverState() as state:
-                self._silence.heard(now)
                 yield from self._locate(state, event.header.made_at, now)
             case CommandReport() as report:
                 self._heard(now)
@@ -307,12 +306,16 @@ class GroundNode:
         self._stall.progress(now)
 
     def _locate(self, state: RoverState, made_at: MissionTime, now: MissionTime) -> Iterable[Effect]:
+        newer = self._status.is_newer(made_at)
+        if newer:  # one that comes again, or late, does not show that the rover is still there
+            self._silence.heard(now)
         if not self._terrain.grid.has((state.x_m, state.y_m)):
             text = f"state: expected a place in the region, got ({state.x_m:g}, {state.y_m:g})"
             return [LogRecord(Level.WARNING, text, cause=Cause(f"{STATE.name}: outside the region", "rover"))]
         self._status.heard(state, made_at)
         self._operations.reported(state, made_at, now)
-        self._stall.state(state, self._telecommands.holds_rover, now)
+        if newer:
+            self._stall.state(state, self._telecommands.holds_rover, now)
         return self._director.state(state, made_at, now)
 
     def _set_interest(self, change: InterestChange, token: int, now: MissionTime) -> Iterable[Effect]:

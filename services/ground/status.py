@@ -79,6 +79,10 @@ class StatusReporter:
         """The rover's newest state; None if there is none."""
         return self._rover
 
+    def is_newer(self, made_at: MissionTime) -> bool:
+        """Whether a state of the rover that was made at that time is newer than the newest so far."""
+        return self._rover_made_at is None or made_at > self._rover_made_at
+
     def heard(self, state: RoverState, made_at: MissionTime) -> None:
         """Note the rover's state; an older one does not replace a newer one."""
         if self._rover_made_at is None or made_at >= self._rover_made_at:

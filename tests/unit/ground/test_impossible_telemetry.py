@@ -93,6 +93,19 @@ def test_silence_of_the_rover_is_reported_once_and_ends_when_it_is_heard() -> No
     assert "silent" not in mission.status.detail
 
 
+@pytest.mark.parametrize("ago_s", [0.0, 5.0])
+def test_a_state_that_comes_again_and_again_does_not_hide_that_the_rover_is_silent(ago_s: float) -> None:
+    mission = Mission(scenario(ground={"rover_timeout_s": 600.0}))
+    mission.simulation.run_for(100.0)
+    newest = mission.simulation.now
+    mission.tell_ground(STATE, state(1, (20.0, 20.0), 1, "driving"), made_at=newest)
+    for _ in range(8):
+        mission.simulation.run_for(100.0)
+        mission.tell_ground(STATE, state(1, (20.0, 20.0), 1, "driving"), made_at=newest - round(ago_s * 1e9))
+    assert sum("nothing heard" in text for text in mission.warnings()) == 1
+    assert mission.status.detail.startswith("the rover is silent")
+
+
 def test_a_silent_instrument_is_said_until_the_rover_has_a_measurement_or_drives() -> None:
     mission = Mission(scenario(ground={"rover_timeout_s": 1e6}))
     mission.simulation.run_for(100.0)
