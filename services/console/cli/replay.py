@@ -60,7 +60,11 @@ At = Annotated[
 Pace = Annotated[
     float,
     typer.Option(
-        "--rate", metavar="R", min=0, max=100_000, help="With --live: mission seconds a second; 0: it stands."
+        "--rate",
+        metavar="R",
+        min=0,
+        max=100_000,
+        help="With --live: simulation speed, mission seconds per wall second; 0 pauses it.",
     ),
 ]
 

@@ -28,7 +28,7 @@ def export(
     ],
     threshold: Annotated[
         float,
-        typer.Option("--threshold", metavar="PPB", help="Abundance of the layer exceedance.",
+        typer.Option("--threshold", metavar="PPB", help="Abundance for the probability of exceedance.",
                      callback=within(0, MAX_PPB)),
     ] = 8.0,
     as_of: AsOf = None,

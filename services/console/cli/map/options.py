@@ -43,12 +43,12 @@ LayerName = Annotated[
 ]  # fmt: skip
 Threshold = Annotated[
     float | None,
-    typer.Option("--threshold", metavar="PPB", help="Abundance of which the probability of more is told.",
+    typer.Option("--threshold", metavar="PPB", help="Abundance for the probability of exceedance.",
                  callback=within(0, MAX_PPB)),
 ]  # fmt: skip
 AsOf = Annotated[
     str | None,
-    typer.Option("--as-of", metavar="WHEN", help="An earlier map: a revision, or a time as 2030-01-01T06:00:00Z.",
+    typer.Option("--as-of", metavar="WHEN", help="An earlier map: a revision, or a time such as 2030-01-01T06:00:00Z.",
                  callback=checked(_as_of)),
 ]  # fmt: skip
 MIN_WIDTH = 10
