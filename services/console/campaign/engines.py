@@ -140,7 +140,7 @@ class DaskEngine(_Replies):
     def __init__(self, address: str | None, workers: int) -> None:
         super().__init__()
         try:
-            from distributed import Client, LocalCluster
+            from distributed import Client, LocalCluster, Security
         except ImportError:
             raise InvalidInput(NEEDS) from None
         for name in ("distributed", "distributed.client", "tornado", "tornado.application"):
@@ -148,15 +148,19 @@ class DaskEngine(_Replies):
         self._cluster: LocalCluster | None = None
         self._pending: dict[str, tuple[Task, Any]] = {}
         self._over = False
+        security: Security | None = None
         if address is None:
+            # Whoever may connect to a scheduler may run code as its user. So this one has keys that exist in its own
+            # processes alone, and both ends of each connection show theirs.
+            security = Security.temporary()
             self._cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1",
-                dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
+                n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", protocol="tls://",
+                security=security, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
             )  # fmt: skip
             address = self._cluster.scheduler_address
         self._address = address
         try:
-            self._client: Client = Client(address, timeout=CONNECT_S, set_as_default=False)
+            self._client: Client = Client(address, timeout=CONNECT_S, set_as_default=False, security=security)
         except (OSError, ValueError) as error:
             self._close_cluster()
             raise He3Error(f"--engine dask: expected a scheduler at {address}, got: {error}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import shlex
@@ -21,7 +22,11 @@ from services.console.campaign.engines import DaskEngine
 from services.console.campaign.runner import run
 from services.console.campaign.store import Store
 from services.console.campaign.study import load_study
+from services.console.campaign.task import REFUSED, Task
 from tests.waiting import PATIENCE_S, expect_within, until
+
+STRANGER_S = 2.0
+"""Time in which a client that is not let in gives up."""
 
 STUDY = """
 name = "small"
@@ -108,6 +113,25 @@ def test_ctrl_c_ends_in_time_and_keeps_the_rows(tmp_path: Path) -> None:
     assert kept_by(store)
     with Store(store, write=True):
         pass  # its lock is free
+
+
+def test_no_other_program_of_the_machine_runs_code_in_a_dask_cluster_made_here() -> None:
+    """A scheduler runs what any client sends it, and its port is open to every user of the machine."""
+    distributed = pytest.importorskip("distributed")
+    logging.getLogger("distributed.comm.tcp").setLevel(logging.CRITICAL)  # it tells of each stranger that it refuses
+    with DaskEngine(None, 1) as engine:
+        address = engine._address
+        bare = address.replace("tls://", "tcp://")
+        workers = [*engine._client.scheduler_info()["workers"]]
+        assert workers
+        assert all(each.startswith("tls://127.0.0.1:") for each in (address, *workers))
+        strangers: list[tuple[str, Any]] = [(bare, None), (address, distributed.Security.temporary())]
+        for where, keys in strangers:
+            with pytest.raises((OSError, TypeError)):
+                distributed.Client(where, timeout=STRANGER_S, security=keys, set_as_default=False)
+        engine.submit(Task("no_such_module:none", {}, "software", {}))
+        (_, reply), *_ = until(lambda: engine.replies(0.1), "the reply to the owner's own task")
+        assert reply.status == REFUSED
 
 
 @pytest.mark.exhaustive
