@@ -24,7 +24,7 @@ from schemas.roles import PERSON_ROLES, Role
 SESSION_S = 12 * 3600.0
 """A session ends after this time [s]."""
 MAX_SESSIONS = 1000
-"""Most sessions; beyond it the oldest one ends."""
+"""Most sessions of one login; beyond it the oldest one of that login ends, and no other's."""
 MAX_COOKIE_CHARACTERS = 4096
 
 READ = frozenset(PERSON_ROLES)
@@ -103,7 +103,7 @@ class Access:
         if caller is None:
             return None
         session = secrets.token_urlsafe(32)
-        self._forget_old()
+        self._forget_old(caller)
         self._sessions[_hash(session)] = self._now() + SESSION_S, caller
         secure = "; Secure" if self._secure else ""
         return f"{self._cookie}={session}; HttpOnly; SameSite=Strict; Path=/; Max-Age={SESSION_S:.0f}{secure}"
@@ -132,11 +132,13 @@ class Access:
             return ""
         return "" if found is None else found.value
 
-    def _forget_old(self) -> None:
+    def _forget_old(self, caller: Caller) -> None:
+        """Make room for a further session of that login."""
         now = self._now()
         kept = {key: session for key, session in self._sessions.items() if session[0] > now}
-        while len(kept) >= MAX_SESSIONS:
-            del kept[next(iter(kept))]
+        own = [key for key, (_, whose) in kept.items() if whose == caller]
+        for key in own[: max(0, len(own) + 1 - MAX_SESSIONS)]:
+            del kept[key]
         self._sessions = kept
 
 

@@ -58,6 +58,16 @@ def test_a_session_ends_and_there_are_no_more_than_so_many() -> None:
     assert access.caller(last, None) is None
 
 
+def test_who_may_only_read_ends_no_session_of_who_may_command() -> None:
+    access = Access(8030)
+    commander = cookie(access.log_in(access.new_token(ANNA)))
+    reader = access.new_token(Caller("page.reader", VIEWER))
+    for _ in range(2 * MAX_SESSIONS):
+        access.log_in(reader)
+    assert access.caller(commander, None) == ANNA
+    assert len(access._sessions) == MAX_SESSIONS + 1
+
+
 def test_a_cookie_is_kept_from_scripts_and_other_sites_and_under_tls_from_plain_connections() -> None:
     plain, secure = (Access(8030, secure=each) for each in (False, True))
     over_http, over_tls = (each.log_in(each.new_token(ANNA)) or "" for each in (plain, secure))
