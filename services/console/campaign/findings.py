@@ -19,6 +19,7 @@ from services.console.campaign.statistics import (
     Summary,
     bins_of,
     distinct,
+    is_drawn,
     paired,
     summary_of,
     variance_share,
@@ -195,9 +196,12 @@ def _figure(
     values = table.figures[name] / kind.scale
     there = {group: rows[~np.isnan(values[rows])] for group, rows in members.items()}
     comparisons = []
+    drawn = [name for name in table.varied() if name not in (compare, SEED) and is_drawn(table.labels[name])]
     for names, (one, other) in partners.items():
         if np.count_nonzero(~np.isnan(values[one] - values[other])) > 1:  # one pair shows no difference beyond chance
-            comparisons.append(paired(values[one], values[other], names))
+            seeds = [table.labels[SEED][row] for row in one.tolist()]
+            draws = [tuple(table.labels[name][row] for name in drawn) for row in one.tolist()]
+            comparisons.append(paired(values[one], values[other], names, seeds, draws))
     varied = [label for label in table.varied() if label not in (compare, SEED)]
     shares = {group: _shares(table, varied, rows, values) for group, rows in members.items()}
     if compare is not None:

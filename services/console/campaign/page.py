@@ -233,8 +233,8 @@ def _label(value: object) -> str:
 def _notes(findings: Findings) -> str:
     notes = [
         "A pair is two missions that differ in the compared value alone: same seed, same draw. Intervals are "
-        f"percentiles of a bootstrap over pairs, {RESAMPLES:,} resamples; of fewer than {FEW} pairs they follow from "
-        "Student's t.",
+        f"percentiles of a bootstrap over seeds and draws, {RESAMPLES:,} resamples; of fewer than {FEW} of them they "
+        "follow from Student's t. Where all pairs have one seed they say nothing of other seeds.",
         "The share of the variance is of first order: bins of the parameter by rank, without what so many bins explain "
         "by chance. What all shares together leave is the seed and what parameters do together.",
     ]

@@ -52,11 +52,13 @@ class Paired:
     first: str
     second: str
     pairs: int
+    seeds: int
+    """Seeds of the pairs, each counted once: as many as there are pairs if that is not known."""
     difference: float
     """Mean over the pairs."""
     low: float
     high: float
-    """Interval of the mean difference, at LEVEL: by a bootstrap, of few pairs by Student's t."""
+    """Interval of the mean difference, at LEVEL: by a bootstrap, of few seeds by Student's t."""
     ratio: float
     """Mean of the first over mean of the second."""
     ratio_low: float
@@ -67,26 +69,64 @@ class Paired:
     """Share of the pairs in which both are the same."""
 
 
-def paired(first: FloatArray, second: FloatArray, names: tuple[str, str]) -> Paired:
-    """The comparison of (n,) values with (n,) values, pair by pair. Raises ValueError for less than two pairs."""
+def paired(
+    first: FloatArray,
+    second: FloatArray,
+    names: tuple[str, str],
+    seeds: Sequence[Any] | None = None,
+    draws: Sequence[Any] | None = None,
+) -> Paired:
+    """The comparison of (n,) values with (n,) values, pair by pair. Raises ValueError for less than two pairs.
+
+    seeds, draws: of the n pairs. Pairs of one seed have the same field, noise and choices, and pairs of one draw the
+    same parameters, so they are not independent. The intervals are those over seeds and over draws, with both the
+    root of the sum of squares. Where no two pairs share one, or all do, they are those over pairs.
+    """
     both = ~(np.isnan(first) | np.isnan(second))
     one, other = first[both], second[both]
     if len(one) < 2:
         raise ValueError(f"expected two pairs at least, got {len(one)}")
     difference, ratio = float((one - other).mean()), float(one.mean() / other.mean()) if other.mean() else float("nan")
-    if len(one) < FEW:
-        low, high = _around(difference, one - other)
-        # The ratio's error, to the first order: that of (one - ratio x other) / mean of the other.
-        ratio_low, ratio_high = _around(ratio, (one - ratio * other) / other.mean() if other.mean() else one + ratio)
-    else:
-        means = _resampled_means(np.stack((one, other)))
-        tails = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
-        low, high = np.quantile(means[0] - means[1], tails)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = means[0] / means[1]
-        ratio_low, ratio_high = np.quantile(ratios, tails) if np.isfinite(ratios).all() else (float("nan"),) * 2
-    return Paired(*names, len(one), difference, float(low), float(high), ratio, float(ratio_low), float(ratio_high),
+    by_seed, by_draw = (_groups(labels, both) for labels in (seeds, draws))
+    shared = [groups for groups in (by_seed, by_draw) if 1 < groups.max() + 1 < len(one)] or [np.arange(len(one))]
+    ends = np.array([_intervals(one, other, groups) for groups in shared])
+    if len(ends) > 1:
+        middle = np.array([difference, difference, ratio, ratio])
+        ends = (middle + np.array([-1, 1, -1, 1]) * np.linalg.norm(ends - middle, axis=0))[np.newaxis]
+    low, high, ratio_low, ratio_high = ends[0].tolist()
+    return Paired(*names, len(one), int(by_seed.max()) + 1, difference, low, high, ratio, ratio_low, ratio_high,
                   float((one < other).mean()), float((one == other).mean()))  # fmt: skip
+
+
+def _groups(labels: Sequence[Any] | None, there: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) number of the label of each pair that is there, by first appearance; one for each pair without labels."""
+    if labels is None:
+        return np.arange(np.count_nonzero(there))
+    numbers: dict[Any, int] = {}
+    kept = [distinct(label) for label, ok in zip(labels, there, strict=True) if ok]
+    return np.array([numbers.setdefault(label, len(numbers)) for label in kept], dtype=np.int64)
+
+
+def _intervals(one: FloatArray, other: FloatArray, groups: NDArray[np.int64]) -> tuple[float, float, float, float]:
+    """The intervals at LEVEL of the mean difference and of the ratio of the means of (n,) values, over those groups."""
+    count = np.bincount(groups).astype(np.float64)
+    if len(count) < FEW:
+        difference, ratio = (
+            float((one - other).mean()),
+            float(one.mean() / other.mean()) if other.mean() else float("nan"),
+        )
+        # The ratio's error, to the first order: that of (one - ratio x other) / mean of the other.
+        error = (one - ratio * other) / other.mean() if other.mean() else one + ratio
+        sums = [np.bincount(groups, values - values.mean()) * len(count) / len(one) for values in (one - other, error)]
+        return (*_around(difference, sums[0]), *_around(ratio, sums[1]))
+    totals = np.stack((np.bincount(groups, one), np.bincount(groups, other), count)).astype(np.float64)
+    resampled = _resampled_means(totals)
+    means, tails = resampled[:2] / resampled[2], ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
+    low, high = np.quantile(means[0] - means[1], tails)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = means[0] / means[1]
+    ratio_low, ratio_high = np.quantile(ratios, tails) if np.isfinite(ratios).all() else (float("nan"),) * 2
+    return float(low), float(high), float(ratio_low), float(ratio_high)
 
 
 def _around(estimate: float, errors: FloatArray) -> tuple[float, float]:
@@ -129,6 +169,17 @@ class Share:
         return self.share > self.noise
 
 
+MOST_LISTED: Final = 12
+"""A number with more values than that counts as drawn from a range, one with fewer as a list of values."""
+
+
+def is_drawn(values: Sequence[Any]) -> bool:
+    """Whether a label with those values is taken for one that was drawn from a range."""
+    kinds = {distinct(value): value for value in values}
+    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in kinds.values())
+    return numbers and len(kinds) > MOST_LISTED
+
+
 def bins_of(values: Sequence[Any]) -> tuple[NDArray[np.int64], list[Any]]:
     """(n,) number of the bin of each value, and what each bin stands for: a value, or the median of its values.
 
@@ -136,7 +187,7 @@ def bins_of(values: Sequence[Any]) -> tuple[NDArray[np.int64], list[Any]]:
     """
     kinds = {distinct(value): value for value in values}
     numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in kinds.values())
-    if not numbers or len(kinds) <= 12:
+    if not is_drawn(values):
         ordered = sorted(kinds.values()) if numbers else [kinds[text] for text in sorted(kinds, key=str)]
         place = {distinct(value): number for number, value in enumerate(ordered)}
         return np.array([place[distinct(value)] for value in values]), ordered

@@ -26,6 +26,13 @@ def _equal(pair: Paired) -> str:
     return f" and equal in {pair.equal:.0%}" if pair.equal else ""
 
 
+def _seeds(pair: Paired) -> str:
+    """Over how many seeds the interval is, where that is not the number of pairs."""
+    if pair.seeds == pair.pairs:
+        return ""
+    return ", all of one seed" if pair.seeds == 1 else f" with {pair.seeds} seeds"
+
+
 def _figure_lines(figure: FigureFindings) -> list[str]:
     unit = f" [{figure.kind.unit}]" if figure.kind.unit else ""
     head = "".join(f"{share:>10.0%}" for share in _SHOWN)
@@ -35,7 +42,7 @@ def _figure_lines(figure: FigureFindings) -> list[str]:
         lines.append(f"  {group:<26}{one.count:>7}{number(one.mean):>10}{number(one.std):>10}{shown}")
     lines += [
         f"  {pair.first} - {pair.second}: {pair.difference:+.4g} ({LEVEL:.0%}: {pair.low:+.4g} to {pair.high:+.4g}), "
-        f"ratio {pair.ratio:.3f}, lower in {pair.first_lower:.0%}{_equal(pair)} of {pair.pairs}"
+        f"ratio {pair.ratio:.3f}, lower in {pair.first_lower:.0%}{_equal(pair)} of {pair.pairs}{_seeds(pair)}"
         for pair in figure.comparisons
     ]
     for group, shares in figure.shares.items():

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shlex
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,48 @@ def test_few_pairs_that_differ_by_chance_alone_seldom_have_an_interval_without_z
         found.append(paired(second + rng.normal(0, 5, count), second, ("a", "b")))
     assert np.mean([one.low <= 0 <= one.high for one in found]) == pytest.approx(0.95, abs=0.03)
     assert np.mean([one.ratio_low <= 1 <= one.ratio_high for one in found]) == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.parametrize(("seeds", "draws"), [(5, 40), (12, 10), (40, 10)])
+def test_many_draws_of_the_same_seeds_do_not_make_an_interval_narrower_than_the_seeds_allow(
+    seeds: int, draws: int
+) -> None:
+    rng = np.random.default_rng(13)
+    found = []
+    for _ in range(200):
+        second = rng.normal(100, 20, seeds * draws)
+        by_seed = np.repeat(rng.normal(0, 5, seeds), draws)  # the difference is the seed's, whatever the draw
+        order = rng.permutation(seeds * draws)
+        first = second + by_seed + rng.normal(0, 0.1, seeds * draws)
+        names = np.repeat(np.arange(seeds), draws)
+        found.append(paired(first[order], second[order], ("a", "b"), names[order].tolist()))
+    assert np.mean([one.low <= 0 <= one.high for one in found]) == pytest.approx(0.95, abs=0.05)
+    assert np.mean([one.ratio_low <= 1 <= one.ratio_high for one in found]) == pytest.approx(0.95, abs=0.05)
+    assert {(one.pairs, one.seeds) for one in found} == {(seeds * draws, seeds)}
+
+
+@pytest.mark.parametrize(("seeds", "draws"), [(20, 50), (40, 40), (5, 20)])
+def test_where_seeds_and_draws_are_crossed_the_interval_counts_both(seeds: int, draws: int) -> None:
+    rng = np.random.default_rng(19)
+    of_seed, of_draw = (grid.ravel() for grid in np.mgrid[:seeds, :draws])
+    found = []
+    for _ in range(200):
+        second = rng.normal(100, 20, seeds * draws)
+        effect = rng.normal(0, 3, seeds)[of_seed] + rng.normal(0, 5, draws)[of_draw]
+        found.append(paired(second + effect, second, ("a", "b"), of_seed.tolist(), of_draw.tolist()))
+    assert np.mean([one.low <= 0 <= one.high for one in found]) >= 0.9
+    assert np.mean([one.ratio_low <= 1 <= one.ratio_high for one in found]) >= 0.9
+
+
+def test_pairs_that_have_a_seed_each_or_all_the_same_one_count_singly() -> None:
+    rng = np.random.default_rng(17)
+    second = rng.normal(100, 20, 50)
+    first = second + rng.normal(0, 5, 50)
+    alone = paired(first, second, ("a", "b"))
+    each = paired(first, second, ("a", "b"), list(range(50)))
+    same = paired(first, second, ("a", "b"), [1] * 50)
+    assert alone == each == replace(same, seeds=50)
+    assert same.seeds == 1
 
 
 def test_of_one_pair_there_is_no_interval() -> None:
