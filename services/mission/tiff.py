@@ -14,8 +14,9 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from html import unescape
+from io import SEEK_END
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,19 @@ class NotPlain(Exception):
     """The file is a TIFF of a kind that this reader does not support."""
 
 
+def _within(stream: IO[bytes]) -> ReadAt:
+    """Reads bytes of that file; of a place or a length beyond its end, what there is, and no memory is taken for it."""
+    size = stream.seek(0, SEEK_END)
+
+    def read_at(offset: int, length: int) -> bytes:
+        if not 0 <= offset < size or length <= 0:
+            return b""
+        stream.seek(offset)
+        return stream.read(min(length, size - offset))
+
+    return read_at
+
+
 def read_tiff(path: Path) -> NDArray[Any]:
     """The raster of a plain TIFF file, (rows, columns), row 0 as in the file.
 
@@ -99,11 +113,7 @@ def read_tiff(path: Path) -> NDArray[Any]:
     """
     try:
         with path.open("rb") as stream:
-
-            def read_at(offset: int, length: int) -> bytes:
-                stream.seek(offset)
-                return stream.read(length)
-
+            read_at = _within(stream)
             layout = tiff_layout(read_at, str(path))
             return _read_blocks(layout, read_at, str(path))
     except OSError as error:
@@ -133,11 +143,7 @@ def facts_of(path: Path) -> TiffFacts:
     """What that TIFF file says of its raster; raises InvalidInput for a file that is no TIFF."""
     try:
         with path.open("rb") as stream:
-
-            def read_at(offset: int, length: int) -> bytes:
-                stream.seek(offset)
-                return stream.read(length)
-
+            read_at = _within(stream)
             directories = [tags for tags, _ in _directories(read_at)]
     except OSError as error:
         raise InvalidInput(f"{path}: cannot read the raster: {error.strerror}") from None
@@ -257,7 +263,7 @@ def _directories(read_at: ReadAt) -> Iterator[tuple[dict[int, Any], bool]]:
             field = directory[index * entry : (index + 1) * entry]
             tag, kind = struct.unpack(order + "HH", field[:4])
             (values,) = struct.unpack(order + ("I" if inline == 4 else "Q"), field[4 : entry - inline])
-            if kind not in _KINDS:
+            if kind not in _KINDS or values == 0:  # a tag without a value says nothing
                 continue
             if values > _MAX_VALUES:
                 raise ValueError(values)
@@ -280,13 +286,15 @@ def _directories(read_at: ReadAt) -> Iterator[tuple[dict[int, Any], bool]]:
 def _read_blocks(layout: TiffLayout, read_at: ReadAt, name: str) -> NDArray[Any]:
     if layout.compression not in (1, 8, 32946) or layout.predictor != 1:
         raise NotPlain(f"{name}: compression {layout.compression}, predictor {layout.predictor}")
-    if layout.rows * layout.columns > _MAX_PIXELS:
-        raise InvalidInput(f"{name}: expected at most {_MAX_PIXELS} pixels, got {layout.rows} x {layout.columns}")
+    for rows, columns in ((layout.rows, layout.columns), (layout.block_rows, layout.block_columns)):
+        if rows * columns > _MAX_PIXELS:
+            raise InvalidInput(f"{name}: expected at most {_MAX_PIXELS} pixels, got {rows} x {columns}")
     dtype = np.dtype(("<" if layout.little_endian else ">") + layout.dtype)
     raster = np.zeros((layout.rows, layout.columns), dtype=dtype.newbyteorder("="))
     for block in layout.blocks(0, 0, layout.rows, layout.columns):
-        data = read_at(block.offset, block.length)
         wanted = block.rows * block.columns * dtype.itemsize
+        # Deflate makes no block much longer than its values; a block that says it has the whole file would be slow.
+        data = read_at(block.offset, min(block.length, wanted + wanted // 100 + 1024))
         if layout.compression != 1:
             try:
                 data = zlib.decompressobj().decompress(data, wanted)
