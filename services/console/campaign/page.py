@@ -101,13 +101,13 @@ def _overview(findings: Findings) -> str:
     if not rows:
         return ""
     head = (
-        '<tr><th>figure</th><th class="text">pair</th><th>pairs</th><th>mean difference</th>'
+        '<tr><th>figure</th><th class="text">pair</th><th>pairs</th><th>seeds</th><th>mean difference</th>'
         f"<th>{LEVEL:.0%} interval</th><th>ratio</th><th>{LEVEL:.0%} interval</th>"
         "<th>first lower</th></tr>"
     )
     body = "".join(
         f'<tr><td>{escape(_titled(figure))}</td><td class="text">{escape(one.first)} − {escape(one.second)}</td>'
-        f"<td>{one.pairs:,}</td><td>{_signed(one.difference)}</td>"
+        f"<td>{one.pairs:,}</td><td>{one.seeds:,}</td><td>{_signed(one.difference)}</td>"
         f"<td>{_signed(one.low)} to {_signed(one.high)}</td><td>{one.ratio:.3f}</td>"
         f"<td>{one.ratio_low:.3f} to {one.ratio_high:.3f}</td><td>{one.first_lower:.0%}{_equal(one)}</td></tr>"
         for figure, one in rows
@@ -131,6 +131,8 @@ def _sentences(rows: Sequence[tuple[FigureFindings, Paired]]) -> str:
     ]
     open_ones = [escape(figure.kind.title) for figure, one in rows if one.low <= 0 <= one.high]
     text = f"<p>{_capital('; '.join(words))}.</p>" if words else ""
+    if any(one.seeds == 1 for _, one in rows):
+        text = f"<p>All pairs have one seed: with another one, all this may be otherwise.</p>{text}"
     return text + (f"<p>No difference beyond chance: {', '.join(open_ones)}.</p>" if open_ones else "")
 
 

@@ -230,6 +230,14 @@ def test_the_page_needs_no_other_file_and_says_what_is_not_complete(table: Table
     assert "nan" not in page
 
 
+def test_a_report_on_one_seed_says_that_it_says_nothing_of_others(table: Table) -> None:
+    of_one = replace(table, labels={**table.labels, "seed": [1] * len(table)})
+    for rows, said in ((table, False), (of_one, True)):
+        findings = findings_of(rows, shown_figures(rows))
+        assert ("All pairs have one seed" in page_of(findings, "a study", "about it", [])) == said
+        assert any(line.endswith(", all of one seed") for line in summary_lines("made", findings)) == said
+
+
 def test_rows_come_out_as_csv_and_parquet(table: Table, tmp_path: Path) -> None:
     write_csv(table, tmp_path / "rows.csv")
     lines = list(csv.DictReader((tmp_path / "rows.csv").read_text().splitlines()))
