@@ -1,7 +1,7 @@
 """``he3 map``: the live map at a place, as a picture, as files, as tables, over an area, and as a feed.
 
 One module a topic: `point`, `layer`, `area`, `tables`, `files`, `export`, `feed`, `cross_validation`,
-`realisations`, `grade_tonnage`; `options` describes the flags that they share.
+`realisations`, `grade_tonnage`; `answers` prints and draws, `options` describes the flags that they share.
 """
 
 from __future__ import annotations

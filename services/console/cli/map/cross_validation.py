@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import csv as csv_format
 import io
-import json as json_format
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from services.console.cli.flag_groups import with_flags
+from services.console.cli.map.answers import Png, show
 from services.console.cli.map.options import AsCsv, AsOf
 from services.console.cli.options import AsJson, check_one_format
 from services.console.cli.session import Session
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from schemas.maps import CrossValidation
 
 SHOWN = 5
@@ -25,7 +24,7 @@ SHOWN = 5
 @with_flags
 def cross_validation(
     session: Session,
-    png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture, too.")] = None,
+    png: Png = None,
     csv: AsCsv = False,
     as_of: AsOf = None,
     json: AsJson = False,
@@ -38,20 +37,13 @@ def cross_validation(
     check_one_format(csv, json)
     with session.join() as client:
         found = client.cross_validation(as_of)
-    if png is not None:
-        from services.console.report.cross_validation_picture import cross_validation_figure
-        from services.console.report.pictures import save
+    show(found, lines=lines_of, table=table_of, figure=_figure, png=png, csv=csv, json=json)
 
-        save(cross_validation_figure(found), png)
-    if json:
-        document = found.model_dump(mode="json")
-        typer.echo(json_format.dumps(document if png is None else {**document, "written": str(png)}, indent=2))
-    elif csv:
-        typer.echo(table_of(found).rstrip())
-    else:
-        typer.echo("\n".join(lines_of(found)))
-        if png is not None:
-            typer.echo(f"written to {png}")
+
+def _figure(found: CrossValidation) -> Figure:
+    from services.console.report.cross_validation_picture import cross_validation_figure
+
+    return cross_validation_figure(found)
 
 
 def table_of(found: CrossValidation) -> str:

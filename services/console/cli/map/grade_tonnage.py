@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import csv as csv_format
 import io
-import json as json_format
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from services.console.cli.coordinates import Corners, polygon
 from services.console.cli.flag_groups import with_flags
+from services.console.cli.map.answers import Png, show
 from services.console.cli.map.area import MAX_PROBABILITY, MIN_PROBABILITY
 from services.console.cli.map.options import AsCsv, AsOf
 from services.console.cli.options import AsJson, check_one_format, checked, within
 from services.console.cli.session import Session
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from schemas.maps import GradeTonnage, Interval
 
 NAMES = ("area_m2", "mean_ppb", "mass_kg_per_m")
@@ -51,7 +52,7 @@ def grade_tonnage(
         typer.Option("--probability", metavar="P", help="Probability of the intervals (between 0 and 1).",
                      callback=within(MIN_PROBABILITY, MAX_PROBABILITY)),
     ] = 0.9,
-    png: Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture, too.")] = None,
+    png: Png = None,
     csv: AsCsv = False,
     as_of: AsOf = None,
     json: AsJson = False,
@@ -69,20 +70,13 @@ def grade_tonnage(
             probability=probability,
             as_of=as_of,
         )
-    if png is not None:
-        from services.console.report.grade_tonnage_picture import grade_tonnage_figure
-        from services.console.report.pictures import save
+    show(found, lines=lines_of, table=table_of, figure=_figure, png=png, csv=csv, json=json)
 
-        save(grade_tonnage_figure(found), png)
-    if json:
-        document = found.model_dump(mode="json")
-        typer.echo(json_format.dumps(document if png is None else {**document, "written": str(png)}, indent=2))
-    elif csv:
-        typer.echo(table_of(found).rstrip())
-    else:
-        typer.echo("\n".join(lines_of(found)))
-        if png is not None:
-            typer.echo(f"written to {png}")
+
+def _figure(found: GradeTonnage) -> Figure:
+    from services.console.report.grade_tonnage_picture import grade_tonnage_figure
+
+    return grade_tonnage_figure(found)
 
 
 def table_of(found: GradeTonnage) -> str:
