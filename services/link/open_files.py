@@ -59,8 +59,9 @@ class OpenFiles:
         if found >= self._most // 2 and not self._warned:
             self._warned = True
             self._warn(
-                f"{found} of {self._most} files are open, nearly all of them connections; at {self._most} nobody is "
-                "let in any more until the link starts again: let a firewall admit the mission's own machines alone"
+                f"{found} of {self._most} files are open, nearly all of them connections; at {self._most} no "
+                "connection is taken any more until the link starts again: let a firewall admit the mission's own "
+                "machines alone"
             )
         elif found < self._most // 4:
             self._warned = False
