@@ -15,7 +15,7 @@ import hmac
 import secrets
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from http.cookies import CookieError, SimpleCookie
 
 from he3.errors import InvalidInput
@@ -41,6 +41,8 @@ class Caller:
     name: str
     """Common name of the certificate, such as `operator.anna`; without one, the way of the login."""
     roles: frozenset[Role]
+    logged_in: bool = field(default=False, compare=False)
+    """Whether the request belongs to a session, which the person can end."""
 
     def document(self) -> dict[str, object]:
         """The caller as a JSON document for the page."""
@@ -49,6 +51,7 @@ class Caller:
             "roles": sorted(self.roles),
             "commands": bool(self.roles & COMMAND),
             "controls": bool(self.roles & CONTROL),
+            "logged_in": self.logged_in,
         }
 
 
@@ -105,22 +108,33 @@ class Access:
         session = secrets.token_urlsafe(32)
         self._forget_old(caller)
         self._sessions[_hash(session)] = self._now() + SESSION_S, caller
+        return self._header(session, SESSION_S)
+
+    def log_out(self, cookies: str) -> str:
+        """End the session of a request with that Cookie header, if there is one; returns a Set-Cookie header.
+
+        The header removes the cookie from the browser. Other browsers that logged in with the same token stay.
+        """
+        self._sessions.pop(_hash(self._cookie_in(cookies)), None)
+        return self._header("", 0.0)
+
+    def _header(self, value: str, lasts_s: float) -> str:
         secure = "; Secure" if self._secure else ""
-        return f"{self._cookie}={session}; HttpOnly; SameSite=Strict; Path=/; Max-Age={SESSION_S:.0f}{secure}"
+        return f"{self._cookie}={value}; HttpOnly; SameSite=Strict; Path=/; Max-Age={lasts_s:.0f}{secure}"
 
     def caller(self, cookies: str, common_name: str | None) -> Caller | None:
         """Who sends a request with that Cookie header, over a connection with that certificate; None for an unknown
         one. Raises InvalidInput for a certificate that is revoked or expired.
         """
         caller = self._found(cookies, common_name)
-        return None if caller is None else Caller(caller.name, caller.roles & self._able or frozenset({Role.VIEWER}))
+        return None if caller is None else replace(caller, roles=caller.roles & self._able or frozenset({Role.VIEWER}))
 
     def _found(self, cookies: str, common_name: str | None) -> Caller | None:
         if common_name is not None:
             return self._certified(common_name)
         session = self._sessions.get(_hash(self._cookie_in(cookies)))
         if session is not None and session[0] > self._now():
-            return session[1]
+            return replace(session[1], logged_in=True)
         return self._anonymous
 
     def _cookie_in(self, header: str) -> str:

@@ -120,6 +120,7 @@ def page(hub: Hub, hosts: Sequence[str], access: Access, warning: str | None = N
     routes = [
         Route("/", answers.document(STATIC / "index.html")),
         Route("/login", partial(_login, access)),
+        Route("/api/logout", partial(_logout, access), methods=["POST"]),
         Route("/api/stream", answers.stream(hub)),
         get("/api/session", partial(_session, hub, warning)),
         get("/api/colours", _colours),
@@ -191,11 +192,13 @@ class _Answers:
         return endpoint
 
     def stream(self, hub: Hub) -> Endpoint:
-        """The mission's stream for callers who may read."""
+        """The mission's stream for callers who may read, for as long as they may."""
 
         async def endpoint(request: Request) -> Response:
             refusal = self._admitted(request, READ)
-            return refusal if isinstance(refusal, Response) else await _stream(hub)
+            if isinstance(refusal, Response):
+                return refusal
+            return await _stream(hub, lambda: not isinstance(self._admitted(request, READ), Response))
 
         return endpoint
 
@@ -235,6 +238,12 @@ async def _login(access: Access, request: Request) -> Response:
     if session is None:
         return PlainTextResponse(LOG_IN, status_code=403, headers=FRESH)
     return RedirectResponse("/", status_code=303, headers={**FRESH, "set-cookie": session})
+
+
+async def _logout(access: Access, request: Request) -> Response:
+    """End the session of this browser; its stream ends with the next message."""
+    session = access.log_out(request.headers.get("cookie", ""))
+    return JSONResponse({"ended": True}, headers={**FRESH, "set-cookie": session})
 
 
 async def _http_error(_: Request, error: Exception) -> Response:
@@ -435,7 +444,8 @@ def _colours(_: Asked) -> Response:
     return JSONResponse({"of_layer": dict(OF_LAYER), "stops": {name: stops(name) for name in set(OF_LAYER.values())}})
 
 
-async def _stream(hub: Hub) -> Response:
+async def _stream(hub: Hub, admitted: Callable[[], bool]) -> Response:
+    """The stream; it ends before the first message after its caller has lost the right to read."""
     viewer = Viewer(asyncio.get_running_loop())
     if not hub.enter(viewer):
         return _error("expected fewer browsers, got one too many: close some", 503)
@@ -447,9 +457,8 @@ async def _stream(hub: Hub) -> Response:
                 try:
                     text = await asyncio.wait_for(viewer.queue.get(), KEEP_ALIVE_S)
                 except TimeoutError:
-                    yield ": keep-alive\n\n"
-                    continue
-                if text is None:
+                    text = ": keep-alive\n\n"
+                if text is None or not admitted():
                     return
                 yield text
         finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from csv import DictReader
+from pathlib import Path
 from typing import Any
 
 from services.console.__main__ import main
@@ -25,7 +26,7 @@ from tests.integration.web_page.page import (
     write,
     written,
 )
-from tests.integration.web_page.server import RATE
+from tests.integration.web_page.server import RATE, Served
 from tests.waiting import expect_within, until
 
 LIGHT_TIME_S = 1.282
@@ -337,3 +338,19 @@ def test_areas_are_renamed_and_removed_from_their_list_and_nothing_is_sent_befor
     assert main(["command", "keep-out", "closed", "480,10", "495,10", "490,20", *where]) == 2
     assert main(["area", "remove", "closed", *where]) == 0
     assert names() == kept
+
+
+def test_who_logs_out_on_the_page_reads_on_and_has_no_controls_any_more(
+    browser: Any, mission: MissionClient, tmp_path: Path
+) -> None:
+    who = "return [document.getElementById('authority').title, document.getElementById('log-out').hidden]"
+    server = Served(mission, "--authority", "--login-file", str(tmp_path / "logins"))
+    with server:
+        browser.get(server.login)
+        until(lambda: written(browser, "#authority") == "command authority", "the rights of the login")
+        assert script(browser, who)[1] is False
+        click(browser, "#log-out")
+        until(lambda: script(browser, who) == ["local", True], "a page without the login")
+        assert written(browser, "#authority") == "read-only"
+        assert not script(browser, "return document.body.classList.contains('commanding')")
+        until(lambda: shown(browser).get("layer") == "mean", "the map all the same")

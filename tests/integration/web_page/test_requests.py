@@ -160,6 +160,32 @@ def test_with_a_file_of_logins_reading_needs_none_on_this_machine_and_commanding
     assert json.loads(get(f"{own}/api/session")[1])["roles"] == ["controller", "operator", "viewer"]
 
 
+def test_who_logs_out_reads_on_and_commands_no_more_and_other_browsers_stay(
+    mission: MissionClient, tmp_path: Path
+) -> None:
+    def browser() -> urllib.request.OpenerDirector:
+        made = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        assert opened(made, server.login)[0] == 200
+        return made
+
+    def session(of: urllib.request.OpenerDirector) -> tuple[bool, bool]:
+        document = json.loads(opened(of, f"{own}/api/session")[1])
+        return document["logged_in"], document["commands"]
+
+    server = Served(mission, "--authority", "--login-file", str(tmp_path / "logins"))
+    with server as where:
+        own = where.rstrip("/")
+        mine, other = browser(), browser()
+        assert session(mine) == (True, True)
+        assert opened(mine, urllib.request.Request(f"{own}/api/logout", method="POST"))[0] == 403, "of no page of ours"
+        assert session(mine) == (True, True)
+        assert post(mine, own, "logout", {}) == 200
+        assert session(mine) == (False, False)
+        assert post(mine, own, "command", {"kind": "pause"}) == 403
+        assert session(other) == (True, True)
+        assert post(mine, own, "logout", {}) == 200, "a second time, too"
+
+
 def test_a_session_cookie_is_for_this_page_alone(served: tuple[str, str]) -> None:
     class Stay(urllib.request.HTTPRedirectHandler):
         def redirect_request(self, *_: Any) -> None:
@@ -216,13 +242,23 @@ def test_under_tls_a_certificate_says_what_its_owner_may_do_and_a_stranger_may_d
             assert status(None, path) == 401
         assert status(None, "command", {"kind": "pause"}) == 401
         assert status(revoked, "api/session") == 200
-        authority.revoke(subject_of("operator", "rita"))
-        until(lambda: status(revoked, "api/session") == 403, "the revocation to count")
+        with opener(revoked).open(f"{own}/api/stream", timeout=PATIENCE_S) as stream:
+            assert stream.readline() == b"retry: 1000\n"
+            authority.revoke(subject_of("operator", "rita"))
+            until(lambda: status(revoked, "api/session") == 403, "the revocation to count")
+            assert stream.read().endswith(b"\n\n"), "the stream has ended, too"
         with pytest.raises((urllib.error.URLError, ssl.SSLError, ConnectionError)):
             opener(other).open(f"{own}/api/session", timeout=PATIENCE_S)
         with opener(None).open(server.login, timeout=PATIENCE_S) as logged_in:
             assert logged_in.status == 200
             assert logged_in.headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'")
+        browser = opener(None)
+        assert opened(browser, server.login)[0] == 200
+        with browser.open(f"{own}/api/stream", timeout=PATIENCE_S) as stream:
+            assert stream.readline() == b"retry: 1000\n"
+            assert post(browser, own, "logout", {}) == 200
+            assert stream.read().endswith(b"\n\n"), "who has logged out reads no further"
+        assert opened(browser, f"{own}/api/session")[0] == 401
 
 
 @pytest.mark.parametrize("said", [b"", b"GET /api/colours HTTP/1.1\r\nhost: 127.0.0.1\r\nx-slow: "])

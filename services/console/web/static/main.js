@@ -9,7 +9,7 @@ import "./deliberate.js";
 import { everyFrame, redraw, setFlying } from "./frames.js";
 import { heard, isGroundSilent, isTimeKnown, showLiveness } from "./liveness.js";
 import { showLog } from "./log.js";
-import { askJson, listen } from "./net.js";
+import { askJson, listen, send } from "./net.js";
 import { estimateIsAt, showAreas, takeInterests } from "./areas.js";
 import "./measure.js";
 import "./picture.js";
@@ -105,7 +105,8 @@ function takeAll(all) {
 }
 
 // What is hidden here is refused by the server as well.
-function takeSession({ name, commands, controls, warning }) {
+function takeSession({ name, commands, controls, warning, logged_in }) {
+  $("log-out").hidden = !logged_in;
   document.body.classList.toggle("commanding", commands);
   document.body.classList.toggle("controlling", controls);
   $("authority").textContent = state.recording ? "recording" : commands && controls ? "command authority" : commands ? "commands" : controls ? "link and clock" : "read-only";
@@ -154,6 +155,13 @@ everyFrame(() => {
   rewrite($("pace"), known ? state.pace : "not known");
   if (known) showAge(time);
   showRecording();
+});
+
+$("log-out").addEventListener("click", async () => {
+  await send("logout", {}).then(() => location.reload(), (error) => {
+    rewrite($("warning"), `not logged out: ${error.message}`);
+    $("warning").hidden = false;
+  });
 });
 
 const remembered = localStorage.getItem("theme");

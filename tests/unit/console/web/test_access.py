@@ -58,6 +58,24 @@ def test_a_session_ends_and_there_are_no_more_than_so_many() -> None:
     assert access.caller(last, None) is None
 
 
+def test_a_person_ends_their_own_session_and_no_other() -> None:
+    access = Access(8030, anonymous=VIEWER)
+    token = access.new_token(ANNA)
+    mine, other = cookie(access.log_in(token)), cookie(access.log_in(token))
+    found = access.caller(mine, None)
+    assert found is not None
+    assert found.document()["logged_in"] is True
+    header = access.log_out(mine)
+    assert header.startswith("he3-8030=; HttpOnly; SameSite=Strict; Path=/; Max-Age=0")
+    after = access.caller(mine, None)
+    assert after == Caller("local", VIEWER)
+    assert after.document()["logged_in"] is False
+    assert access.caller(other, None) == ANNA
+    for given in ("", mine, "he3-8030=guess", "\x00"):
+        access.log_out(given)
+    assert access.caller(other, None) == ANNA
+
+
 def test_who_may_only_read_ends_no_session_of_who_may_command() -> None:
     access = Access(8030)
     commander = cookie(access.log_in(access.new_token(ANNA)))
