@@ -10,6 +10,7 @@ from services.console.cli.coordinates import NEGATIVE_NUMBERS, points
 from services.console.cli.flag_groups import with_flags
 from services.console.cli.options import AsJson
 from services.console.cli.session import NamedSession, Session
+from services.console.client.words import counted
 
 if TYPE_CHECKING:
     from schemas.plans import PlanProposal
@@ -133,9 +134,10 @@ def plan_lines(proposal: PlanProposal) -> list[str]:
     )
     last = ", the last one" if proposal.last else ""
     cost = "" if proposal.cost_unit == "m" else f", costs {proposal.cost:,.1f} {proposal.cost_unit}"
+    samples = counted(len(plan.samples), "sample")
     return [
         f"proposal {proposal.proposal}  round {plan.round}{last}, waits since {utc(proposal.proposed_at, 0)}",
-        f"    {proposal.length_m:,.1f} m, {len(plan.samples)} samples, {plan.information_nats:.2f} nat, takes {lasts}",
+        f"    {proposal.length_m:,.1f} m, {samples}, {plan.information_nats:.2f} nat, takes {lasts}",
         f"    in motion {duration(proposal.drive_s)}, {proposal.energy_wh:,.1f} Wh with the base load{cost}",
         *([] if proposal.goal is None else [f"    goal: {proposal.goal}"]),
         *(f"    {sample.sample_id:<10} ({sample.x_m:.1f}, {sample.y_m:.1f}) m" for sample in plan.samples),

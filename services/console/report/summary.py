@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from services.console.client.time_format import duration
+from services.console.client.words import counted
 
 if TYPE_CHECKING:
     from schemas.maps import ReachScore
@@ -20,7 +21,7 @@ def summary_lines(report: MissionReport, files: Sequence[Path] = ()) -> list[str
         ("mission", f"{report.scenario}, region {report.region}, planner {report.planner}, kernel {report.kernel}, "
                     f"seed {report.seed}, {report.driver}"),
         _end(report),
-        ("samples", f"{report.samples} of {report.samples_wanted} in {report.rounds} rounds"),
+        ("samples", f"{report.samples} of {report.samples_wanted} in {counted(report.rounds, 'round')}"),
         *_goal(report),
         *_accuracy(report),
         *_checked(report),

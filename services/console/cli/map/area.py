@@ -11,6 +11,7 @@ from services.console.cli.flag_groups import with_flags
 from services.console.cli.map.options import AsOf
 from services.console.cli.options import MAX_PPB, AsJson, within
 from services.console.cli.session import Session
+from services.console.client.words import counted
 
 if TYPE_CHECKING:
     from schemas.maps import Interval, ResourceEstimate
@@ -51,7 +52,7 @@ def _lines(found: ResourceEstimate) -> list[str]:
         (f"> {found.cutoff_ppb:g} ppb", f"{_between(found.area_above_m2, 0)} m2"),
         ("certain", f"{found.confident_area_m2:,.0f} m2 are each above with {found.probability:.0%} probability"),
         ("intervals", f"{found.probability:.0%}, from the joint posterior; integrated to {_error(found)} ppb"),
-        ("map", f"revision {found.revision}, {found.samples} samples"),
+        ("map", f"revision {found.revision}, {counted(found.samples, 'sample')}"),
     ]
     return [f"{name:<11} {text}" for name, text in rows]
 

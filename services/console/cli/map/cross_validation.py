@@ -11,6 +11,7 @@ from services.console.cli.map.answers import Png, show
 from services.console.cli.map.options import AsCsv, AsOf
 from services.console.cli.options import AsJson, check_one_format
 from services.console.cli.session import Session
+from services.console.client.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +64,7 @@ def lines_of(found: CrossValidation) -> list[str]:
         f"coverage    {found.within_68:.1%} within the intervals of 68.3 %, "
         f"{found.within_95:.1%} within those of 95.4 %",
         f"scores      {found.score_rms:.2f} RMS; 1 is honest, more is too certain",
-        f"map         revision {found.revision}, {len(found.samples)} samples",
+        f"map         revision {found.revision}, {counted(len(found.samples), 'sample')}",
         "",
         f"{'sample':<10} {'east m':>8} {'north m':>8} {'measured':>9} {'expected':>9} {'std':>7} {'score':>6}",
     ]

@@ -15,6 +15,7 @@ from services.console.cli.map.area import MAX_PROBABILITY, MIN_PROBABILITY
 from services.console.cli.map.options import AsCsv, AsOf
 from services.console.cli.options import AsJson, check_one_format, checked, within
 from services.console.cli.session import Session
+from services.console.client.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,7 +104,7 @@ def lines_of(found: GradeTonnage) -> list[str]:
         *lines,
         f"area        {found.area_m2:,.0f} m2 in all",
         f"intervals   {found.probability:.0%}, from {found.draws:,} fields at places {found.block_m:.3g} m apart",
-        f"map         revision {found.revision}, {found.samples} samples",
+        f"map         revision {found.revision}, {counted(found.samples, 'sample')}",
     ]
 
 

@@ -14,6 +14,7 @@ from services.console.cli.map.files import written
 from services.console.cli.map.options import AsOf
 from services.console.cli.options import AsJson, within
 from services.console.cli.session import Session
+from services.console.client.words import counted
 
 if TYPE_CHECKING:
     from services.console.client.map_queries import Realisations
@@ -79,7 +80,7 @@ def described(found: Realisations) -> str:
     count, rows, columns = found.values.shape
     return (
         f"{count} realisations of {rows} x {columns} cells of {found.resolution_m:g} m, revision {found.revision}, "
-        f"{found.samples} samples"
+        f"{counted(found.samples, 'sample')}"
     )
 
 

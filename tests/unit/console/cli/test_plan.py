@@ -20,7 +20,7 @@ def test_a_plan_that_waits_is_shown_with_its_figures_and_its_samples() -> None:
     )  # fmt: skip
     assert plan_lines(proposal) == [
         "proposal 12  round 7, the last one, waits since 1970-01-01T00:00:00Z",
-        "    1,500.0 m, 1 samples, 1.25 nat, takes 1 h 00 min",
+        "    1,500.0 m, 1 sample, 1.25 nat, takes 1 h 00 min",
         "    in motion 30 min 00 s, 750.0 Wh with the base load, costs 750.0 Wh",
         "    r07s1      (1500.0, 0.0) m",
     ]

@@ -117,7 +117,7 @@ def test_a_mission_with_every_sample_that_was_wanted_is_completed() -> None:
     assert (made.samples, made.samples_wanted, made.detail) == (2, 2, "2 of 2 samples are in the map")
     lines = summary_lines(made)
     assert "ended         completed" in lines
-    assert "samples       2 of 2 in 1 rounds" in lines
+    assert "samples       2 of 2 in 1 round" in lines
 
 
 def test_a_mission_with_fewer_samples_than_wanted_ended_early_and_says_why() -> None:
@@ -125,7 +125,7 @@ def test_a_mission_with_fewer_samples_than_wanted_ended_early_and_says_why() -> 
     assert (made.completed, made.samples, made.samples_wanted) == (True, 1, 2)
     lines = summary_lines(made)
     assert "ended early:  1 of 2 samples are in the map" in lines
-    assert "samples       1 of 2 in 1 rounds" in lines
+    assert "samples       1 of 2 in 1 round" in lines
 
 
 def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None:
