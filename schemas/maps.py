@@ -256,7 +256,7 @@ class PredictedSample(Wire):
     """Where the measured value lies in the prediction, in standard deviations of a normal distribution; 6 at most."""
 
 
-class CrossValidation(Wire):
+class CrossValidationFigures(Wire):
     """The belief judged by its samples, each predicted from all others: for a Moon without a reference field."""
 
     rmse_ppb: Annotated[float, Field(ge=0)]
@@ -269,6 +269,11 @@ class CrossValidation(Wire):
     """Share of the samples within the map's intervals of 68.3 %."""
     within_95: Probability
     """Share of the samples within the map's intervals of 95.4 %."""
+
+
+class CrossValidation(CrossValidationFigures):
+    """The figures, and each sample with its prediction."""
+
     samples: tuple[PredictedSample, ...]
     """In the order in which they arrived."""
     revision: Count

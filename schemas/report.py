@@ -8,7 +8,7 @@ from pydantic import Field
 
 from schemas.ground import GoalStatus
 from schemas.link import DirectionCounts
-from schemas.maps import MapScore, ReachScore, RegionLayer
+from schemas.maps import CrossValidationFigures, MapScore, ReachScore, RegionLayer
 from schemas.wire import Count, Provenance, Text, Wire, is_none
 
 
@@ -52,21 +52,6 @@ class DrivingReport(Wire):
     """Sum of all rises from cell to cell."""
     steepest_deg: float
     """The steepest cell on the path."""
-
-
-class CrossValidationReport(Wire):
-    """How well the others predict each sample of the final map: a check without a reference field."""
-
-    rmse_ppb: float
-    """Root mean square of measured less expected value."""
-    bias_ppb: float
-    """Mean of measured less expected value."""
-    score_rms: float
-    """Root mean square of the scores: 1 if the belief is honest, more if it is too certain."""
-    within_68: float
-    """Share of the samples within the map's intervals of 68.3 %."""
-    within_95: float
-    """Share of the samples within the map's intervals of 95.4 %."""
 
 
 class ClosedGroundReport(Wire):
@@ -138,7 +123,7 @@ class MissionReport(Wire):
     coverage_95: float | None
     within_reach: ReachScore | None = Field(default=None, exclude_if=is_none)
     """RMSE and coverages over the ground that the rover can reach; None where that is all, or without a reference."""
-    cross_validation: CrossValidationReport | None = Field(default=None, exclude_if=is_none)
+    cross_validation: CrossValidationFigures | None = Field(default=None, exclude_if=is_none)
     """Each sample as the others predict it; None without a sample, and in reports of earlier versions."""
     path_length_m: float
     driving: DrivingReport | None = None

@@ -215,7 +215,7 @@ def _omission(fields: dict[str, str]) -> str:
 
 
 def _text(fields: Mapping[str, str], name: str) -> str:
-    """A text of a record, safe to show: whoever wrote the file may have put anything there."""
+    """A text of a record, safe to show: the author of the file may have put anything there."""
     return printable(fields.get(name, ""))[:MAX_TEXT]
 
 

@@ -150,8 +150,8 @@ class DaskEngine(_Replies):
         self._over = False
         security: Security | None = None
         if address is None:
-            # Whoever may connect to a scheduler may run code as its user. So this one has keys that exist in its own
-            # processes alone, and both ends of each connection show theirs.
+            # A program that may connect to a scheduler may run code as its user. So this one has keys that exist in its
+            # own processes alone, and both ends of each connection show theirs.
             security = Security.temporary()
             self._cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", protocol="tls://",

@@ -17,10 +17,9 @@ from he3.driving_cost import cost_unit
 from he3.errors import He3Error
 from he3.kernels import AUTO
 from schemas.ground import GoalStatus, GroundStatus, MissionPhase, MissionTrack
-from schemas.maps import CrossValidation, MapLayer, MapRaster, MapScore, RegionLayer
+from schemas.maps import CrossValidation, CrossValidationFigures, MapLayer, MapRaster, MapScore, RegionLayer
 from schemas.report import (
     ClosedGroundReport,
-    CrossValidationReport,
     DrivingReport,
     MessageCounts,
     MissionReport,
@@ -152,7 +151,7 @@ def build_report(
         coverage_68=None if score is None else score.coverage_68,
         coverage_95=None if score is None else score.coverage_95,
         within_reach=None if score is None else score.within_reach,
-        cross_validation=None if checked is None else _cross_validation(checked),
+        cross_validation=None if checked is None else _figures_of(checked),
         path_length_m=status.driven_m,
         driving=_driving(scenario, run, track),
         closed_ground=None if run.closed is None else ClosedGroundReport(**asdict(run.closed)),
@@ -170,14 +169,9 @@ def build_report(
     )
 
 
-def _cross_validation(checked: CrossValidation) -> CrossValidationReport:
-    return CrossValidationReport(
-        rmse_ppb=checked.rmse_ppb,
-        bias_ppb=checked.bias_ppb,
-        score_rms=checked.score_rms,
-        within_68=checked.within_68,
-        within_95=checked.within_95,
-    )
+def _figures_of(checked: CrossValidation) -> CrossValidationFigures:
+    """The figures alone: a report has its samples elsewhere."""
+    return CrossValidationFigures(**{name: getattr(checked, name) for name in CrossValidationFigures.model_fields})
 
 
 def _driving(scenario: Scenario, run: Run, track: MissionTrack) -> DrivingReport | None:

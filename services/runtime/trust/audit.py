@@ -123,7 +123,7 @@ def verify(lines: Iterable[bytes], key_of: Callable[[str], Ed25519PublicKey | No
     """The verdict on an audit log. lines: with their newlines, as a file gives them.
 
     key_of: the key of a signer, None for one that is not known. With it, every line must be signed, and by the identity
-    of one process: else whoever has some identity of the mission could write the log anew.
+    of one process: else a person with any identity of the mission could write the log anew.
     """
     given = list(lines)
     previous, count, signed = BEGINNING, 0, 0
