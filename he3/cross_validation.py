@@ -20,7 +20,7 @@ import numpy as np
 from he3.intervals import NORMAL_ENDS
 from he3.kernel_families import left_out
 from he3.mixture import ProcessMixture, mixture_moments
-from he3.tails import interval_levels, residuals
+from he3.tails import interval_levels, normal_scores
 
 if TYPE_CHECKING:
     from he3.frames import FloatArray
@@ -72,16 +72,17 @@ def cross_validate(process: GaussianProcess) -> CrossValidation:
     process: given at least one sample. It takes O(n^3) operations for each process of the mixture.
     """
     mixture, count = ProcessMixture.of(process), len(process)
+    found = np.array([left_out(one.factor, one.whitened) for one in mixture.processes])
     means, stds = np.empty((len(mixture.processes), count)), np.empty((len(mixture.processes), count))
-    for number, one in enumerate(mixture.processes):
-        own, (away, variances) = one.hyperparameters, left_out(one.factor, one.whitened)
+    for number, (one, (away, variances)) in enumerate(zip(mixture.processes, found, strict=True)):
+        own = one.hyperparameters
         latent = own.prior_mean_ppb(one.places_m) + own.scale_ppb * (one.factor @ one.whitened - away)
         mean, variance = latent, own.scale_ppb**2 * variances
         if own.warp is not None:
             mean, variance = own.warp.moments(mean, variance)
         means[number], stds[number] = mean, np.sqrt(variance)
     expected, std = mixture_moments(mixture.weights, means, stds)
-    scores = residuals(mixture.weights, mixture.processes, count)
+    scores = normal_scores(mixture.weights, found)
     levels = (NORMAL_ENDS[2], NORMAL_ENDS[3])
     if process.hyperparameters.alternatives:
         two, one_std = interval_levels(scores, NORMAL_ENDS[:1:-1])

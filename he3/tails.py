@@ -48,7 +48,12 @@ def residuals(weights: FloatArray, processes: Sequence[GaussianProcess], count: 
     if count == 0:
         return np.zeros(0)  # LAPACK refuses a factor without a row, and says so on the terminal
     found = [left_out(one.factor[:count, :count], one.whitened[:count]) for one in processes]
-    away, variances = np.array(found).swapaxes(0, 1)
+    return normal_scores(weights, np.array(found))
+
+
+def normal_scores(weights: FloatArray, found: FloatArray) -> FloatArray:
+    """The normal scores (n,) under a mixture of weights (K,). found: (K, 2, n), ``left_out`` of each process."""
+    away, variances = found.swapaxes(0, 1)
     below = weights @ ndtr(away / np.sqrt(variances))
     scores: FloatArray = ndtri(np.clip(below, FARTHEST, 1.0 - FARTHEST))
     return scores

@@ -124,7 +124,8 @@ class MissionReport(Wire):
     within_reach: ReachScore | None = Field(default=None, exclude_if=is_none)
     """RMSE and coverages over the ground that the rover can reach; None where that is all, or without a reference."""
     cross_validation: CrossValidationFigures | None = Field(default=None, exclude_if=is_none)
-    """Each sample as the others predict it; None without a sample, and in reports of earlier versions."""
+    """Each sample as the others predict it; None without a sample, in reports of earlier versions, and where the ground
+    did not answer in time."""
     path_length_m: float
     driving: DrivingReport | None = None
     closed_ground: ClosedGroundReport | None = None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from he3.driving import J_PER_WH, DrivenGround
 from he3.driving_cost import cost_unit
-from he3.errors import He3Error
+from he3.errors import He3Error, PeerUnreachable
 from he3.kernels import AUTO
 from schemas.ground import GoalStatus, GroundStatus, MissionPhase, MissionTrack
 from schemas.maps import CrossValidation, CrossValidationFigures, MapLayer, MapRaster, MapScore, RegionLayer
@@ -86,7 +86,10 @@ def gather(mission: Answers, scenario: Scenario, status: GroundStatus, run: Run)
     track, link = mission.track(), mission.link()
     mean, std = mission.raster(MapLayer.MEAN), mission.raster(MapLayer.STD)
     score = mission.score() if scenario.ground.score else None
-    checked = mission.cross_validation() if track.samples else None
+    checked = None
+    if track.samples:
+        with contextlib.suppress(PeerUnreachable):  # that of thousands of samples may take too long
+            checked = mission.cross_validation()
     report = build_report(scenario, run, status, track, link, score, checked)
     return Outcome(report, track, array_of(mean), array_of(std), mean.resolution_m)
 

@@ -7,7 +7,7 @@ import base64
 import numpy as np
 import pytest
 
-from he3.errors import He3Error
+from he3.errors import He3Error, NotReady, PeerUnreachable
 from schemas.ground import (
     FieldWarp,
     GoalForecast,
@@ -23,7 +23,7 @@ from schemas.maps import CrossValidation, MapLayer, MapRaster, MapScore, ReachSc
 from schemas.report import MissionReport
 from schemas.telemetry import SampleReport
 from services.console.report.learned import kernel_weights, learned
-from services.console.report.mission_report import Run, array_of, build_report
+from services.console.report.mission_report import Run, array_of, build_report, gather
 from services.console.report.outputs import caption
 from services.console.report.summary import summary_lines
 from services.mission.scenario import Scenario
@@ -135,13 +135,55 @@ def test_without_a_truth_to_compare_with_the_report_claims_no_accuracy() -> None
     assert "RMSE" not in caption(made)
 
 
+class Ground:
+    """A ground whose mission is over; it answers a query of the cross-validation with what it is given."""
+
+    def __init__(self, checked: CrossValidation | He3Error) -> None:
+        self._checked = checked
+
+    def track(self) -> MissionTrack:
+        return MissionTrack(samples=(sample(1), sample(2)), driven_path_m=(), planned_path_m=(), score_history=())
+
+    def link(self) -> LinkStatus:
+        return link()
+
+    def raster(self, layer: MapLayer) -> MapRaster:
+        data = base64.b64encode(np.ones((1, 1), dtype="<f4").tobytes()).decode()
+        return MapRaster(
+            layer=layer, rows=1, columns=1, resolution_m=1.0, dtype="<f4", data_base64=data, unit="ppb", revision=2,
+            samples=2, mission_time_ns=START,
+        )  # fmt: skip
+
+    def score(self) -> MapScore:
+        return score(2)
+
+    def cross_validation(self) -> CrossValidation:
+        if isinstance(self._checked, He3Error):
+            raise self._checked
+        return self._checked
+
+
+CHECKED = CrossValidation(
+    rmse_ppb=0.9174, bias_ppb=-0.01, score_rms=1.1, within_68=0.7, within_95=0.96, samples=(), revision=3,
+    mission_time_ns=START,
+)  # fmt: skip
+
+
+def test_a_cross_validation_that_takes_too_long_costs_no_report() -> None:
+    run = Run("in-process", None, "made up", 123.5, 0.25)
+    found = status(MissionPhase.COMPLETED)
+    told = gather(Ground(CHECKED), SCENARIO, found, run).report
+    assert told.cross_validation is not None
+    assert told.cross_validation.rmse_ppb == 0.9174
+    silent = gather(Ground(PeerUnreachable("no answer within 30 s")), SCENARIO, found, run).report
+    assert silent == told.model_copy(update={"cross_validation": None})
+    with pytest.raises(NotReady):
+        gather(Ground(NotReady("not yet")), SCENARIO, found, run)
+
+
 def test_the_samples_check_the_map_with_a_reference_field_and_without() -> None:
-    checked = CrossValidation(
-        rmse_ppb=0.9174, bias_ppb=-0.01, score_rms=1.1, within_68=0.7, within_95=0.96, samples=(), revision=3,
-        mission_time_ns=START,
-    )  # fmt: skip
     for scored in (True, False):
-        made = reported(status(MissionPhase.COMPLETED), scored=scored, checked=checked)
+        made = reported(status(MissionPhase.COMPLETED), scored=scored, checked=CHECKED)
         assert made.cross_validation is not None
         assert (made.cross_validation.rmse_ppb, made.cross_validation.score_rms) == (0.9174, 1.1)
         line = "cross-check   each sample as all others predict it: 0.9174 ppb, 70.0% and 96.0% within the intervals"
