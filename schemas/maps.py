@@ -280,7 +280,7 @@ class CrossValidation(CrossValidationFigures):
     mission_time_ns: MissionTimeNs
 
 
-CutoffsText = Annotated[str, Field(max_length=1000, pattern=r"^\s*[\d.eE+-]+(\s*,\s*[\d.eE+-]+){0,39}\s*$")]
+CutoffsText = Annotated[str, Field(max_length=1000)]
 """Up to 40 abundances as 'a,b,...' [ppb]."""
 
 

@@ -25,10 +25,9 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from he3.errors import He3Error
 from schemas.maps import MapLayer, MapRaster, MapScore
 from services.console.report.mission_report import array_of, remove_part
-from services.runtime.files.output import open_output
+from services.runtime.files.output import failed, open_output
 
 if TYPE_CHECKING:
     from he3.frames import Place
@@ -350,11 +349,14 @@ def rmse_figure(title: str, note: str, history: Sequence[MapScore]) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the figure as PNG, the same bytes for the same figure; raises He3Error if it cannot be written."""
+    """Write the figure as PNG, the same bytes for the same figure.
+
+    Raises He3Error if it cannot be written, InvalidInput where the path is at fault.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open_output(path) as stream:
             figure.savefig(stream, format="png", metadata={"Software": "he3-seeker"})
     except OSError as error:
         remove_part(path)
-        raise He3Error(f"{path}: cannot write the picture: {error.strerror}") from None
+        raise failed(f"{path}: cannot write the picture", error) from None

@@ -32,6 +32,7 @@ PPB = 1e-9
 DRAWS = 2000
 MAX_CORNERS = 256
 MOST_STEPS = 20
+MAX_CUTOFFS = 40
 
 
 def corners_of(text: str) -> tuple[Place, ...]:
@@ -156,13 +157,17 @@ def grade_tonnage_curve(request: GradeTonnageQuery, snapshot: MapSnapshot) -> Gr
 
 
 def _cutoffs_of(text: str) -> NDArray[np.float64]:
-    """Cut-offs [ppb] of 'a,b,...', in rising order; raises InvalidInput for other text and for values below zero."""
+    """Cut-offs [ppb] of 'a,b,...', in rising order; raises InvalidInput for other text and for too many or impossible
+    values.
+    """
     try:
         cutoffs = np.array([float(part) for part in text.split(",")])
     except ValueError:
         raise InvalidInput(f"cutoffs: expected numbers as a,b,... [ppb], got '{text[:60]}'") from None
     if not (np.isfinite(cutoffs).all() and (cutoffs >= 0).all()):
         raise InvalidInput(f"cutoffs: expected abundances from 0 ppb on, got '{text[:60]}'")
+    if len(cutoffs) > MAX_CUTOFFS:
+        raise InvalidInput(f"cutoffs: expected at most {MAX_CUTOFFS} abundances, got {len(cutoffs)}")
     return np.unique(cutoffs)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from he3.errors import He3Error
+from he3.errors import He3Error, InvalidInput
 from schemas.maps import MapScore
 from services.console.report.pictures import MapPicture, map_figure, region_figure, rmse_figure, save
 from services.mission.regions import load_region
@@ -144,8 +144,18 @@ def test_equal_figures_are_equal_files(tmp_path: Path) -> None:
 
 def test_a_picture_that_cannot_be_written_says_where(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(He3Error, match="cannot write the picture"):
+    with pytest.raises(InvalidInput, match="cannot write the picture"):
         save(rmse_figure("t", "n", []), tmp_path / "file" / "x.png")
+
+
+def test_a_full_disk_is_no_mistake_of_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("services.console.report.pictures.open_output", full)
+    with pytest.raises(He3Error, match="cannot write the picture: No space left on device") as refusal:
+        save(rmse_figure("t", "n", []), tmp_path / "x.png")
+    assert not isinstance(refusal.value, InvalidInput), "the same command may succeed later"
 
 
 def test_a_title_of_another_s_making_is_text_and_no_formula(tmp_path: Path) -> None:

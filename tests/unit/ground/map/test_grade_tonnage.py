@@ -114,8 +114,11 @@ def test_cut_offs_that_are_none_are_refused_and_so_is_a_map_without_a_belief() -
     for text, why in (
         ("1e", "expected numbers"),
         ("--1", "expected numbers"),
+        ("", "expected numbers"),
         ("-1", "from 0 ppb on"),
-        ("1e999", "0 ppb"),
+        ("nan", "from 0 ppb on"),
+        ("1e999", "from 0 ppb on"),
+        (",".join("1" * 41), "expected at most 40 abundances, got 41"),
     ):
         with pytest.raises(InvalidInput, match=why):
             grade_tonnage_curve(GradeTonnageQuery(cutoffs=text), snapshot())
